@@ -61,7 +61,10 @@ def walk(rows: pd.DataFrame, changed: dict[str, float] | None = None, **setup: A
     return pd.DataFrame(
         {
             "speed_mm_s": 1e3 * np.asarray(found["speed"]) * rows["clock"].to_numpy(),
-            **{f"{axis}_std_deg": np.degrees(found[f"{axis}_std"]) for axis in ("roll", "pitch", "yaw")},
+            **{
+                f"{axis}_std_deg": np.degrees(found[f"{axis}_std"])
+                for axis in ("roll", "pitch", "yaw")
+            },
             "front_share": np.asarray(found["front_load_share"]),
         },
         index=rows.index,
@@ -70,7 +73,9 @@ def walk(rows: pd.DataFrame, changed: dict[str, float] | None = None, **setup: A
 
 def ordered(a: pd.Series, b: pd.Series, spine: pd.Series) -> str:
     """r within each setting of the spine, without and with."""
-    return ", ".join(f"{np.corrcoef(a[spine == on], b[spine == on])[0, 1]:.2f}" for on in sorted(set(spine)))
+    return ", ".join(
+        f"{np.corrcoef(a[spine == on], b[spine == on])[0, 1]:.2f}" for on in sorted(set(spine))
+    )
 
 
 def table(his: pd.DataFrame, ours: pd.DataFrame) -> str:
@@ -93,7 +98,10 @@ def table(his: pd.DataFrame, ours: pd.DataFrame) -> str:
 def told(his: pd.DataFrame, ours: pd.DataFrame) -> dict[str, str]:
     """The table, median ratios at all stances and clocks, and what decides the order of the roll."""
     tests = his[(his["stance"] == "tests") & (his["clock"] == 0.4)]
-    ratio = {name: (ours[name] / his[name]).groupby([his["stance"], his["clock"]]).median() for name in MEASURES}
+    ratio = {
+        name: (ours[name] / his[name]).groupby([his["stance"], his["clock"]]).median()
+        for name in MEASURES
+    }
     roll = 100 * (ratio["roll_std_deg"] - 1)
     still = tests[tests["spine"] == 0]
     exact = Setup().defaults()["servo.knee_range"]
@@ -107,7 +115,9 @@ def told(his: pd.DataFrame, ours: pd.DataFrame) -> dict[str, str]:
         "grid": table(tests, ours),
         "grid.roll": f"{roll.min():.0f} to {roll.max():.0f} %",
         **{
-            f"grid.{name}": ", ".join(f"{ratio[column][stance, 1]:.2f}" for stance in ("tests", "A.7"))
+            f"grid.{name}": ", ".join(
+                f"{ratio[column][stance, 1]:.2f}" for stance in ("tests", "A.7")
+            )
             for name, column in (("speed", "speed_mm_s"), ("front", "front_share"))
         },
         **{f"grid.order_{name}": f"{each:.2f}" for name, each in order.items()},
@@ -124,13 +134,23 @@ def draw(his: pd.DataFrame, ours: pd.DataFrame, folder: Path) -> None:
             of = rows[rows["spine"] == 1] if name == "yaw_std_deg" else rows
             a, b = of[name], ours.loc[of.index, name]
             look = {"s": 12, "marker": "o" if clock == 0.4 else "^", "alpha": 0.7, "linewidths": 0}
-            look |= {"c": "#0072b2" if stance == "tests" else "#d55e00", "label": f"stance {stance}, clock {clock:g}"}
+            look |= {
+                "c": "#0072b2" if stance == "tests" else "#d55e00",
+                "label": f"stance {stance}, clock {clock:g}",
+            }
             above.scatter(a, b, **look)
             below.scatter((a + b) / 2, b - a, **look)
-        ends = [min(above.get_xlim()[0], above.get_ylim()[0]), max(above.get_xlim()[1], above.get_ylim()[1])]
+        ends = [
+            min(above.get_xlim()[0], above.get_ylim()[0]),
+            max(above.get_xlim()[1], above.get_ylim()[1]),
+        ]
         above.plot(ends, ends, color="0.6", lw=0.8, zorder=0)
         below.axhline(0.0, color="0.6", lw=0.8, zorder=0)
-        above.set(title=MEASURES[name], xlabel="author's model, MuJoCo 3.17", ylabel="this twin" if column == 0 else "")
+        above.set(
+            title=MEASURES[name],
+            xlabel="author's model, MuJoCo 3.17",
+            ylabel="this twin" if column == 0 else "",
+        )
         below.set(xlabel="mean of both", ylabel="twin − author's model" if column == 0 else "")
     axes[0, 0].legend(fontsize=7, frameon=False)
     fig.savefig(folder / "author_grid.png", dpi=110)

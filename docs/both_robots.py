@@ -21,10 +21,16 @@ WIDTH, HEIGHT, STRIP = 640, 330, 40
 
 def pictures(robot: str) -> np.ndarray:
     """Both views of a robot, side by side below its name, (height, 2 width, 3)."""
-    recording = Simulator(Setup(robot=robot), engine="c").run({}, Run(duration=0.5), record=True).recording(0)
+    recording = (
+        Simulator(Setup(robot=robot), engine="c")
+        .run({}, Run(duration=0.5), record=True)
+        .recording(0)
+    )
     views = []
     for camera in ("side", "three_quarter"):
-        frames, _ = draw_frames(recording, robot_of(recording).model, np.array([0]), WIDTH, HEIGHT, camera, 1.0, ())
+        frames, _ = draw_frames(
+            recording, robot_of(recording).model, np.array([0]), WIDTH, HEIGHT, camera, 1.0, ()
+        )
         views.append(next(iter(frames)))
     strip = blank_strip(2 * WIDTH, STRIP)
     write_text(strip, 12, 10, ROBOTS[robot], fontsize=16, fontweight="bold")
@@ -33,4 +39,6 @@ def pictures(robot: str) -> np.ndarray:
 
 if __name__ == "__main__":
     offscreen.require_gl()
-    iio.imwrite(Path(sys.argv[1]) / "nermo_41.png", np.concatenate([pictures(robot) for robot in ROBOTS]))
+    iio.imwrite(
+        Path(sys.argv[1]) / "nermo_41.png", np.concatenate([pictures(robot) for robot in ROBOTS])
+    )

@@ -50,7 +50,9 @@ def opened(tab: chromium.Tab, page: Path) -> None:
 def explored(tab: chromium.Tab, folder: str) -> None:
     os.chdir(folder)  # the page shows the path of its directory
     opened(tab, explore("runs/quickstart").save("explore.html"))
-    x, y = tab.evaluate(f"(({{x, y}}) => [x, y])(explorer.chart.itemOf(explorer.table.placeOf.get({ROW})))")
+    x, y = tab.evaluate(
+        f"(({{x, y}}) => [x, y])(explorer.chart.itemOf(explorer.table.placeOf.get({ROW})))"
+    )
     box = tab.box("#marks")
     for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
         tab.mouse(kind, box["left"] + x, box["top"] + y)
@@ -75,7 +77,9 @@ def driven(tab: chromium.Tab, folder: str) -> None:
         tab.wait(chromium.READY)
         tab.wait("viewer.drive.socket.readyState === WebSocket.OPEN")
         # Time is so slow that every picture can be as good as a still.
-        tab.evaluate("Object.defineProperty(viewer.stage.quality, 'wanted', {get() { return this.still; }}), 1")
+        tab.evaluate(
+            "Object.defineProperty(viewer.stage.quality, 'wanted', {get() { return this.still; }}), 1"
+        )
         tab.evaluate("viewer.drive.send({reset: true, pause: false, speed: 0.1})")
         tab.wait("viewer.drive.state.paused === false && viewer.player.time < 0.3")
         deeds, times, shown = list(DEEDS), [], []

@@ -20,7 +20,11 @@ sys.path.insert(0, str(pathlib.Path(__file__).parent))
 import results
 
 ROOT = pathlib.Path(__file__).parents[1]
-REPOSITORY = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"].get("urls", {}).get("Repository")
+REPOSITORY = (
+    tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    .get("urls", {})
+    .get("Repository")
+)
 WALKS = ROOT / "docs" / "howto" / "terrain" / "walks"
 
 project = "nermo_mjx"
@@ -56,11 +60,17 @@ html_css_files = ["site.css"]
 html_logo = "_static/mark.svg"
 html_favicon = "_static/mark.svg"
 html_theme_options = {
-    f"{scheme}_css_variables": {f"color-brand-{part}": colour for part in ("primary", "content", "visited")}
+    f"{scheme}_css_variables": {
+        f"color-brand-{part}": colour for part in ("primary", "content", "visited")
+    }
     for scheme, colour in (("light", "#b3440a"), ("dark", "#ff9d5c"))
 }
 if REPOSITORY is not None:
-    html_theme_options |= {"source_repository": REPOSITORY, "source_branch": "main", "source_directory": "docs/"}
+    html_theme_options |= {
+        "source_repository": REPOSITORY,
+        "source_branch": "main",
+        "source_directory": "docs/",
+    }
 
 
 def parameter_table() -> str:
@@ -69,7 +79,9 @@ def parameter_table() -> str:
     for name, about in sorted(gathered(all_parameters()), key=lambda each: each[0]):
         allowed = about.allowed().removesuffix(about.unit) if about.unit != "1" else about.allowed()
         name = " … ".join(f"`{each}`" for each in name.split(" ... "))
-        rows.append(f"| {name} | {float(about.default):.6g} | {about.unit} | {allowed} | {about.doc} |")
+        rows.append(
+            f"| {name} | {float(about.default):.6g} | {about.unit} | {allowed} | {about.doc} |"
+        )
     return "\n".join(rows).replace("|a|^t", "\\|a\\|^t") + "\n"
 
 
@@ -78,7 +90,13 @@ def metric_table() -> str:
     rows = []
     for name, metric in METRICS.items():
         if name in HEADINGS:
-            rows += ["", f"## {HEADINGS[name]}", "", "| name | unit | better | meaning |", "|---|---|---|---|"]
+            rows += [
+                "",
+                f"## {HEADINGS[name]}",
+                "",
+                "| name | unit | better | meaning |",
+                "|---|---|---|---|",
+            ]
         rows.append(f"| `{name}` | {metric.unit} | {metric.better or ''} | {metric.doc} |")
     return "\n".join(rows) + "\n"
 
@@ -96,7 +114,11 @@ def fill(app: Sphinx, docname: str, source: list[str]) -> None:
     """
     if docname == "index":
         app.env.note_dependency(ROOT / "README.md")
-    for mark, table in (("{{parameters}}", parameter_table), ("{{metrics}}", metric_table), ("{{readme}}", readme)):
+    for mark, table in (
+        ("{{parameters}}", parameter_table),
+        ("{{metrics}}", metric_table),
+        ("{{readme}}", readme),
+    ):
         if mark in source[0]:
             source[0] = source[0].replace(mark, table())
     up = "../" * (len(pathlib.Path(app.srcdir, docname).relative_to(ROOT).parts) - 1)
@@ -127,7 +149,9 @@ def viewers(app: Sphinx, failure: Exception | None) -> None:
     for free in courses[:1] if "NERMO_MJX_SMALL" in os.environ else courses:  # as in the tests
         for other in (free.with_name("stiff.npz"), free.with_name("passive.npz")):
             page = pathlib.Path(app.outdir, "viewer", f"{free.parent.name}-{other.stem}.html")
-            if not page.exists() or page.stat().st_mtime < max(free.stat().st_mtime, other.stat().st_mtime):
+            if not page.exists() or page.stat().st_mtime < max(
+                free.stat().st_mtime, other.stat().st_mtime
+            ):
                 nermo_mjx.show(free, other).save(page)
 
 

@@ -23,12 +23,22 @@ from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.plotting.style import INK, OKABE_ITO
 from nermo_mjx.view import offscreen, robot_of
 from nermo_mjx.view.camera import put_pose, put_sun_overhead
-from nermo_mjx.view.video import blank_strip, frame_samples, pixels, root_path, smooth_path, write_text
+from nermo_mjx.view.video import (
+    blank_strip,
+    frame_samples,
+    pixels,
+    root_path,
+    smooth_path,
+    write_text,
+)
 
 OUT = Path(__file__).parent / "images" / "hero.webp"
 WALK = {"frequency": 0.8, "contact.friction": 1.1}
 WALKS = {
-    "Spine free": (Setup(gait="walking_trot", spine="stride_extension"), {"spine.amplitude": 0.3, "spine.phase": 0.0}),
+    "Spine free": (
+        Setup(gait="walking_trot", spine="stride_extension"),
+        {"spine.amplitude": 0.3, "spine.phase": 0.0},
+    ),
     "Spine stiff": (Setup(gait="walking_trot"), {}),
 }
 WARMUP, CYCLES, FPS = 2.0, 7.0, 8
@@ -59,7 +69,9 @@ def draw_spine(scene: mujoco.MjvScene, model: mujoco.MjModel, data: mujoco.MjDat
         rgba = np.array([*colour_of(4 * bend), 1.0], np.float32)
         geom = scene.geoms[scene.ngeom]
         scene.ngeom += 1
-        mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+        mujoco.mjv_initGeom(
+            geom, mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba
+        )
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.008, begin, end)
         geom.emission = 0.6
     return float(bends.sum())
@@ -84,8 +96,16 @@ def strip(name: str, bend: float, way: float, seconds: float) -> np.ndarray:
 def main() -> None:
     recordings = []
     for setup, values in WALKS.values():
-        result = Simulator(setup, engine="c").run(WALK | values, Run(cycles=CYCLES, warmup_cycles=WARMUP), record=True)
-        print(setup.spine, {name: float(np.ravel(result.metrics[name])[0]) for name in ("speed", "cost_of_transport")})
+        result = Simulator(setup, engine="c").run(
+            WALK | values, Run(cycles=CYCLES, warmup_cycles=WARMUP), record=True
+        )
+        print(
+            setup.spine,
+            {
+                name: float(np.ravel(result.metrics[name])[0])
+                for name in ("speed", "cost_of_transport")
+            },
+        )
         recording = result.recording(0)
         recordings.append(recording.between(recording.time[0] + WARMUP / 0.8, recording.time[-1]))
     offscreen.require_gl()
@@ -122,7 +142,10 @@ def main() -> None:
                 mujoco.mjv_addGeoms(model, other, option, push, moving, renderer.scene)
                 bends = [draw_spine(renderer.scene, model, state) for state in (data, other)]
                 ways = [begin[1] - path[i][1] for begin, path in zip(begins, paths, strict=True)]
-                lines = [strip(name, bend, way, i / FPS) for name, bend, way in zip(WALKS, bends, ways, strict=True)]
+                lines = [
+                    strip(name, bend, way, i / FPS)
+                    for name, bend, way in zip(WALKS, bends, ways, strict=True)
+                ]
                 yield np.concatenate([lines[0], renderer.render(), lines[1]])
 
     shown = [Image.fromarray(frame) for frame in frames()]

@@ -73,7 +73,9 @@ def segment() -> Shape:
     hub = turned_part([(EXIT, 3.0), (length - EXIT, 3.0)], 8)
     disc = turned_part([(length / 2 - 0.8, 6.6), (length / 2 + 0.8, 6.6)], 16)
     eyelet = turned_part([(EXIT - 0.15, 1.15), (length - EXIT + 0.15, 1.15)], 5)
-    eyelets = [eyelet.moved(y=side * BESIDE) for side in (1, -1)] + [eyelet.moved(z=side * BESIDE) for side in (1, -1)]
+    eyelets = [eyelet.moved(y=side * BESIDE) for side in (1, -1)] + [
+        eyelet.moved(z=side * BESIDE) for side in (1, -1)
+    ]
     return join(hub, disc, *eyelets)
 
 
@@ -208,7 +210,9 @@ def camera() -> Shape:
 
 def ring() -> Shape:
     """The ring around the lens."""
-    return _at_eye(turned_part([(0.0, 4.35), (0.7, 4.35), (1.15, 4.0), (1.15, 3.4), (0.6, 3.1)], 16))
+    return _at_eye(
+        turned_part([(0.0, 4.35), (0.7, 4.35), (1.15, 4.0), (1.15, 3.4), (0.6, 3.1)], 16)
+    )
 
 
 def lens() -> Shape:
@@ -244,7 +248,9 @@ def tail_shapes() -> dict[str, Shape]:
 def tail_segment() -> Shape:
     """A bead from joint to joint, with an eyelet for a tendon on each side."""
     end = SPACING - 0.4
-    bead = _along([(0.4, 2.8), (0.9, 3.4), (2.8, 3.75), (5.4, 3.2), (end - 0.4, 2.6), (end, 2.0)], 12)
+    bead = _along(
+        [(0.4, 2.8), (0.9, 3.4), (2.8, 3.75), (5.4, 3.2), (end - 0.4, 2.6), (end, 2.0)], 12
+    )
     bar = block((-BESIDE_TAIL - 1.0, 3.1, -0.9), (BESIDE_TAIL + 1.0, 4.9, 0.9), 0.45)
     return join(bead, bar)
 
@@ -254,7 +260,9 @@ def base() -> Shape:
     collar = _along([(6.9, 5.0), (7.6, 5.6), (10.6, 5.6), (11.6, 4.4)], 16)
     eyelet = _along([(9.0, 1.1), (11.0, 1.1)], 8)
     cheeks = [block((-4.0, -3.0, z - 0.7), (4.0, 9.5, z + 0.7), 0.4) for z in (-2.6, 2.6)]
-    return join(collar, eyelet.moved(x=BESIDE_TAIL), eyelet.moved(x=-BESIDE_TAIL), beam(STEM, 1.2), *cheeks)
+    return join(
+        collar, eyelet.moved(x=BESIDE_TAIL), eyelet.moved(x=-BESIDE_TAIL), beam(STEM, 1.2), *cheeks
+    )
 
 
 def _along(profile: list[tuple[float, float]], sides: int) -> Shape:

@@ -24,7 +24,9 @@ from PIL import Image
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 #: Longer outputs in HTML are pages and videos; tables are shorter.
 MOST_HTML = 50_000
-LEFT_OUT = "*Run this cell to see the page or film. The [gallery](../docs/gallery.md) shows similar ones.*"
+LEFT_OUT = (
+    "*Run this cell to see the page or film. The [gallery](../docs/gallery.md) shows similar ones.*"
+)
 FILM = "*One frame of the film. Run this cell to see the film, or watch [a similar one](../docs/images/walk.webp).*"
 
 
@@ -54,7 +56,10 @@ def _small(output: Any) -> list[Any]:
             image.seek(getattr(image, "n_frames", 1) // 2)
             data["image/png"] = base64.b64encode(encode_png(image)).decode()
             if kind == "image/gif":
-                return [output, new_output("display_data", {"text/markdown": FILM, "text/plain": FILM})]
+                return [
+                    output,
+                    new_output("display_data", {"text/markdown": FILM, "text/plain": FILM}),
+                ]
     return [output]
 
 

@@ -28,7 +28,9 @@ class PictureError(ValueError):
 
 def reduce_colours(image: Image.Image) -> Image.Image:
     """Return a copy of a picture with a palette of at most 256 colours."""
-    return image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
+    return image.convert("RGB").quantize(
+        256, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE
+    )
 
 
 def encode_png(image: Image.Image) -> bytes:
@@ -70,17 +72,24 @@ def write_film(
     whole = [after - before for before, after in itertools.pairwise(times)]
     file = io.BytesIO()
     options = {"quality": quality, "method": 4, "minimize_size": True}
-    frames[0].save(file, "webp", save_all=True, append_images=frames[1:], duration=whole, loop=0, **options)
+    frames[0].save(
+        file, "webp", save_all=True, append_images=frames[1:], duration=whole, loop=0, **options
+    )
     if file.tell() > LARGEST:
         remedy = "use fewer frames per second or a smaller width"
-        raise PictureError(f"{path}: {file.tell():,} bytes, but at most {LARGEST:,} are allowed: {remedy}.")
+        raise PictureError(
+            f"{path}: {file.tell():,} bytes, but at most {LARGEST:,} are allowed: {remedy}."
+        )
     path.write_bytes(file.getvalue())
 
 
 def read_film(path: Path) -> tuple[list[Image.Image], list[float]]:
     """Return the frames of a film, and the time from each to the next one [ms]; a picture has one frame."""
     with Image.open(path) as film:
-        read = [(frame.convert("RGB"), frame.info.get("duration", 0)) for frame in ImageSequence.Iterator(film)]
+        read = [
+            (frame.convert("RGB"), frame.info.get("duration", 0))
+            for frame in ImageSequence.Iterator(film)
+        ]
     frames, durations = zip(*read, strict=True)
     return list(frames), list(durations)
 

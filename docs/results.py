@@ -43,12 +43,23 @@ STAMPS = ANSWERS / "stamps.json"
 PART = 30.0
 PROFILES = ("exact", "as_published", "as_built")
 #: Parameters of the body, by the first part of their names.
-OF_BODY = ("servo", "battery", "contact", "stiffness", "damping", "mass", "build", "ground", "geometry")
+OF_BODY = (
+    "servo",
+    "battery",
+    "contact",
+    "stiffness",
+    "damping",
+    "mass",
+    "build",
+    "ground",
+    "geometry",
+)
 #: What each digest is of, beside the body. Tests hold the loop and the engines, which call it, to the same walks.
 SOURCES = {
     "controller": ("control/[!_]*.py", "kinematics/*.py"),
     "metrics": tuple(
-        f"rollout/{name}.py" for name in ("*_metrics", "metrics", "electrical", "reduction", "transitions")
+        f"rollout/{name}.py"
+        for name in ("*_metrics", "metrics", "electrical", "reduction", "transitions")
     ),
 }
 #: Doors for code of others.
@@ -106,7 +117,9 @@ def code(path: Path) -> str:
     """A source without its comments, docstrings and imports, which change no result; other files as they are."""
     text = path.read_text(encoding="utf-8", errors="replace")
     if path.suffix == ".ipynb":
-        return json.dumps([cell["source"] for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"])
+        return json.dumps(
+            [cell["source"] for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+        )
     if path.suffix != ".py":
         return text
     lines = text.splitlines()
@@ -121,7 +134,12 @@ def code(path: Path) -> str:
 @functools.cache
 def digest_of_sources(*patterns: str) -> str:
     files = sorted(
-        {path for each in patterns for path in (ROOT / "nermo_mjx").glob(each) if path.name not in NOT_COUNTED}
+        {
+            path
+            for each in patterns
+            for path in (ROOT / "nermo_mjx").glob(each)
+            if path.name not in NOT_COUNTED
+        }
     )
     return digest(*((str(path.relative_to(ROOT)), code(path)) for path in files))
 
@@ -133,19 +151,31 @@ def body(robot: str) -> str:
     Six digits of each: with MuJoCo's versions the last ones may change.
     """
     setups = [Setup(robot=robot, profile=profile) for profile in PROFILES]
-    bodies = [{n: f"{v:.6g}" for n, v in each.defaults().items() if n.split(".")[0] in OF_BODY} for each in setups]
+    bodies = [
+        {n: f"{v:.6g}" for n, v in each.defaults().items() if n.split(".")[0] in OF_BODY}
+        for each in setups
+    ]
     return digest(model_hash(setups[0].load().model), *bodies)
 
 
 def digests(result: Result) -> dict[str, str]:
     """What a result stands on."""
-    words = [word for command in result.run for word in shlex.split(command) if word not in result.outputs]
+    words = [
+        word
+        for command in result.run
+        for word in shlex.split(command)
+        if word not in result.outputs
+    ]
     files = [ROOT / word for word in words if (ROOT / word).is_file()]
     found = {"commands and files": digest(result.run, *map(code, files))}
     if result.robot != "any":
-        found |= {"body": body(result.robot)} | {name: digest_of_sources(*each) for name, each in SOURCES.items()}
+        found |= {"body": body(result.robot)} | {
+            name: digest_of_sources(*each) for name, each in SOURCES.items()
+        }
     return found | (
-        {", ".join(result.also): digest_of_sources(*(f"{room}/**/*.py" for room in result.also))} if result.also else {}
+        {", ".join(result.also): digest_of_sources(*(f"{room}/**/*.py" for room in result.also))}
+        if result.also
+        else {}
     )
 
 
@@ -160,7 +190,9 @@ def stale(name: str, result: Result) -> list[str] | None:
 def told(name: str, result: Result) -> str:
     """When, with which version and of which body a result was made, and whether it is stale; a line."""
     if (changed := stale(name, result)) is None:
-        return f"{result.made}, without a stamp, so perhaps of another body" + (f"; {result.why}" if result.why else "")
+        return f"{result.made}, without a stamp, so perhaps of another body" + (
+            f"; {result.why}" if result.why else ""
+        )
     stamp = stamps()[name]
     of = f", body {stamp['digests']['body'][:8]}" if "body" in stamp["digests"] else ""
     made = f"{stamp['date']}, version {stamp['version']}{of}"
@@ -174,7 +206,9 @@ def make(name: str, result: Result) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for number, command in enumerate(result.run, 1):
         words = shlex.split(command.replace("DIR", str(out)))
-        start = {"nermo-mjx": [sys.executable, "-m", "nermo_mjx"], "python": [sys.executable]}.get(words[0], words[:1])
+        start = {"nermo-mjx": [sys.executable, "-m", "nermo_mjx"], "python": [sys.executable]}.get(
+            words[0], words[:1]
+        )
         kept = result.prints is not None and number == len(result.run)
         pipe = subprocess.PIPE if kept else None
         done = subprocess.run([*start, *words[1:]], cwd=ROOT, text=True, stdout=pipe)
@@ -184,11 +218,17 @@ def make(name: str, result: Result) -> None:
             replace_file(ROOT / result.prints, done.stdout.encode())
     for source, target in result.copies.items():
         if target.endswith(".webp"):
-            subprocess.run([sys.executable, ROOT / "docs" / "pictures.py", out / source, ROOT / target], check=True)
+            subprocess.run(
+                [sys.executable, ROOT / "docs" / "pictures.py", out / source, ROOT / target],
+                check=True,
+            )
         else:
             shutil.copy(out / source, ROOT / target)
     stamp = {"date": f"{datetime.date.today()}", "version": __version__, "digests": now}
-    replace_file(STAMPS, (json.dumps(dict(sorted((stamps() | {name: stamp}).items())), indent=1) + "\n").encode())
+    replace_file(
+        STAMPS,
+        (json.dumps(dict(sorted((stamps() | {name: stamp}).items())), indent=1) + "\n").encode(),
+    )
 
 
 def numbers() -> dict[str, str]:
@@ -215,7 +255,10 @@ def footer(page: str) -> str:
     shown = {name: result for name, result in results().items() if page in result.pages}
     if not shown:
         return ""
-    old = sum(bool(each) or each is None for each in (stale(name, result) for name, result in shown.items()))
+    old = sum(
+        bool(each) or each is None
+        for each in (stale(name, result) for name, result in shown.items())
+    )
     title = "How the results of this page were made" + (
         f": {old} of {len(shown)} are stale or have no stamp" if old else ""
     )
@@ -227,9 +270,15 @@ def footer(page: str) -> str:
 
 
 @click.command(help=__doc__)
-@click.option("--only", multiple=True, metavar="NAME", help="This result, whatever it costs; may be repeated.")
-@click.option("--list", "listed", is_flag=True, help="Say what is stale and what it costs, and make nothing.")
-@click.option("--minutes", default=PART, help="Of processor time, at most, by the costs in the list.")
+@click.option(
+    "--only", multiple=True, metavar="NAME", help="This result, whatever it costs; may be repeated."
+)
+@click.option(
+    "--list", "listed", is_flag=True, help="Say what is stale and what it costs, and make nothing."
+)
+@click.option(
+    "--minutes", default=PART, help="Of processor time, at most, by the costs in the list."
+)
 def main(only: tuple[str, ...], listed: bool, minutes: float) -> None:
     known = results()
     if unknown := set(only) - set(known):
@@ -240,9 +289,13 @@ def main(only: tuple[str, ...], listed: bool, minutes: float) -> None:
             continue
         fresh = stale(name, result) == []
         if listed or fresh:
-            click.echo(f"{'fresh' if fresh else 'stale'}  {name}, {result.minutes:g} min: {told(name, result)}")
+            click.echo(
+                f"{'fresh' if fresh else 'stale'}  {name}, {result.minutes:g} min: {told(name, result)}"
+            )
         elif not result.run or (not only and (result.minutes > PART or result.why)):
-            click.echo(f"apart  {name}, {result.minutes:g} min: {result.why or f'with --only {name}'}")
+            click.echo(
+                f"apart  {name}, {result.minutes:g} min: {result.why or f'with --only {name}'}"
+            )
         elif not only and result.minutes > left:
             click.echo(f"left   {name}, {result.minutes:g} min: for the next part")
         else:

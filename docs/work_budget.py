@@ -29,7 +29,13 @@ FREQUENCIES, AMPLITUDES, DAMPINGS = (0.5, 0.67, 0.8), (0.0, 0.2, 0.4), (0.01, 0.
 CYCLES, WARMUP = 6.0, 2.0
 ELECTRICAL = "electrical_cost_of_transport"
 GROUPS = ("front_hips", "rear_hips", "front_knees", "rear_knees", "spine")
-PARTS = ("dampers of hips and pulleys", "dampers of compliant joints", "contact", "tendons", "stored")
+PARTS = (
+    "dampers of hips and pulleys",
+    "dampers of compliant joints",
+    "contact",
+    "tendons",
+    "stored",
+)
 
 
 def budget(recording: Recording, model: mujoco.MjModel, begin: float) -> np.ndarray:
@@ -49,9 +55,17 @@ def budget(recording: Recording, model: mujoco.MjModel, begin: float) -> np.ndar
             mujoco.mj_step(model, data)  # the forces in `data` are those of the state before
             mean, pushed = 0.5 * (before + data.qvel), np.zeros(data.nefc)
             mujoco.mj_mulJacVec(model, data, pushed, mean)
-            lost, damped = -step * data.efc_force * pushed, step * model.dof_damping * data.qvel * mean
+            lost, damped = (
+                -step * data.efc_force * pushed,
+                step * model.dof_damping * data.qvel * mean,
+            )
             tendon = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON
-            taken = damped[of_servo].sum(), damped[~of_servo].sum(), lost[~tendon].sum(), lost[tendon].sum()
+            taken = (
+                damped[of_servo].sum(),
+                damped[~of_servo].sum(),
+                lost[~tendon].sum(),
+                lost[tendon].sum(),
+            )
             work[:5] += step * data.qfrc_actuator @ mean, *taken
         assert np.allclose(data.qpos, recording.qpos[tick + 1], atol=1e-9)
     mujoco.mj_forward(model, data)
@@ -69,7 +83,11 @@ def drawn(work: np.ndarray, limited: np.ndarray) -> Figure:
         left.bar(places, part, 0.6, bottom=bottom, color=colour)
         bottom += part
     left.set_xticks(places, [f"{amplitude:g} rad" for amplitude in AMPLITUDES])
-    left.set(xlabel="amplitude of the spine", ylabel="work in 4 cycles [J]", title="Where the net work goes")
+    left.set(
+        xlabel="amplitude of the spine",
+        ylabel="work in 4 cycles [J]",
+        title="Where the net work goes",
+    )
     shades = ("#c6c6c6", "#8c8c8c", "#3c3c3c")
     for place, (shares, shade) in enumerate(zip(limited, shades, strict=True)):
         right.bar(np.arange(len(GROUPS)) + (place - 1) * width, 100 * shares, width, color=shade)
@@ -77,15 +95,22 @@ def drawn(work: np.ndarray, limited: np.ndarray) -> Figure:
     right.set(ylabel="share of time [%]", title="At the torque limit")
     for ax in (left, right):
         horizontal_grid(ax)
-    handles = [Patch(color=colour, label=name) for name, colour in zip(PARTS[:4], SERIES, strict=False)]
-    handles += [Patch(color=shade, label=f"spine {each:g} rad") for each, shade in zip(AMPLITUDES, shades, strict=True)]
+    handles = [
+        Patch(color=colour, label=name) for name, colour in zip(PARTS[:4], SERIES, strict=False)
+    ]
+    handles += [
+        Patch(color=shade, label=f"spine {each:g} rad")
+        for each, shade in zip(AMPLITUDES, shades, strict=True)
+    ]
     return page.finish(handles, "profile exact; stride extension in phase, no pilot, one start")
 
 
 def told(found: dict[str, np.ndarray]) -> dict[str, str]:
     """The dampers' share at 0.8 Hz, and what smaller ones change, of metrics (frequencies, amplitudes, dampings)."""
     cost, speed = found["cost_of_transport"], found["speed"]
-    changes = np.array([found[name] / found[name][:, :1] - 1 for name in ("cost_of_transport", ELECTRICAL)])
+    changes = np.array(
+        [found[name] / found[name][:, :1] - 1 for name in ("cost_of_transport", ELECTRICAL)]
+    )
     share = 100 * (found["servo_damper_work"] / found["servo_net_work"])[2, :, 0]
     less = 100 * (1 - cost[..., 1] / cost[..., 0])
     return {
@@ -93,20 +118,31 @@ def told(found: dict[str, np.ndarray]) -> dict[str, str]:
         "work.level": f"{less.min():.0f} to {less.max():.0f} %",
         "work.cost": f"{100 * np.abs(np.diff(changes)).max():.1f} points",
         "work.speed": f"{100 * np.abs(speed[..., 1] / speed[..., 0] - 1).max():.1f} %",
-        "work.signs": "no sign turns" if (changes[..., 0] * changes[..., 1] >= 0).all() else "a sign turns",
+        "work.signs": "no sign turns"
+        if (changes[..., 0] * changes[..., 1] >= 0).all()
+        else "a sign turns",
     }
 
 
 if __name__ == "__main__":
     grid = np.meshgrid(FREQUENCIES, AMPLITUDES, DAMPINGS, indexing="ij")
     frequency, amplitude, damping = (each.ravel() for each in grid)
-    values = {"frequency": frequency, "spine.amplitude": amplitude, "damping.hip": damping, "damping.pulley": damping}
-    simulator = Simulator(Setup(gait="trot", spine="stride_extension", pilot="open_loop"), engine="c")
+    values = {
+        "frequency": frequency,
+        "spine.amplitude": amplitude,
+        "damping.hip": damping,
+        "damping.pulley": damping,
+    }
+    simulator = Simulator(
+        Setup(gait="trot", spine="stride_extension", pilot="open_loop"), engine="c"
+    )
     result = simulator.run(values, Run(cycles=CYCLES, warmup_cycles=WARMUP), record=True)
     found = {name: np.asarray(each).reshape(grid[0].shape) for name, each in result.metrics.items()}
     fast = [int(np.ravel_multi_index((2, j, 0), grid[0].shape)) for j in range(len(AMPLITUDES))]
     works = [budget(result.recording(i), simulator.robot.physical, WARMUP / 0.8) for i in fast]
     limited = np.array([[result.metrics[f"limited_{name}"][i] for name in GROUPS] for i in fast])
-    figures = (("work_budget", drawn(np.array(works), limited)) for _ in range(1))  # in the style that holds then
+    figures = (
+        ("work_budget", drawn(np.array(works), limited)) for _ in range(1)
+    )  # in the style that holds then
     write_figures(figures, Path(sys.argv[1]), formats=("png",))
     print(json.dumps(told(found), indent=1, ensure_ascii=False))

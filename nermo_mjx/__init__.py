@@ -24,8 +24,15 @@ if TYPE_CHECKING:
     )
     from nermo_mjx.experiments.log_identification import identify_log as identify_log
     from nermo_mjx.experiments.log_report import write_identification as write_identification
-    from nermo_mjx.experiments.run import run_experiment as run_experiment, run_experiments as run_experiments
-    from nermo_mjx.hardware import ServoTable as ServoTable, read_log as read_log, servo_table as servo_table
+    from nermo_mjx.experiments.run import (
+        run_experiment as run_experiment,
+        run_experiments as run_experiments,
+    )
+    from nermo_mjx.hardware import (
+        ServoTable as ServoTable,
+        read_log as read_log,
+        servo_table as servo_table,
+    )
     from nermo_mjx.learn import (
         Environment as Environment,
         Task as Task,
@@ -42,7 +49,11 @@ if TYPE_CHECKING:
         run_search as run_search,
         run_tuning as run_tuning,
     )
-    from nermo_mjx.physics import Trajectory as Trajectory, make_engine as make_engine, trajectory as trajectory
+    from nermo_mjx.physics import (
+        Trajectory as Trajectory,
+        make_engine as make_engine,
+        trajectory as trajectory,
+    )
     from nermo_mjx.robot import (
         LIMBS as LIMBS,
         SERVOS as SERVOS,
@@ -91,7 +102,9 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
-        removed={"run_landscape": "docs/answers/landscape.py compares the slopes of a tuning with secants"},
+        removed={
+            "run_landscape": "docs/answers/landscape.py compares the slopes of a tuning with secants"
+        },
     )
 
 DATA_CONTROLLERS[".npz"] = "nermo_mjx.learn.policy:load_policy"

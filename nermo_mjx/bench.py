@@ -59,7 +59,9 @@ def run_bench(
     """
     for name, given, allowed in (("case", cases, CASES), ("engine", engines, ENGINES)):
         if unknown := [each for each in given if each not in allowed]:
-            raise ParameterError(f"{name} is {unknown[0]!r}: allowed is one of {', '.join(allowed)}.")
+            raise ParameterError(
+                f"{name} is {unknown[0]!r}: allowed is one of {', '.join(allowed)}."
+            )
     if empty := [size for size in worlds if size < 1]:
         raise ParameterError(f"worlds is {empty[0]}: allowed is a whole number from 1.")
     planned = [(case, engine, size) for case in cases for engine in engines for size in worlds]
@@ -67,7 +69,9 @@ def run_bench(
     for done, (case, engine, size) in enumerate(planned):
         if progress:
             progress(done, len(planned))
-        lines += [{"case": case, "engine": engine, "worlds": size, **apart(CASES[case], engine, size)}]
+        lines += [
+            {"case": case, "engine": engine, "worlds": size, **apart(CASES[case], engine, size)}
+        ]
     if progress:
         progress(len(planned), len(planned))
     return {"hardware": apart(machine_description), "cases": lines}
@@ -113,7 +117,9 @@ def measurement_table(lines: Sequence[Mapping[str, Any]]) -> tuple[list[str], li
         value = value / 1e6 if key.endswith("_bytes") else value
         return f"{value:,.2f}" if value < 100 and isinstance(value, float) else f"{value:,.0f}"
 
-    return [heading(key) for key in keys], [[cell(key, row.get(key)) for key in keys] for row in rows]
+    return [heading(key) for key in keys], [
+        [cell(key, row.get(key)) for key in keys] for row in rows
+    ]
 
 
 def throughput(engine: str, worlds: int) -> dict[str, Any]:
@@ -191,7 +197,9 @@ def startup(engine: str, worlds: int) -> dict[str, Any]:
 
     `cold_s` and `warm_s` are to the first tick; on `c` a training of 256 worlds follows, to its first iteration's end.
     """
-    environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
+    environment = {
+        key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"
+    }
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as cache:
         for state in CACHES:
@@ -205,19 +213,26 @@ def startup(engine: str, worlds: int) -> dict[str, Any]:
             if done.returncode:
                 raise RuntimeError(done.stderr.strip().split("\n")[-1])
             stages = json.loads(done.stdout.strip().split("\n")[-1])
-            figures[f"{state}_s"] = sum(took for stage, took in stages.items() if stage != "training_s")
+            figures[f"{state}_s"] = sum(
+                took for stage, took in stages.items() if stage != "training_s"
+            )
             figures[state] = stages
     return figures
 
 
 #: The measurements by name: functions of an engine and the size of a batch.
-CASES: Final[dict[str, Callable[[str, int], dict[str, Any]]]] = {"throughput": throughput, "startup": startup}
+CASES: Final[dict[str, Callable[[str, int], dict[str, Any]]]] = {
+    "throughput": throughput,
+    "startup": startup,
+}
 
 
 def machine_description() -> dict[str, Any]:
     """Name of the processor and accelerator, and versions of the numerical packages."""
     devices = jax.devices()
-    versions = {name: importlib.metadata.version(name) for name in ("mujoco", "mujoco-mjx", "jax", "jaxlib")}
+    versions = {
+        name: importlib.metadata.version(name) for name in ("mujoco", "mujoco-mjx", "jax", "jaxlib")
+    }
     return {
         "cpu": processor(),
         "cores": cpu_count(),
@@ -236,4 +251,6 @@ def peak_bytes() -> int | None:
         return None
     import resource
 
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+        1 if sys.platform == "darwin" else 1024
+    )

@@ -75,9 +75,13 @@ def read_bytes(path: Path, most: int) -> bytes:
     """
     with opened(path) as file:
         size = os.fstat(file.fileno()).st_size
-        content = file.read(most + 1) if size <= most else b""  # some have more than they say, as in /proc
+        content = (
+            file.read(most + 1) if size <= most else b""
+        )  # some have more than they say, as in /proc
     if max(size, len(content)) > most:
-        raise UnfitFile(path, f"it has {_megabytes(max(size, len(content)))}: allowed are {_megabytes(most)}")
+        raise UnfitFile(
+            path, f"it has {_megabytes(max(size, len(content)))}: allowed are {_megabytes(most)}"
+        )
     return content
 
 
@@ -131,7 +135,9 @@ def read_as(content: bytes | str, shape: Any, called: object) -> Any:
         FileError: it is no JSON, too long, nested too deep, or has another shape.
     """
     if len(content) > MOST_JSON:
-        raise FileError(f"{called}: it has {_megabytes(len(content))}: allowed are {_megabytes(MOST_JSON)}.")
+        raise FileError(
+            f"{called}: it has {_megabytes(len(content))}: allowed are {_megabytes(MOST_JSON)}."
+        )
     try:
         return _adapter(shape).validate_json(content, strict=True)
     except ValidationError as error:
@@ -166,7 +172,9 @@ def arrays_of(content: bytes, called: object) -> dict[str, np.ndarray]:
                     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else _HEADER_2
                     shape, _, dtype = header(stream)
                 if dtype.hasobject:
-                    raise FileError(f"{called}: {member.filename!r} holds Python objects, which are not read.")
+                    raise FileError(
+                        f"{called}: {member.filename!r} holds Python objects, which are not read."
+                    )
                 size += math.prod(shape) * dtype.itemsize
                 if size > most or any(length < 0 for length in shape):
                     raise FileError(
@@ -184,7 +192,9 @@ _HEADER_2: Final = np.lib.format.read_array_header_2_0
 
 
 def check_arrays(
-    arrays: Mapping[str, np.ndarray], declared: Mapping[str, tuple[str, tuple[Any, ...]]], called: object
+    arrays: Mapping[str, np.ndarray],
+    declared: Mapping[str, tuple[str, tuple[Any, ...]]],
+    called: object,
 ) -> None:
     """Compare arrays with their declaration.
 
@@ -206,10 +216,16 @@ def check_arrays(
             raise FileError(f"{called}: {name!r} is of type {given.dtype}: expected numbers.")
         fits = given.ndim == len(lengths) or (... in wanted and given.ndim >= len(lengths))
         for have, want in zip(given.shape, lengths, strict=False):
-            fits = fits and have == (known.setdefault(want, have) if isinstance(want, str) else want)
+            fits = fits and have == (
+                known.setdefault(want, have) if isinstance(want, str) else want
+            )
         if not fits:
-            expected = ", ".join("..." if each is ... else str(known.get(each, each)) for each in wanted)
-            raise FileError(f"{called}: {name!r} has the shape {given.shape}: expected ({expected}).")
+            expected = ", ".join(
+                "..." if each is ... else str(known.get(each, each)) for each in wanted
+            )
+            raise FileError(
+                f"{called}: {name!r} has the shape {given.shape}: expected ({expected})."
+            )
 
 
 @functools.cache

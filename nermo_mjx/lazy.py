@@ -27,7 +27,9 @@ def lazy_names(package: str, removed: dict[str, str] | None = None, **former: st
     source = sys.modules[package].__spec__.loader.get_source(package)  # type: ignore[union-attr]
     places = {
         # A name from the package itself is a module.
-        each.name: f"{package}.{each.name}:" if line.module == package else f"{line.module}:{each.name}"
+        each.name: f"{package}.{each.name}:"
+        if line.module == package
+        else f"{line.module}:{each.name}"
         for line in ast.walk(ast.parse(source))
         if isinstance(line, ast.ImportFrom)
         for each in line.names
@@ -38,7 +40,9 @@ def lazy_names(package: str, removed: dict[str, str] | None = None, **former: st
         if name in former:
             warn_former(f"{package}.{name}", former[name].replace(":", "."), DeprecationWarning)
             return resolve_name(former[name])
-        if removed and name in removed:  # of an AttributeError, `from PACKAGE import NAME` would hide the message
+        if (
+            removed and name in removed
+        ):  # of an AttributeError, `from PACKAGE import NAME` would hide the message
             raise ImportError(f"{package}.{name} was removed: {removed[name]}.")
         if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
@@ -62,5 +66,7 @@ def warn_former(former: str, present: str, kind: type[Warning]) -> None:
     nermo_mjx.walk is a former name, which the next minor version will not accept: use nermo_mjx.run.
     """
     warnings.warn(
-        f"{former} is a former name, which the next minor version will not accept: use {present}.", kind, stacklevel=3
+        f"{former} is a former name, which the next minor version will not accept: use {present}.",
+        kind,
+        stacklevel=3,
     )

@@ -85,7 +85,9 @@ class ProgressBar:
         """Report how many of all are done."""
         self.share(done / total if total else 1.0, done, total)
 
-    def share(self, fraction: float, done: int | None = None, total: int | None = None, detail: str = "") -> None:
+    def share(
+        self, fraction: float, done: int | None = None, total: int | None = None, detail: str = ""
+    ) -> None:
         """Report the fraction of the work done and the count; the first call may start above 0 if work is resumed.
 
         Args:
@@ -100,7 +102,9 @@ class ProgressBar:
                 self._compiling, self._pace_start = False, (now, fraction)
         counted = "" if done is None or total is None else f", {done:,} of {total:,} {self._unit}"
         # The detail is last: a narrow terminal cuts it off.
-        text = f"{fraction:.0%}{counted}{self._pace(now, fraction, total)}{detail and f', {detail}'}"
+        text = (
+            f"{fraction:.0%}{counted}{self._pace(now, fraction, total)}{detail and f', {detail}'}"
+        )
         finished = fraction >= 1.0 > self._start[1] and done == total
         if self._bar is not None:
             self._bar.update(self._task, completed=fraction)
@@ -130,8 +134,16 @@ class ProgressBar:
         if seconds <= 0 or share <= 0:
             return ""
         rate = total * share / seconds if total else 0.0
-        pace = f", {rate:.3g} {self._unit}/s" if rate >= 0.1 else f", {duration(1 / rate)} each" if rate else ""
-        return pace + (f", {duration((1 - fraction) * seconds / share)} left" if fraction < 1 else "")
+        pace = (
+            f", {rate:.3g} {self._unit}/s"
+            if rate >= 0.1
+            else f", {duration(1 / rate)} each"
+            if rate
+            else ""
+        )
+        return pace + (
+            f", {duration((1 - fraction) * seconds / share)} left" if fraction < 1 else ""
+        )
 
 
 class Stages:
@@ -199,10 +211,14 @@ def _is_notebook() -> bool:
 
 
 @contextlib.contextmanager
-def shown_share(name: str, progress: Callable[[float], None] | bool | None) -> Iterator[Callable[[float], None] | None]:
+def shown_share(
+    name: str, progress: Callable[[float], None] | bool | None
+) -> Iterator[Callable[[float], None] | None]:
     """What to tell the share done: the given function, or a display if it takes long and somebody looks, or nothing."""
     if progress not in (None, True, False) and not callable(progress):
-        raise TypeError(f"progress is {progress!r}: expected a function of the share done, or False to be silent.")
+        raise TypeError(
+            f"progress is {progress!r}: expected a function of the share done, or False to be silent."
+        )
     if callable(progress) or progress is False or not _is_watched():
         yield progress if callable(progress) else None
         return
@@ -264,7 +280,11 @@ def _bar(stream: IO[str]) -> Any:
     from rich.progress import BarColumn, SpinnerColumn, TextColumn
     from rich.progress import Progress as RichProgress
 
-    name, note = (TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[note]"))
+    name, note = (
+        TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[note]")
+    )
     # The bar moves the cursor, which the stream of a command escapes in texts.
     console = Console(file=getattr(stream, "terminal", stream))
-    return RichProgress(SpinnerColumn(), name, BarColumn(bar_width=24), note, console=console, transient=True)
+    return RichProgress(
+        SpinnerColumn(), name, BarColumn(bar_width=24), note, console=console, transient=True
+    )

@@ -16,14 +16,24 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel
 
-from nermo_mjx.files import MOST_FILE, FileError, arrays_of, check_arrays, json_of, read_bytes, replace_file
+from nermo_mjx.files import (
+    MOST_FILE,
+    FileError,
+    arrays_of,
+    check_arrays,
+    json_of,
+    read_bytes,
+    replace_file,
+)
 
 #: Version of the file's layout; a reader refuses any other.
 LAYOUT: Final = 1
 _MARK: Final = "nermo_mjx recording"
 #: Beginning of the names of sensors that hold a channel of a robot's log, measured and simulated (T, 2).
 BESIDE: Final = "log."
-_REMEDY: Final = "nermo-mjx walk --record FILE.npz writes one, and nermo-mjx log reads a robot's log"
+_REMEDY: Final = (
+    "nermo-mjx walk --record FILE.npz writes one, and nermo-mjx log reads a robot's log"
+)
 
 #: The arrays of a file, T samples each; with them a text `header`, and `sensor.NAME`.
 _ARRAYS: Final[dict[str, tuple[str, tuple[Any, ...]]]] = {
@@ -88,7 +98,9 @@ class Recording:
             )
         for name, values in arrays.items():
             if np.ndim(values) == 0 or len(values) != len(self.time):
-                raise RecordingError(f"{name} has shape {np.shape(values)}, but there are {len(self.time)} samples.")
+                raise RecordingError(
+                    f"{name} has shape {np.shape(values)}, but there are {len(self.time)} samples."
+                )
 
     @property
     def duration(self) -> float:
@@ -99,7 +111,9 @@ class Recording:
         """The samples from one time to another [s], both included; at least the first one after `begin`."""
         first = min(int(np.searchsorted(self.time, begin - 1e-9)), len(self.time) - 1)
         last = max(first + 1, int(np.searchsorted(self.time, end + 1e-9)))
-        arrays = {name: getattr(self, name)[first:last] for name in ("time", "qpos", "qvel", "ctrl")}
+        arrays = {
+            name: getattr(self, name)[first:last] for name in ("time", "qpos", "qvel", "ctrl")
+        }
         sensors = {name: values[first:last] for name, values in self.sensors.items()}
         return dataclasses.replace(self, **arrays, sensors=sensors)
 
@@ -113,11 +127,25 @@ class Recording:
 
     def content(self) -> bytes:
         """What `save` writes."""
-        header = {"format": _MARK, "layout": LAYOUT, "model_hash": self.model_hash, "metadata": dict(self.metadata)}
-        arrays = {"header": np.array(json.dumps(header)), "time": self.time, "qpos": self.qpos, "qvel": self.qvel}
-        arrays |= {"ctrl": self.ctrl} | {f"sensor.{name}": values for name, values in self.sensors.items()}
+        header = {
+            "format": _MARK,
+            "layout": LAYOUT,
+            "model_hash": self.model_hash,
+            "metadata": dict(self.metadata),
+        }
+        arrays = {
+            "header": np.array(json.dumps(header)),
+            "time": self.time,
+            "qpos": self.qpos,
+            "qvel": self.qvel,
+        }
+        arrays |= {"ctrl": self.ctrl} | {
+            f"sensor.{name}": values for name, values in self.sensors.items()
+        }
         file = io.BytesIO()
-        np.savez_compressed(file, allow_pickle=False, **{key: np.asarray(v) for key, v in arrays.items()})
+        np.savez_compressed(
+            file, allow_pickle=False, **{key: np.asarray(v) for key, v in arrays.items()}
+        )
         return file.getvalue()
 
     @classmethod
@@ -145,7 +173,9 @@ class Recording:
             check_arrays(arrays, _ARRAYS | dict.fromkeys(sensors, ("fiub", ("T", ...))), path)
             read = {key.removeprefix("sensor."): arrays[key] for key in sensors}
             motion = {name: arrays[name] for name in _ARRAYS}
-            found = cls(**motion, sensors=read, model_hash=header["model_hash"], metadata=header["metadata"])
+            found = cls(
+                **motion, sensors=read, model_hash=header["model_hash"], metadata=header["metadata"]
+            )
             if not (np.isfinite(found.time).all() and (np.diff(found.time) > 0).all()):
                 raise RecordingError(f"{path}: its time does not increase from sample to sample.")
             return found
@@ -155,15 +185,21 @@ class Recording:
             raise RecordingError(f"{path}: cannot be read ({error.strerror or error}).") from None
         except RecordingError as error:
             text = str(error)
-            raise RecordingError(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
+            raise RecordingError(
+                text if text.startswith(f"{path}:") else f"{path}: {text}"
+            ) from None
         except FileError as error:
             reason = str(error).rstrip(".")
-            raise RecordingError(f"{reason}, so it is not a recording of nermo_mjx; {_REMEDY}.") from None
+            raise RecordingError(
+                f"{reason}, so it is not a recording of nermo_mjx; {_REMEDY}."
+            ) from None
 
     def check_model(self, model: mujoco.MjModel) -> None:
         """Raise `RecordingError` unless the recording was made with a model of the same structure."""
         if self.qpos.shape[1] != model.nq:
-            raise RecordingError(f"The recording has {self.qpos.shape[1]} positions, but the model has {model.nq}.")
+            raise RecordingError(
+                f"The recording has {self.qpos.shape[1]} positions, but the model has {model.nq}."
+            )
         if self.model_hash and self.model_hash != model_hash(model):
             raise RecordingError(
                 "The recording was made with another version of the robot's model; record the run again."
@@ -185,7 +221,9 @@ def write_whole(path: Path, what: str, content: bytes) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, content)
     except OSError as error:
-        raise RecordingError(f"{path}: {what} cannot be written ({error.strerror or error}).") from None
+        raise RecordingError(
+            f"{path}: {what} cannot be written ({error.strerror or error})."
+        ) from None
     return path
 
 
@@ -206,10 +244,25 @@ def model_hash(model: mujoco.MjModel) -> str:
         mujoco.mjtObj.mjOBJ_ACTUATOR,
         mujoco.mjtObj.mjOBJ_SENSOR,
     )
-    ids = (range(model.nbody), range(model.njnt), range(model.ntendon), range(model.nu), sensors.tolist())
-    names = [[mujoco.mj_id2name(model, kind, i) for i in those] for kind, those in zip(kinds, ids, strict=True)]
+    ids = (
+        range(model.nbody),
+        range(model.njnt),
+        range(model.ntendon),
+        range(model.nu),
+        sensors.tolist(),
+    )
+    names = [
+        [mujoco.mj_id2name(model, kind, i) for i in those]
+        for kind, those in zip(kinds, ids, strict=True)
+    ]
     digest.update(repr((sizes, names)).encode())
-    for array in (model.body_parentid, model.jnt_type, model.jnt_bodyid, model.sensor_type[sensors], model.wrap_type):
+    for array in (
+        model.body_parentid,
+        model.jnt_type,
+        model.jnt_bodyid,
+        model.sensor_type[sensors],
+        model.wrap_type,
+    ):
         digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
     for array in (model.body_pos, model.body_quat, model.jnt_pos, model.jnt_axis):
         # Rounded, so that another compiler's last digit makes no other robot; `+ 0.0` turns -0 into 0.
@@ -217,7 +270,9 @@ def model_hash(model: mujoco.MjModel) -> str:
     return digest.hexdigest()[:16]
 
 
-def recording_of(trace: Any, model: mujoco.MjModel, *, world: int = 0, metadata: Mapping[str, Any]) -> Recording:
+def recording_of(
+    trace: Any, model: mujoco.MjModel, *, world: int = 0, metadata: Mapping[str, Any]
+) -> Recording:
     """The recording of one world of a simulator's trace (time [T]; qpos, qvel, ctrl and each sensor [n, T, ...])."""
 
     def pick(values: Any) -> np.ndarray:

@@ -80,7 +80,10 @@ def start_jax() -> None:
 def _find_devices(jax: Any) -> None:
     try:
         jax.devices()
-    except (RuntimeError, AssertionError) as error:  # the latter from JAX 0.10 where no plugin knows the platform
+    except (
+        RuntimeError,
+        AssertionError,
+    ) as error:  # the latter from JAX 0.10 where no plugin knows the platform
         chosen = jax.config.jax_platforms
         if not chosen:
             raise
@@ -234,8 +237,12 @@ def _settle_cache(jax: Any) -> None:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError:
         return
-    lock = directory / ".lockfile"  # JAX opens it for each program, and would warn as often where it is another user's
-    if not os.access(directory, os.W_OK | os.X_OK) or (lock.exists() and not os.access(lock, os.W_OK)):
+    lock = (
+        directory / ".lockfile"
+    )  # JAX opens it for each program, and would warn as often where it is another user's
+    if not os.access(directory, os.W_OK | os.X_OK) or (
+        lock.exists() and not os.access(lock, os.W_OK)
+    ):
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
     for option, value in (
@@ -245,7 +252,9 @@ def _settle_cache(jax: Any) -> None:
         if option.upper() not in os.environ:
             jax.config.update(option, value)
     if _jax_started():  # and has found that there is no cache
-        importlib.import_module("jax.experimental.compilation_cache.compilation_cache").reset_cache()
+        importlib.import_module(
+            "jax.experimental.compilation_cache.compilation_cache"
+        ).reset_cache()
 
 
 def cache_directory() -> Path:
@@ -263,12 +272,17 @@ def cache_directory() -> Path:
 
 def processor_line(*beginnings: str) -> str:
     """The first line about the processor that begins so, on Linux; elsewhere Python's name of the processor."""
-    with contextlib.suppress(OSError, StopIteration), open("/proc/cpuinfo", errors="replace") as file:
+    with (
+        contextlib.suppress(OSError, StopIteration),
+        open("/proc/cpuinfo", errors="replace") as file,
+    ):
         return next(line for line in file if line.lower().startswith(beginnings))
     return platform.processor()
 
 
 def _processor_tag() -> str:
     """Names this kind of processor: compiled CPU code from a home directory shared with a newer one would not run."""
-    digest = hashlib.sha256(" ".join(sorted(processor_line("flags", "features").split())).encode()).hexdigest()
+    digest = hashlib.sha256(
+        " ".join(sorted(processor_line("flags", "features").split())).encode()
+    ).hexdigest()
     return f"{platform.machine() or 'cpu'}-{digest[:8]}"

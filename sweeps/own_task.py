@@ -15,7 +15,10 @@ bending = Term("bending", "rad^2/s", "speed of the spine's servo, squared, over 
 
 def lean(sensors):
     """Share of the load on the left feet less that on the right ones."""
-    left, right = sensors.foot_force[jnp.array([0, 2])].sum(), sensors.foot_force[jnp.array([1, 3])].sum()
+    left, right = (
+        sensors.foot_force[jnp.array([0, 2])].sum(),
+        sensors.foot_force[jnp.array([1, 3])].sum(),
+    )
     return (left - right) / jnp.maximum(left + right, 0.1)
 
 

@@ -48,9 +48,13 @@ def require(names: Sequence[str] = NAMES, variable: str = "CHROMIUM") -> str:
 
     Without one the test is skipped, with the remedy. In CI, which installs it, that is a failure.
     """
-    path = os.environ.get(variable) or next((path for name in names if (path := shutil.which(name))), None)
+    path = os.environ.get(variable) or next(
+        (path for name in names if (path := shutil.which(name))), None
+    )
     if path is None:
-        remedy = f"no {names[0]}: `apt-get install {names[0]}`, or set {variable} to the path of one"
+        remedy = (
+            f"no {names[0]}: `apt-get install {names[0]}`, or set {variable} to the path of one"
+        )
         (pytest.fail if os.environ.get("CI") else pytest.skip)(remedy)
     return path
 
@@ -58,7 +62,11 @@ def require(names: Sequence[str] = NAMES, variable: str = "CHROMIUM") -> str:
 @contextlib.contextmanager
 def started(path: str, *flags: str, profile: str, tells: str) -> Iterator[list[str]]:
     """A browser that ends with the context: the words of the file of its profile in which it says where it listens."""
-    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet = {
+        "stdin": subprocess.DEVNULL,
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+    }
     process = subprocess.Popen([path, *flags], **quiet)
     try:
         deadline, words = time.monotonic() + PATIENCE, list[str]()
@@ -87,7 +95,9 @@ class Page:
 
     def pixels(self, box: Sequence[float] | None = None) -> np.ndarray:
         """The window, or a part of it (left, top, right, bottom), as (rows, columns, 3) int."""
-        return np.asarray(Image.open(io.BytesIO(self.picture())).convert("RGB").crop(box)).astype(int)
+        return np.asarray(Image.open(io.BytesIO(self.picture())).convert("RGB").crop(box)).astype(
+            int
+        )
 
     def nameless(self) -> list[str]:
         """Controls that a screen reader has no name for."""
@@ -108,16 +118,22 @@ class Page:
         """Until an expression is true."""
         deadline = time.monotonic() + seconds
         while not self.evaluate(condition):
-            assert time.monotonic() < deadline, f"still not, after {seconds:g} s: {condition}; {self.complaints()}"
+            assert time.monotonic() < deadline, (
+                f"still not, after {seconds:g} s: {condition}; {self.complaints()}"
+            )
             time.sleep(0.05)
 
     def box(self, selector: str) -> dict[str, float]:
         """Where an element lies in the window: `left`, `top`, `width` and so on [pixels]."""
-        return self.evaluate(f"document.querySelector({json.dumps(selector)}).getBoundingClientRect().toJSON()")
+        return self.evaluate(
+            f"document.querySelector({json.dumps(selector)}).getBoundingClientRect().toJSON()"
+        )
 
     def click(self, selector: str, share: float = 0.5) -> None:
         """Click an element, at a share of its width from the left."""
-        self.evaluate(f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'nearest'}}) ?? null")
+        self.evaluate(
+            f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'nearest'}}) ?? null"
+        )
         box = self.box(selector)
         for kind in ("mousePressed", "mouseReleased"):
             self.mouse(kind, box["left"] + share * box["width"], box["top"] + box["height"] / 2)
@@ -133,7 +149,9 @@ class Browser:
     def call(self, method: str, session: str | None = None, **params: Any) -> dict[str, Any]:
         """The result of one command of the DevTools protocol."""
         number = next(self._numbers)
-        message = {"id": number, "method": method, "params": params} | ({"sessionId": session} if session else {})
+        message = {"id": number, "method": method, "params": params} | (
+            {"sessionId": session} if session else {}
+        )
         self._socket.send(json.dumps(message))
         while True:
             answer = json.loads(self._socket.recv(timeout=PATIENCE))
@@ -147,7 +165,9 @@ class Browser:
         """A new page, closed with the context."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         try:
-            yield Tab(self, self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"])
+            yield Tab(
+                self, self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+            )
         finally:
             self.call("Target.closeTarget", targetId=target)
 
@@ -168,7 +188,12 @@ class Tab(Page):
         return self._browser.call(method, self._session, **params)
 
     def open(
-        self, path: Path | str, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0
+        self,
+        path: Path | str,
+        width: int = 1280,
+        height: int = 720,
+        dark: bool = False,
+        scale: float = 1.0,
     ) -> None:
         """Load a file, or what is served at an address, in a window of so many pixels."""
         self.resize(width, height, scale)
@@ -178,12 +203,18 @@ class Tab(Page):
 
     def resize(self, width: int, height: int, scale: float = 1.0) -> None:
         self._call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=scale,
+            mobile=False,
         )
 
     def evaluate(self, script: str) -> Any:
         """The JSON value of an expression; promises are awaited."""
-        answer = self._call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        answer = self._call(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
@@ -192,13 +223,28 @@ class Tab(Page):
         text = {"text": key} if len(key) == 1 else {"text": "\r"} if key == "Enter" else {}
         code = {" ": "Space"}.get(key, key)
         modifiers = 8 if shift else 0
-        self._call("Input.dispatchKeyEvent", type="keyDown", key=key, code=code, modifiers=modifiers, **text)
+        self._call(
+            "Input.dispatchKeyEvent",
+            type="keyDown",
+            key=key,
+            code=code,
+            modifiers=modifiers,
+            **text,
+        )
         self._call("Input.dispatchKeyEvent", type="keyUp", key=key, code=code, modifiers=modifiers)
 
     def mouse(self, kind: str, x: float, y: float) -> None:
         buttons = 0 if kind == "mouseReleased" else 1
         button = "none" if kind == "mouseMoved" else "left"
-        self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons, clickCount=1)
+        self._call(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=x,
+            y=y,
+            button=button,
+            buttons=buttons,
+            clickCount=1,
+        )
 
     def picture(self) -> bytes:
         """A PNG of the window."""
@@ -211,15 +257,27 @@ class Tab(Page):
             method, params = event["method"], event["params"]
             if method == "Runtime.exceptionThrown":
                 found.append(json.dumps(params["exceptionDetails"])[:500])
-            elif method == "Runtime.consoleAPICalled" and params["type"] in ("error", "warning", "assert"):
-                found.append(" ".join(str(part.get("value", part.get("description"))) for part in params["args"]))
+            elif method == "Runtime.consoleAPICalled" and params["type"] in (
+                "error",
+                "warning",
+                "assert",
+            ):
+                found.append(
+                    " ".join(
+                        str(part.get("value", part.get("description"))) for part in params["args"]
+                    )
+                )
             elif method == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
                 found.append(params["entry"]["text"])
         return found
 
     def requests(self) -> list[str]:
         """Addresses that the page has loaded anything from, data and blobs left out."""
-        sent = [e for e in self._browser.events(self._session) if e["method"] == "Network.requestWillBeSent"]
+        sent = [
+            e
+            for e in self._browser.events(self._session)
+            if e["method"] == "Network.requestWillBeSent"
+        ]
         urls = [event["params"]["request"]["url"] for event in sent]
         return [url for url in urls if not url.startswith(("data:", "blob:"))]
 

@@ -39,7 +39,9 @@ def json_of(*arguments: str | Path) -> dict[str, Any]:
 
 def run_command(words: list[str], **given: Any) -> Any:
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.run([sys.executable, "-m", "nermo_mjx", *words], text=True, check=False, **pipes | given)
+    return subprocess.run(
+        [sys.executable, "-m", "nermo_mjx", *words], text=True, check=False, **pipes | given
+    )
 
 
 def refused(act: Any, message: str, *given: Any) -> None:

@@ -42,7 +42,9 @@ def known_flags(flags: str) -> str:
     read = "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"
     asked = {
         flag: subprocess.Popen(
-            [sys.executable, "-c", read], env=os.environ | {"XLA_FLAGS": flag}, stderr=subprocess.DEVNULL
+            [sys.executable, "-c", read],
+            env=os.environ | {"XLA_FLAGS": flag},
+            stderr=subprocess.DEVNULL,
         )
         for flag in flags.split()
     }
@@ -59,12 +61,20 @@ QUICK_TO_COMPILE = (
     " --xla_llvm_disable_expensive_passes=true"
 )
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {known_flags(QUICK_TO_COMPILE)}".strip()
+    os.environ["XLA_FLAGS"] = (
+        f"{os.environ.get('XLA_FLAGS', '')} {known_flags(QUICK_TO_COMPILE)}".strip()
+    )
 files._DPI = 100  # figures are drawn at half their size
-os.fsync = lambda _: None  # no test cuts the power, and a process that is killed has written what it wrote
+os.fsync = lambda _: (
+    None
+)  # no test cuts the power, and a process that is killed has written what it wrote
 gc.disable()  # until all is imported and collected: a quarter of the time of both
-gc.set_threshold(50_000, 20, 10)  # tracing makes millions of small objects: with Python's own, a twentieth of the time
-jax.config.update("jax_traceback_in_locations_limit", 0)  # nobody reads where in Python an operation comes from
+gc.set_threshold(
+    50_000, 20, 10
+)  # tracing makes millions of small objects: with Python's own, a twentieth of the time
+jax.config.update(
+    "jax_traceback_in_locations_limit", 0
+)  # nobody reads where in Python an operation comes from
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
 c_engine.LANES = 8  # most tests simulate one to six worlds: with 32 lanes these have the same bits, and take longer
@@ -111,13 +121,17 @@ def pytest_xdist_auto_num_workers() -> int | None:
         return None
     processes = runtime.cpu_count() + 1
     if hasattr(os, "sysconf"):  # not on Windows
-        processes = min(processes, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // guard.MOST_BYTES)
+        processes = min(
+            processes, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // guard.MOST_BYTES
+        )
     return max(1, processes)
 
 
 def _mark_cases(item: pytest.Item) -> None:
     """Remove the mark `release(cases=...)` of a parametrized test from all cases but those that the mark lists."""
-    for mark in [mark for mark in item.own_markers if mark.name == "release" and "cases" in mark.kwargs]:
+    for mark in [
+        mark for mark in item.own_markers if mark.name == "release" and "cases" in mark.kwargs
+    ]:
         if item.callspec.id not in mark.kwargs["cases"]:
             item.own_markers.remove(mark)
 
@@ -141,7 +155,9 @@ def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
     if worker and session.config.args == session.config.getini("testpaths"):
         names = sorted(path.stem for path in TESTS.rglob("test_*.py"))
         for name in names[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]:
-            with contextlib.suppress(Exception, pytest.skip.Exception):  # which are reported when it is collected
+            with contextlib.suppress(
+                Exception, pytest.skip.Exception
+            ):  # which are reported when it is collected
                 importlib.import_module(name)
     result = yield
     gc.freeze()
@@ -191,7 +207,12 @@ MAKERS = (
 
 def _name(setup: Setup, engine: str) -> str:
     plain = Setup().fields()
-    return " ".join([guard.SIMULATOR + engine, *(f"{n}={v}" for n, v in setup.fields().items() if v != plain.get(n))])
+    return " ".join(
+        [
+            guard.SIMULATOR + engine,
+            *(f"{n}={v}" for n, v in setup.fields().items() if v != plain.get(n)),
+        ]
+    )
 
 
 class SharedSimulator(Simulator):

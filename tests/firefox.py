@@ -54,9 +54,16 @@ class Tab(Page):
     """The page of a running Firefox."""
 
     def __init__(self, connection: socket.socket) -> None:
-        self._connection, self._answers, self._numbers = connection, connection.makefile("rb"), itertools.count(1)
+        self._connection, self._answers, self._numbers = (
+            connection,
+            connection.makefile("rb"),
+            itertools.count(1),
+        )
         self._receive()
-        self._call("WebDriver:NewSession", capabilities={"alwaysMatch": {"timeouts": {"script": 1000 * int(PATIENCE)}}})
+        self._call(
+            "WebDriver:NewSession",
+            capabilities={"alwaysMatch": {"timeouts": {"script": 1000 * int(PATIENCE)}}},
+        )
 
     def _call(self, command: str, **params: Any) -> Any:
         number = next(self._numbers)
@@ -66,7 +73,11 @@ class Tab(Page):
             kind, answered, error, result = self._receive()
             if kind == 1 and answered == number:
                 assert error is None, f"{command}: {error}"
-                return result.get("value") if isinstance(result, dict) and result.keys() == {"value"} else result
+                return (
+                    result.get("value")
+                    if isinstance(result, dict) and result.keys() == {"value"}
+                    else result
+                )
 
     def _receive(self) -> Any:
         """The next message: its length, a colon, and JSON."""
@@ -85,12 +96,21 @@ class Tab(Page):
             self._call("Marionette:SetContext", value="content")
 
     def open(
-        self, path: Path | str, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0
+        self,
+        path: Path | str,
+        width: int = 1280,
+        height: int = 720,
+        dark: bool = False,
+        scale: float = 1.0,
     ) -> None:
         """Load a file, or what is served at an address, in a window of so many pixels."""
-        self._in_browser(f"Services.console.reset(); Services.prefs.setIntPref('{THEME}', {0 if dark else 1})")
+        self._in_browser(
+            f"Services.console.reset(); Services.prefs.setIntPref('{THEME}', {0 if dark else 1})"
+        )
         self.resize(width, height)
-        self._call("WebDriver:Navigate", url=path if isinstance(path, str) else path.resolve().as_uri())
+        self._call(
+            "WebDriver:Navigate", url=path if isinstance(path, str) else path.resolve().as_uri()
+        )
 
     def resize(self, width: int, height: int, scale: float = 1.0) -> None:
         outer = (width, height)
@@ -101,7 +121,9 @@ class Tab(Page):
 
     def evaluate(self, script: str) -> Any:
         """The JSON value of an expression; promises are awaited."""
-        return self._call("WebDriver:ExecuteScript", script=f"return ({script});", args=[], sandbox=None)
+        return self._call(
+            "WebDriver:ExecuteScript", script=f"return ({script});", args=[], sandbox=None
+        )
 
     def key(self, key: str, shift: bool = False) -> None:
         """Press and release a key, named as in a KeyboardEvent."""
@@ -112,7 +134,13 @@ class Tab(Page):
         self._perform({"type": "key", "id": "keyboard", "actions": actions})
 
     def mouse(self, kind: str, x: float, y: float) -> None:
-        move = {"type": "pointerMove", "duration": 0, "x": round(x), "y": round(y), "origin": "viewport"}
+        move = {
+            "type": "pointerMove",
+            "duration": 0,
+            "x": round(x),
+            "y": round(y),
+            "origin": "viewport",
+        }
         then = {"mousePressed": ["pointerDown"], "mouseReleased": ["pointerUp"]}.get(kind, [])
         self._perform(
             {
@@ -141,9 +169,19 @@ def page() -> Iterator[Tab]:
     """The page of a running Firefox, which ends with the context."""
     path = require(NAMES, "FIREFOX")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        lines = [f"user_pref({json.dumps(name)}, {json.dumps(value)});\n" for name, value in PREFS.items()]
+        lines = [
+            f"user_pref({json.dumps(name)}, {json.dumps(value)});\n"
+            for name, value in PREFS.items()
+        ]
         (Path(profile) / "user.js").write_text("".join(lines))
-        flags = ("--headless", "--no-remote", "--marionette", "--remote-allow-system-access", "--profile", profile)
+        flags = (
+            "--headless",
+            "--no-remote",
+            "--marionette",
+            "--remote-allow-system-access",
+            "--profile",
+            profile,
+        )
         with (
             started(path, *flags, profile=profile, tells="MarionetteActivePort") as (port,),
             socket.create_connection(("127.0.0.1", int(port)), PATIENCE) as connection,

@@ -84,7 +84,9 @@ def shared(name: str) -> Iterator[None]:
 
 def peak_bytes() -> int:
     """The largest resident memory of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+        1 if sys.platform == "darwin" else 1024
+    )
 
 
 def resident_bytes() -> int:
@@ -123,7 +125,9 @@ def too_many(programs: dict[str, int]) -> str:
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
+def pytest_runtest_protocol(
+    item: pytest.Item, nextitem: pytest.Item | None
+) -> Generator[None, Any, Any]:
     if _file[0] != item.path:
         _file[0] = item.path
         _of_file.clear()
@@ -148,7 +152,9 @@ def pytest_fixture_setup(fixturedef: Any, request: Any) -> Generator[None, Any, 
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
+def pytest_runtest_teardown(
+    item: pytest.Item, nextitem: pytest.Item | None
+) -> Generator[None, Any, Any]:
     _charge()
     if by_default(item):
         _of_file[item.name] = _programs[""]
@@ -172,8 +178,15 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     about: dict[str, Any] = dict(report.user_properties) if report.when == "teardown" else {}
     if "limits" in about:
         programs, seconds = about["limits"]
-        _tests["programs"][report.nodeid], _tests["seconds"][report.nodeid] = programs.get("", 0), seconds
-        dear = {name: count for name, count in programs.items() if count > MOST_PROGRAMS or name.startswith(SIMULATOR)}
+        _tests["programs"][report.nodeid], _tests["seconds"][report.nodeid] = (
+            programs.get("", 0),
+            seconds,
+        )
+        dear = {
+            name: count
+            for name, count in programs.items()
+            if count > MOST_PROGRAMS or name.startswith(SIMULATOR)
+        }
         _setups.update({name: count for name, count in dear.items() if name})
     if "memory" in about:
         _tests["memory"][report.nodeid] = about["memory"]
@@ -181,21 +194,36 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 def _lists() -> Iterator[str]:
     """What exceeds its limit, the largest first."""
-    functions, files = collections.Counter[str](), collections.defaultdict[str, dict[str, int]](dict)
+    functions, files = (
+        collections.Counter[str](),
+        collections.defaultdict[str, dict[str, int]](dict),
+    )
     for test, seconds in _tests["seconds"].items():
         functions[test.partition("[")[0]] += seconds
         file, _, name = test.partition("::")
         files[file][name] = _tests["programs"][test]
-    yield from (f"{file}: {many}" for file, programs in files.items() if (many := too_many(programs)))
+    yield from (
+        f"{file}: {many}" for file, programs in files.items() if (many := too_many(programs))
+    )
     setups = _setups if len(_setups) > MOST_SETUPS else {}
     kinds: list[tuple[str, Any, float]] = [
         (f"more than {MOST_SETUPS} shared setups, with their programs", setups, 0),
-        (f"tests after which a process took more than {MOST_BYTES / GIB:g} GiB", _tests["memory"], 0),
+        (
+            f"tests after which a process took more than {MOST_BYTES / GIB:g} GiB",
+            _tests["memory"],
+            0,
+        ),
         (f"tests of more than {TEST_SECONDS:g} s of CPU time", _tests["seconds"], TEST_SECONDS),
-        (f"test functions of more than {FUNCTION_SECONDS:g} s of CPU time", functions, FUNCTION_SECONDS),
+        (
+            f"test functions of more than {FUNCTION_SECONDS:g} s of CPU time",
+            functions,
+            FUNCTION_SECONDS,
+        ),
     ]
     for title, values, most in kinds:
-        beyond = sorted(((value, name) for name, value in values.items() if value > most), reverse=True)
+        beyond = sorted(
+            ((value, name) for name, value in values.items() if value > most), reverse=True
+        )
         yield from [f"{title}: {len(beyond)}"] * bool(beyond)
         yield from (f"  {value:.3g} {name}" for value, name in beyond[:ENTRIES])
 

@@ -76,7 +76,9 @@ class Mutant:
         path = root / "nermo_mjx" / self.file
         text = path.read_text()
         if text.count(self.old) != 1:
-            raise ValueError(f"{self.file} contains {self.old.strip()!r} {text.count(self.old)} times: expected once.")
+            raise ValueError(
+                f"{self.file} contains {self.old.strip()!r} {text.count(self.old)} times: expected once."
+            )
         _write(path, text.replace(self.old, self.new))
         try:
             yield
@@ -480,7 +482,9 @@ def check(root: Path = ROOT) -> list[str]:
         path = root / "nermo_mjx" / mutant.file
         count = path.read_text().count(mutant.old) if path.exists() else 0
         if count != 1:
-            wrong.append(f"{name}: {mutant.file} contains {mutant.old.strip()!r} {count} times, expected once.")
+            wrong.append(
+                f"{name}: {mutant.file} contains {mutant.old.strip()!r} {count} times, expected once."
+            )
         else:
             try:
                 ast.parse(path.read_text().replace(mutant.old, mutant.new))
@@ -495,7 +499,9 @@ def nearest_files(mutant: Mutant, root: Path) -> list[str]:
     If a file names the module, files that only import from it are left out.
     """
     texts = {path: path.read_text() for path in sorted((root / "tests").rglob("test_*.py"))}
-    first = {path: text.partition("\n")[0].removeprefix("# Tests of ") for path, text in texts.items()}
+    first = {
+        path: text.partition("\n")[0].removeprefix("# Tests of ") for path, text in texts.items()
+    }
     named = [path for path, line in first.items() if mutant.file in line.split(", ")]
     package, _, module = mutant.module.rpartition(".")
     imports = re.compile(
@@ -509,7 +515,11 @@ def nearest_files(mutant: Mutant, root: Path) -> list[str]:
 def selections(mutant: Mutant, root: Path, nearest: bool) -> Iterator[list[str]]:
     """Arguments of pytest for the groups of tests, the nearest first; with `nearest` without the last group."""
     folder = f"tests/{mutant.subpackage}"
-    groups = [nearest_files(mutant, root), [folder] if (root / folder).is_dir() else [], [] if nearest else ["tests"]]
+    groups = [
+        nearest_files(mutant, root),
+        [folder] if (root / folder).is_dir() else [],
+        [] if nearest else ["tests"],
+    ]
     before: list[str] = []
     for group in filter(None, groups):
         yield [*group, *(f"--ignore={each}" for each in before)]
@@ -525,21 +535,57 @@ class Outcome:
     seconds: float
 
 
-def run_tests(root: Path, arguments: Sequence[str], expression: str, excluded: Sequence[str]) -> Outcome:
+def run_tests(
+    root: Path, arguments: Sequence[str], expression: str, excluded: Sequence[str]
+) -> Outcome:
     """Run pytest in a copy of the repository until a test fails; `test` is empty if all pass."""
     before = _seconds(resource.RUSAGE_CHILDREN)
     clock = root / "seconds.csv"
     clock.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "pytest", *arguments, "-m", expression, "-x", "-q", "-n", "0", "-rfE", "--tb=no"]
-    command += ["-p", "mutants", "-p", "no:cacheprovider", *(f"--deselect={test}" for test in excluded)]
-    environment = os.environ | {"PYTHONPATH": f"{root}{os.pathsep}{root / 'tests'}", "MUTANTS_CLOCK": str(clock)}
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        *arguments,
+        "-m",
+        expression,
+        "-x",
+        "-q",
+        "-n",
+        "0",
+        "-rfE",
+        "--tb=no",
+    ]
+    command += [
+        "-p",
+        "mutants",
+        "-p",
+        "no:cacheprovider",
+        *(f"--deselect={test}" for test in excluded),
+    ]
+    environment = os.environ | {
+        "PYTHONPATH": f"{root}{os.pathsep}{root / 'tests'}",
+        "MUTANTS_CLOCK": str(clock),
+    }
     try:
-        done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=LONGEST)
+        done = subprocess.run(
+            command, cwd=root, env=environment, capture_output=True, text=True, timeout=LONGEST
+        )
         failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
-        test = failed[1] if failed else "" if done.returncode in (0, 5) else f"pytest ended with {done.returncode}"
+        test = (
+            failed[1]
+            if failed
+            else ""
+            if done.returncode in (0, 5)
+            else f"pytest ended with {done.returncode}"
+        )
     except subprocess.TimeoutExpired:
         test = "time-out"
-    spent = dict(line.rsplit(",", 1) for line in clock.read_text().splitlines()) if clock.exists() else {}
+    spent = (
+        dict(line.rsplit(",", 1) for line in clock.read_text().splitlines())
+        if clock.exists()
+        else {}
+    )
     return Outcome(test, float(spent.get(test, "nan")), _seconds(resource.RUSAGE_CHILDREN) - before)
 
 
@@ -566,11 +612,17 @@ def kill(name: str, expressions: Sequence[str], nearest: bool, root: Path) -> di
                     alone = run_tests(root, [function], expression, ())
                     seconds += alone.seconds
                     if alone.test and (function in excluded or "::" not in function):
-                        raise RuntimeError(f"{function} fails without a mutant, too, and cannot be excluded.")
+                        raise RuntimeError(
+                            f"{function} fails without a mutant, too, and cannot be excluded."
+                        )
                     if alone.test:
                         excluded.append(function)
                         continue
-                killed = {"killed": expression, "test": found.test, "test_seconds": f"{found.test_seconds:.1f}"}
+                killed = {
+                    "killed": expression,
+                    "test": found.test,
+                    "test_seconds": f"{found.test_seconds:.1f}",
+                }
                 return row | killed | {"seconds": f"{seconds:.0f}"}
     return row | {"seconds": f"{seconds:.0f}"}
 
@@ -579,8 +631,14 @@ def _copied(root: Path) -> Path:
     """A copy of the repository, without hidden folders but `.ci`, and without results and caches."""
 
     def left_out(folder: str, names: list[str]) -> set[str]:
-        hidden = {name for name in names if name.startswith(".") and name not in (".ci", ".gitignore")}
-        return hidden | {"__pycache__"} | ({"runs", "build", "dist"} if Path(folder) == ROOT else set())
+        hidden = {
+            name for name in names if name.startswith(".") and name not in (".ci", ".gitignore")
+        }
+        return (
+            hidden
+            | {"__pycache__"}
+            | ({"runs", "build", "dist"} if Path(folder) == ROOT else set())
+        )
 
     shutil.copytree(ROOT, root, ignore=left_out)
     return root
@@ -597,7 +655,9 @@ def _work(names: Sequence[str], expressions: Sequence[str], nearest: bool, out: 
             print(f"{name}: {row['test'] or 'survived'} ({row['seconds']} s)", flush=True)
 
 
-def run(names: Sequence[str], expressions: Sequence[str], processes: int, nearest: bool, out: Path) -> None:
+def run(
+    names: Sequence[str], expressions: Sequence[str], processes: int, nearest: bool, out: Path
+) -> None:
     """Run mutants, append their rows to `out`, and print the table and the score."""
     if not out.exists():
         out.write_text(",".join(COLUMNS) + "\n")
@@ -608,7 +668,9 @@ def run(names: Sequence[str], expressions: Sequence[str], processes: int, neares
     else:
         with ProcessPoolExecutor(processes) as pool:
             parts = [left[i::processes] for i in range(processes)]
-            for job in [pool.submit(_work, part, expressions, nearest, out) for part in parts if part]:
+            for job in [
+                pool.submit(_work, part, expressions, nearest, out) for part in parts if part
+            ]:
                 job.result()
     print(table([row for row in _rows(out) if row["mutant"] in names], expressions))
 
@@ -624,12 +686,16 @@ def table(rows: Sequence[dict[str, str]], expressions: Sequence[str]) -> str:
     order = list(MUTANTS)
     for row in sorted(rows, key=lambda row: order.index(row["mutant"])):
         test = f"`{row['test'].rpartition('/')[2]}`" if row["test"] else "survived"
-        lines.append(f"| `{row['mutant']}` | {row['subpackage']} | {test} | {row['test_seconds']} |")
+        lines.append(
+            f"| `{row['mutant']}` | {row['subpackage']} | {test} | {row['test_seconds']} |"
+        )
     killed = 0
     for expression in expressions:
         killed += sum(row["killed"] == expression for row in rows)
         percent = 100.0 * killed / max(len(rows), 1)
-        lines.append(f"\nKilled up to -m {expression!r}: {killed} of {len(rows)} ({percent:.0f} %).")
+        lines.append(
+            f"\nKilled up to -m {expression!r}: {killed} of {len(rows)} ({percent:.0f} %)."
+        )
     return "\n".join(lines)
 
 
@@ -645,19 +711,34 @@ def pytest_runtest_protocol(item: object, nextitem: object) -> Iterator[object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="One-line faults of the package, and the tests that find them.")
+    parser = argparse.ArgumentParser(
+        description="One-line faults of the package, and the tests that find them."
+    )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--list", action="store_true", help="print all mutants with their reasons")
-    what.add_argument("--check", action="store_true", help="check that all mutants still fit the package")
+    what.add_argument(
+        "--check", action="store_true", help="check that all mutants still fit the package"
+    )
     what.add_argument("--run", nargs="*", metavar="NAME", help="run these mutants, by default all")
-    parser.add_argument("-m", action="append", metavar="MARKEXPR", help=f"selections of tests; default: {DEFAULT!r}")
-    parser.add_argument("-n", type=int, default=1, metavar="PROCESSES", help="mutants at a time; default: 1")
+    parser.add_argument(
+        "-m", action="append", metavar="MARKEXPR", help=f"selections of tests; default: {DEFAULT!r}"
+    )
+    parser.add_argument(
+        "-n", type=int, default=1, metavar="PROCESSES", help="mutants at a time; default: 1"
+    )
     parser.add_argument("--nearest", action="store_true", help="omit tests of other folders")
-    parser.add_argument("--out", type=Path, default=Path("mutants.csv"), help="table of results; default: mutants.csv")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("mutants.csv"),
+        help="table of results; default: mutants.csv",
+    )
     given = parser.parse_args()
     if given.list:
         for name, mutant in MUTANTS.items():
-            print(f"{name} ({mutant.file}): {mutant.why}\n  - {mutant.old.strip()}\n  + {mutant.new.strip()}")
+            print(
+                f"{name} ({mutant.file}): {mutant.why}\n  - {mutant.old.strip()}\n  + {mutant.new.strip()}"
+            )
     elif given.check:
         wrong = check()
         print("\n".join(wrong) or f"All {len(MUTANTS)} mutants fit the package.")
@@ -666,7 +747,13 @@ def main() -> None:
         unknown = [name for name in given.run if name not in MUTANTS]
         if unknown:
             parser.error(f"unknown mutant {unknown[0]!r}: --list prints all.")
-        run(given.run or list(MUTANTS), given.m or [DEFAULT], given.n, given.nearest, given.out.absolute())
+        run(
+            given.run or list(MUTANTS),
+            given.m or [DEFAULT],
+            given.n,
+            given.nearest,
+            given.out.absolute(),
+        )
 
 
 if __name__ == "__main__":

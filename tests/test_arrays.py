@@ -12,7 +12,11 @@ DECLARED = {"time": ("f", ("T",)), "qpos": ("f", ("T", "nq")), "eyes": ("iu", ("
 
 
 def arrays(**changed: np.ndarray) -> dict[str, np.ndarray]:
-    return {"time": np.zeros(5), "qpos": np.zeros((5, 3)), "eyes": np.zeros((5, 2, 4, 4), int)} | changed
+    return {
+        "time": np.zeros(5),
+        "qpos": np.zeros((5, 3)),
+        "eyes": np.zeros((5, 2, 4, 4), int),
+    } | changed
 
 
 def test_arrays_of_a_file_have_their_declared_shapes_and_one_length() -> None:
@@ -23,12 +27,20 @@ def test_arrays_of_a_file_have_their_declared_shapes_and_one_length() -> None:
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"qpos": np.zeros((4, 3))}, r"a file: 'qpos' has the shape \(4, 3\): expected \(5, nq\)\."),
+        (
+            {"qpos": np.zeros((4, 3))},
+            r"a file: 'qpos' has the shape \(4, 3\): expected \(5, nq\)\.",
+        ),
         ({"qpos": np.zeros(5)}, r"'qpos' has the shape \(5,\): expected \(5, nq\)\."),
-        ({"eyes": np.zeros((5, 3, 4), int)}, r"'eyes' has the shape \(5, 3, 4\): expected \(5, 2, \.\.\.\)\."),
+        (
+            {"eyes": np.zeros((5, 3, 4), int)},
+            r"'eyes' has the shape \(5, 3, 4\): expected \(5, 2, \.\.\.\)\.",
+        ),
         ({"eyes": np.zeros((5, 2))}, "'eyes' is of type float64: expected numbers"),
     ],
 )
-def test_arrays_that_differ_from_their_declaration_are_refused(changed: dict, sentence: str) -> None:
+def test_arrays_that_differ_from_their_declaration_are_refused(
+    changed: dict, sentence: str
+) -> None:
     with pytest.raises(FileError, match=sentence):
         check_arrays(arrays(**changed), DECLARED, "a file")

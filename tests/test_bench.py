@@ -27,7 +27,9 @@ FAILED = {"case": "throughput", "engine": "mjx", "worlds": 64, "error": "no memo
 
 
 def test_each_combination_is_measured_in_order_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nermo_mjx.bench.apart", lambda measure, *options: {"measured": measure.__name__})
+    monkeypatch.setattr(
+        "nermo_mjx.bench.apart", lambda measure, *options: {"measured": measure.__name__}
+    )
     progress = Mock()
     result = run_bench(BENCH_CASES, ["c", "mjx"], [4, 8], progress)
     options = [(engine, size) for engine in ("c", "mjx") for size in (4, 8)]
@@ -59,12 +61,20 @@ def test_a_walk_is_measured(engine: str) -> None:
     assert line["simulated_seconds_per_second"] == pytest.approx(0.002 * line["steps_per_second"])
     assert result["hardware"]["mujoco"] == mujoco.__version__
     beside = engines.throughput_case(engine, 2)
-    assert beside["ratio"] == pytest.approx(beside["steps_per_second"] / beside["plain_steps_per_second"], rel=0.5)
+    assert beside["ratio"] == pytest.approx(
+        beside["steps_per_second"] / beside["plain_steps_per_second"], rel=0.5
+    )
     assert set(beside) >= {"steps_per_second", "compile_s", "peak_bytes"}
 
 
 def test_bench_shows_what_went_well_and_what_failed(monkeypatch: pytest.MonkeyPatch) -> None:
-    line = {"case": "throughput", "engine": "c", "worlds": 64, "steps_per_second": 10_000.4, "peak_bytes": 6e8}
+    line = {
+        "case": "throughput",
+        "engine": "c",
+        "worlds": 64,
+        "steps_per_second": 10_000.4,
+        "peak_bytes": 6e8,
+    }
     stages = {"import_s": 1.25, "training_s": 30.5}
     start = {
         "case": "startup",
@@ -78,7 +88,10 @@ def test_bench_shows_what_went_well_and_what_failed(monkeypatch: pytest.MonkeyPa
     run = {"hardware": {"cpu": "some processor", "cores": 2}, "cases": [line, FAILED, start]}
     measured = Mock(return_value=run)
     monkeypatch.setattr("nermo_mjx.bench.run_bench", measured)
-    assert json_of("bench", "startup", "--engine", "c", "--worlds", "4", "--worlds", "8")["cases"] == run["cases"]
+    assert (
+        json_of("bench", "startup", "--engine", "c", "--worlds", "4", "--worlds", "8")["cases"]
+        == run["cases"]
+    )
     assert measured.call_args[0][:3] == (("startup",), ("c",), (4, 8))
     shown = call("bench").stdout
     assert measured.call_args[0][:3] == (("throughput",), ("c", "mjx"), (64,))
@@ -91,20 +104,42 @@ def test_bench_shows_what_went_well_and_what_failed(monkeypatch: pytest.MonkeyPa
 
 def run_of(date: str, *lines: dict[str, Any], device: str = "1 x cpu") -> str:
     """A line of results.jsonl."""
-    about = {"device": device, "cores": 2, "cpu": "some processor", "mujoco": "3", "jax": "0", "python": "3"}
-    return json.dumps({"date": date, "commit": "abc", "hardware": about, "cases": list(lines)}) + "\n"
+    about = {
+        "device": device,
+        "cores": 2,
+        "cpu": "some processor",
+        "mujoco": "3",
+        "jax": "0",
+        "python": "3",
+    }
+    return (
+        json.dumps({"date": date, "commit": "abc", "hardware": about, "cases": list(lines)}) + "\n"
+    )
 
 
 def walk_of(rate: float, **more: Any) -> dict[str, Any]:
     """A measurement of the throughput."""
     times = dict.fromkeys(("trace_s", "compile_s", "plain_trace_s", "plain_compile_s"), 1.0)
-    rates = {"steps_per_second": rate, "ratio": 0.9, "plain_steps_per_second": rate, "peak_bytes": 1e9}
+    rates = {
+        "steps_per_second": rate,
+        "ratio": 0.9,
+        "plain_steps_per_second": rate,
+        "peak_bytes": 1e9,
+    }
     return {"case": "throughput", "engine": "c", "worlds": 64, **rates, **times} | more
 
 
 def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path: Path) -> None:
     cold, warm = {"import_s": 1.25, "training_s": 30.5}, {"import_s": 1.0, "training_s": 2.5}
-    start = {"case": "startup", "engine": "c", "worlds": 64, "cold_s": 5.5, "warm_s": 3.5, "cold": cold, "warm": warm}
+    start = {
+        "case": "startup",
+        "engine": "c",
+        "worlds": 64,
+        "cold_s": 5.5,
+        "warm_s": 3.5,
+        "cold": cold,
+        "warm": warm,
+    }
     lines = [
         run_of("2026-01-01", walk_of(11111.0), walk_of(22222.0, worlds=128)),
         run_of("2026-02-02", walk_of(33333.0), start),
@@ -114,12 +149,16 @@ def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path: Path) -> No
     engines.draw_page(tmp_path / "results.jsonl", tmp_path)
     page = (tmp_path / "results.md").read_text()
     assert "11,111" not in page
-    assert page.index("33,333") < page.index("22,222") < page.index("1 x gpu") < page.index("44,444")
+    assert (
+        page.index("33,333") < page.index("22,222") < page.index("1 x gpu") < page.index("44,444")
+    )
     assert "| c | 64 | cold | 5.5 | 1.2 | 30.5 |" in page
     assert "2026-02-02, commit abc, mujoco 3, jax 0, python 3" in page
     for figure in (figures := re.findall(r"\]\((plots/.*?)\)", page)):
         assert (tmp_path / figure).stat().st_size > 1000
-    assert figures == [f"plots/{name}_{machine}.svg" for machine in (1, 2) for name in ("throughput", "compile")]
+    assert figures == [
+        f"plots/{name}_{machine}.svg" for machine in (1, 2) for name in ("throughput", "compile")
+    ]
 
 
 def test_the_page_of_this_repository_is_that_of_its_results(tmp_path: Path) -> None:

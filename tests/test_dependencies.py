@@ -37,7 +37,11 @@ def imported(code: str) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and not node.level:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module") and node.args:
+        elif (
+            isinstance(node, ast.Call)
+            and ast.unparse(node.func).endswith("import_module")
+            and node.args
+        ):
             beginning = next(ast.walk(node.args[0]), None)
             beginning = beginning.values[0] if isinstance(beginning, ast.JoinedStr) else beginning
             if isinstance(beginning, ast.Constant):
@@ -54,13 +58,19 @@ def requirement_of(module: str) -> str | None:
     if parts[0] == "nermo_mjx" or parts[0] in sys.stdlib_module_names:
         return None
     beginnings = (".".join(parts[:length]) for length in range(len(parts), 0, -1))
-    return next((REQUIREMENTS[each] for each in beginnings if each in REQUIREMENTS), normalized(parts[0]))
+    return next(
+        (REQUIREMENTS[each] for each in beginnings if each in REQUIREMENTS), normalized(parts[0])
+    )
 
 
 def declared(requirements: Iterable[str]) -> set[str]:
     """Names of requirements, with their extras, without versions."""
     found = (re.match(r"([\w.-]+)(\[[\w,-]+\])?", each) for each in requirements)
-    return {normalized(each[1]) + (each[2] or "") for each in found if each and each[1] != PROJECT["name"]}
+    return {
+        normalized(each[1]) + (each[2] or "")
+        for each in found
+        if each and each[1] != PROJECT["name"]
+    }
 
 
 def faults(modules: Iterable[str], project: Mapping[str, Any]) -> dict[str, set[str]]:
@@ -74,7 +84,9 @@ def faults(modules: Iterable[str], project: Mapping[str, Any]) -> dict[str, set[
 
 @pytest.mark.release
 def test_every_import_is_declared_and_every_requirement_is_imported() -> None:
-    modules = {name for path in (ROOT / "nermo_mjx").rglob("*.py") for name in imported(path.read_text())}
+    modules = {
+        name for path in (ROOT / "nermo_mjx").rglob("*.py") for name in imported(path.read_text())
+    }
     assert faults(modules, PROJECT) == {"undeclared": set(), "unused": set()}
 
 
@@ -85,12 +97,22 @@ def test_every_import_is_declared_and_every_requirement_is_imported() -> None:
         ("from mujoco import mjx", ["mujoco>=3"], ({"mujoco-mjx"}, {"mujoco"})),
         ("import mujoco.viewer\nfrom . import yaml", ["mujoco>=3"], (set(), set())),
         ("importlib.import_module('jaxlib.xla_client')", ["jax>=0.9"], ({"jaxlib"}, {"jax"})),
-        ("importlib.import_module(f'mujoco.{backend}')\nimport os.path", ["mujoco>=3"], (set(), set())),
-        ("from ruamel.yaml import YAML\nfrom paho.mqtt import client", ["ruamel.yaml>=0.18"], ({"paho-mqtt"}, set())),
+        (
+            "importlib.import_module(f'mujoco.{backend}')\nimport os.path",
+            ["mujoco>=3"],
+            (set(), set()),
+        ),
+        (
+            "from ruamel.yaml import YAML\nfrom paho.mqtt import client",
+            ["ruamel.yaml>=0.18"],
+            ({"paho-mqtt"}, set()),
+        ),
         ("import warp", ["mujoco-mjx[warp]==3.17.0"], (set(), set())),
     ],
 )
-def test_a_missing_and_an_unused_declaration_are_found(code: str, requirements: list[str], expected: Any) -> None:
+def test_a_missing_and_an_unused_declaration_are_found(
+    code: str, requirements: list[str], expected: Any
+) -> None:
     project = {"dependencies": requirements, "optional-dependencies": {"docs": ["sphinx"]}}
     assert tuple(faults(imported(code), project).values()) == expected
 
@@ -110,7 +132,9 @@ def test_modules_come_from_the_requirements_that_this_file_names() -> None:
 def test_ci_installs_the_lowest_version_of_each_requirement() -> None:
     """Of those whose version is not another one's."""
     (command,) = re.findall(r"sed -nE .* pyproject\.toml(?= >)", (ROOT / ".ci" / "run").read_text())
-    lowest = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    lowest = subprocess.run(
+        ["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
     floors = (re.match(r"([\w.-]+)[=>]=([\d.]+)", each) for each in PROJECT["dependencies"])
     assert lowest.split() == [f"{each[1]}=={each[2]}" for each in floors if each]
     without = declared(PROJECT["dependencies"]) - declared(lowest.split())
@@ -125,4 +149,11 @@ def test_all_that_tests_need_is_in_one_extra() -> None:
         brought |= new
         named = (re.match(r"nermo-mjx\[(.*)\]", each) for name in new for each in extras[name])
         new = {extra for each in named if each for extra in each[1].split(",")} - brought
-    assert extras.keys() - brought == {"dev", "cuda", "gpu-plan", "warp", "playground", "stable-baselines3"}
+    assert extras.keys() - brought == {
+        "dev",
+        "cuda",
+        "gpu-plan",
+        "warp",
+        "playground",
+        "stable-baselines3",
+    }

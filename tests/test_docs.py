@@ -37,7 +37,9 @@ TRIED = [README, *(page for page in PAGES if page != ROOT / "docs" / "files.md")
 
 def blocks(page: Path, language: str) -> list[str]:
     """The fenced blocks of a page that are plainly of a language; those marked `no-test` are not."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
 
 
 EXAMPLES = [
@@ -45,7 +47,9 @@ EXAMPLES = [
     for page in TRIED
     for i, text in enumerate(blocks(page, "python"))
 ]
-LISTED = README.read_text(encoding="utf-8") + (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+LISTED = README.read_text(encoding="utf-8") + (
+    ROOT / "docs" / "reference" / "commands.md"
+).read_text(encoding="utf-8")
 COMMANDS = re.findall(r"`(nermo-mjx [^`\n]+)`", LISTED) + [
     line
     for page in PAGES
@@ -60,7 +64,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site; a warning, such as a link that leads nowhere, fails its build."""
     needs("sphinx", "furo", "myst_parser")
     out = tmp_path_factory.mktemp("site")
-    words = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(ROOT / "docs"), str(out)]
+    words = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-W",
+        "--keep-going",
+        str(ROOT / "docs"),
+        str(out),
+    ]
     small = os.environ | {"NERMO_MJX_SMALL": "1"}  # one page of the viewer, not fourteen
     done = subprocess.run(words, env=small, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -72,24 +85,39 @@ def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path)
     """Pages under their own names and titles: Sphinx writes pages such as search.html itself."""
     from nermo_mjx.robot.quantity import gathered
 
-    text = {page.stem: page.read_text(encoding="utf-8") for page in (site / "reference").glob("*.html")}
+    text = {
+        page.stem: page.read_text(encoding="utf-8") for page in (site / "reference").glob("*.html")
+    }
     for name in nermo_mjx.__all__:
         known = re.search(rf"nermo_mjx\.{name}\b", text["python"])
-        assert known or name in ("LIMBS", "METRICS", "SERVOS", "ParameterError", "__version__", "kinematics"), name
+        assert known or name in (
+            "LIMBS",
+            "METRICS",
+            "SERVOS",
+            "ParameterError",
+            "__version__",
+            "kinematics",
+        ), name
     # Of a row of numbers the first and the last one.
-    parameters = [name for names, _ in gathered(nermo_mjx.all_parameters()) for name in names.split(" ... ")]
+    parameters = [
+        name for names, _ in gathered(nermo_mjx.all_parameters()) for name in names.split(" ... ")
+    ]
     marks = {
         "parameters": [f">{name}<" for name in parameters],
         "metrics": [f">{name}<" for name in nermo_mjx.METRICS],
         "commands": [f'id="nermo-mjx-{name}"' for name in main.commands],
     }
-    assert {page: [mark for mark in known if mark not in text[page]] for page, known in marks.items()} == {
-        page: [] for page in marks
-    }
+    assert {
+        page: [mark for mark in known if mark not in text[page]] for page, known in marks.items()
+    } == {page: [] for page in marks}
     for page in PAGES:
         title = re.search(r"^# (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
         assert title is not None, page
-        made = (site / page.relative_to(ROOT / "docs")).with_suffix(".html").read_text(encoding="utf-8")
+        made = (
+            (site / page.relative_to(ROOT / "docs"))
+            .with_suffix(".html")
+            .read_text(encoding="utf-8")
+        )
         (heading,) = re.findall(r"<h1>(.*?)<a class=\"headerlink\"", made)
         assert re.sub(r"<[^>]+>", "", heading) == re.sub(r"[`*]", "", title[1]), page
 
@@ -99,7 +127,9 @@ def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> 
     """Else Chromium scrolls it up and down, with arrows beside it."""
     with browser.tab() as tab:
         tab.open(site / "control.html")
-        tab.wait("document.readyState === 'complete' && document.querySelectorAll('.math-wrapper').length")
+        tab.wait(
+            "document.readyState === 'complete' && document.querySelectorAll('.math-wrapper').length"
+        )
         heights = tab.evaluate(
             "[...document.querySelectorAll('.math-wrapper')].map(f => [f.scrollHeight, f.clientHeight])"
         )
@@ -162,7 +192,9 @@ def test_the_pages_name_every_command_and_no_other_option() -> None:
         assert option in helps, option
 
 
-@pytest.mark.parametrize("page", [page for page in TRIED if blocks(page, "yaml")], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", [page for page in TRIED if blocks(page, "yaml")], ids=lambda page: page.stem
+)
 def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
     """One of a search has an objective, and one of a robot's log channels."""
     from nermo_mjx.hardware.log import LogFields
@@ -219,7 +251,11 @@ def test_the_examples_of_a_module_run(name: str) -> None:
 def test_every_public_function_has_an_example() -> None:
     public = {name: getattr(nermo_mjx, name) for name in nermo_mjx.__all__}
     # The tests' shared simulators stand in for a class here.
-    functions = {name: each for name, each in public.items() if inspect.isfunction(each) and "nermo" in each.__module__}
+    functions = {
+        name: each
+        for name, each in public.items()
+        if inspect.isfunction(each) and "nermo" in each.__module__
+    }
     without = {name for name, each in functions.items() if ">>> " not in (each.__doc__ or "")}
     assert without - {"quantity"} == ELSEWHERE  # `parameter_tree` shows both
 
@@ -232,9 +268,17 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
 
     lines = README.read_text(encoding="utf-8").splitlines()
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    patterns = dict(re.findall(r"^(job|tests)=\$\(grep -E '(.*)' README\.md\)$", script, re.MULTILINE))
-    fresh = [line for line in "".join(blocks(README, "sh")).splitlines() if line.startswith("python3 -m venv")]
-    chosen = [[line for line in lines if re.search(patterns[name], line)] for name in ("job", "tests")]
+    patterns = dict(
+        re.findall(r"^(job|tests)=\$\(grep -E '(.*)' README\.md\)$", script, re.MULTILINE)
+    )
+    fresh = [
+        line
+        for line in "".join(blocks(README, "sh")).splitlines()
+        if line.startswith("python3 -m venv")
+    ]
+    chosen = [
+        [line for line in lines if re.search(patterns[name], line)] for name in ("job", "tests")
+    ]
     assert chosen == [[line] for line in fresh]
     assert fresh[0].endswith("nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart")
     assert fresh[1].endswith("-m pytest")
@@ -262,7 +306,9 @@ def test_the_readme_is_short_and_its_links_lead_somewhere() -> None:
     text = README.read_text(encoding="utf-8")
     assert len(text.split()) <= 1800
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
-    anchors = {"#" + re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
+    anchors = {
+        "#" + re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings
+    }
     for target in re.findall(r'(?:\]\((?!https?:)|blob/main/|src=")([^)"\s]+)', text):
         assert target in anchors or (ROOT / target.partition("#")[0]).exists(), target
     assert [anchor for anchor in anchors if f"]({anchor})" not in text] == []

@@ -18,13 +18,17 @@ from nermo_mjx.learn.run import run_training
 from nermo_mjx.live.server import LiveDrive
 
 SWEEP: dict[str, Any] = {"vary": {"frequency": {"uniform": [0.5, 0.9]}}, "run": {"duration": 0.2}}
-VARY: dict[str, Any] = {"spine": "stride_extension", "vary": {"spine.amplitude": {"uniform": [0.0, 0.4]}}}
+VARY: dict[str, Any] = {
+    "spine": "stride_extension",
+    "vary": {"spine.amplitude": {"uniform": [0.0, 0.4]}},
+}
 SPECS: dict[str, dict[str, Any]] = {
     "sweep": SWEEP | {"sample": {"sobol": 4}},
     "saltelli": SWEEP | {"sample": {"saltelli": 4}},
     "training": {"worlds": 8, "steps": 1},
     "search": VARY | {"objective": [{"maximize": "speed"}], "budget": {"evaluations": 64}},
-    "front": VARY | {"pareto": [{"maximize": "speed"}, {"minimize": "roll_std"}], "budget": {"evaluations": 64}},
+    "front": VARY
+    | {"pareto": [{"maximize": "speed"}, {"minimize": "roll_std"}], "budget": {"evaluations": 64}},
     "atlas": VARY
     | {
         "objective": [{"maximize": "speed"}],
@@ -55,7 +59,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         ("ray", "ray", "--workers ray", "sweep sweep.yaml --out out --workers ray"),
         ("tensorboardX", "tensorboard", "tensorboard", "sweep sweep.yaml --out out --tensorboard"),
-        ("tensorboardX", "tensorboard", "tensorboard", "train training.yaml --out out --tensorboard"),
+        (
+            "tensorboardX",
+            "tensorboard",
+            "tensorboard",
+            "train training.yaml --out out --tensorboard",
+        ),
         ("onnx", "onnx", "--onnx", "train training.yaml --out out --onnx"),
         ("paho", "mqtt", "send", "servos --send mqtt://127.0.0.1 --out out"),
         ("paho", "mqtt", "connect", "drive --connect mqtt://127.0.0.1 --headless"),
@@ -97,7 +106,11 @@ def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(
         ("websockets", LiveDrive, (None,)),
         ("websockets", lambda url: connected(url).__enter__(), ("ws://127.0.0.1",)),
         ("paho", lambda url: connected(url).__enter__(), ("mqtt://127.0.0.1",)),
-        ("tensorboardX", lambda *given: run_training(*given, tensorboard=True), (SPECS["training"], "out")),
+        (
+            "tensorboardX",
+            lambda *given: run_training(*given, tensorboard=True),
+            (SPECS["training"], "out"),
+        ),
     ],
 )
 def test_a_function_names_the_extra_that_it_needs(

@@ -149,7 +149,11 @@ def mutated_arrays(content: bytes, draw: random.Random) -> bytes:
             for member in old.namelist():
                 text = old.read(member)
                 at = text.find(b"'shape': (")
-                promised = text[: at + 10] + size + text[at + 10 + len(size) :] if member == f"{name}.npy" else text
+                promised = (
+                    text[: at + 10] + size + text[at + 10 + len(size) :]
+                    if member == f"{name}.npy"
+                    else text
+                )
                 new.writestr(member, promised)
         return changed.getvalue()
     return stream.getvalue()
@@ -165,19 +169,26 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
     if act == 0:
         table = table.remove_column(at)
     elif act == 1:
-        table = table.set_column(at, draw.choice(("row", "", "\x1b[2J", "speed", "a" * 9000)), column)
+        table = table.set_column(
+            at, draw.choice(("row", "", "\x1b[2J", "speed", "a" * 9000)), column
+        )
     elif act == 2:
-        other = draw.choice(([None], ["text"], [[1.0]], [True], [{"a": 1}], [float("nan")], [10**15]))
+        other = draw.choice(
+            ([None], ["text"], [[1.0]], [True], [{"a": 1}], [float("nan")], [10**15])
+        )
         like = pa.field(field.name, pa.array(other).type, metadata=field.metadata)
         table = table.set_column(at, like, pa.array(other * table.num_rows))
     elif act == 3:
         about = {
-            key: draw.choice((b"", b"\xff", b"[1]", b"nan", b"\x1b[2J")) for key in field.metadata or {b"role": b""}
+            key: draw.choice((b"", b"\xff", b"[1]", b"nan", b"\x1b[2J"))
+            for key in field.metadata or {b"role": b""}
         }
         table = table.set_column(at, field.with_metadata(about), column)
     elif act == 4:
         about = dict(table.schema.metadata or {b"a": b""})
-        about[draw.choice([*about])] = draw.choice((b"", b"\xff", b"[1]", b"{", b"null", b"9" * 400, b'{"a": {}}'))
+        about[draw.choice([*about])] = draw.choice(
+            (b"", b"\xff", b"[1]", b"{", b"null", b"9" * 400, b'{"a": {}}')
+        )
         table = table.replace_schema_metadata(about)
     elif act == 5:
         some = [None if draw.random() < 0.5 else value for value in column.to_pylist()]
@@ -189,21 +200,36 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
     return stream.getvalue()
 
 
-CHANNELS = {"rate": 50, "front_left_hip": {"channel": 0, "direction": 1, "zero": 90, "low": 20, "high": 160}}
+CHANNELS = {
+    "rate": 50,
+    "front_left_hip": {"channel": 0, "direction": 1, "zero": 90, "low": 20, "high": 160},
+}
 ROWS = "frequency,spine.amplitude\n0.5,0.1\n0.8,0.2\n"
 
 
 @pytest.fixture(scope="module")
-def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, list[Any], Callable[[], Any]]]:
+def kinds_of_files(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> dict[str, tuple[Path, list[Any], Callable[[], Any]]]:
     """By kind: an intact file, how it is changed, and its loader."""
     top = tmp_path_factory.mktemp("kinds")
     (top / "own.py").write_text(CANARY.format(log=str(top / "log")))
     measured = {"metrics": "own.py", "plots": False}
-    run_sweep(write_json(top / "a.yaml", SWEEP | measured), sweep := top / "sweep", chunk=18, simulator=Measuring())
-    run_search(write_json(top / "b.yaml", SEARCH), search := top / "search", simulator=FakeSearched())
+    run_sweep(
+        write_json(top / "a.yaml", SWEEP | measured),
+        sweep := top / "sweep",
+        chunk=18,
+        simulator=Measuring(),
+    )
+    run_search(
+        write_json(top / "b.yaml", SEARCH), search := top / "search", simulator=FakeSearched()
+    )
     (identified := top / "identified").mkdir()
     columns = {
-        name: np.array(["exact", "as_built"] if name in ("profile", "gait", "status") else [0.5, 0.8]) for name in ABOUT
+        name: np.array(
+            ["exact", "as_built"] if name in ("profile", "gait", "status") else [0.5, 0.8]
+        )
+        for name in ABOUT
     }
     experiments = Directory(top / "experiments")
     (experiments.out / "results").mkdir(parents=True)
@@ -213,7 +239,10 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
     pq.write_table(table, experiments.path(name))
     pq.write_table(pa.table({"frequency": [0.5, 0.8]}), top / "rows.parquet")
     part = next((sweep / "results").glob("*.parquet"))
-    text, table_like = [mutated_bytes, mutated_json, mutated_json], [mutated_bytes, mutated_table, mutated_table]
+    text, table_like = (
+        [mutated_bytes, mutated_json, mutated_json],
+        [mutated_bytes, mutated_table, mutated_table],
+    )
     arrays = [mutated_bytes, mutated_arrays, mutated_arrays]
 
     def kind(name: str, folder: Path) -> Callable[[], Any]:
@@ -227,7 +256,9 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
 
     about = {"setup": Setup().fields(), "driven": {"values": {"frequency": 0.8}}}
     piece = {
-        "commands": [[0, {"at": 0.0, "blend": 1.0, "gait": "lateral_walk", "set": {"stride": 0.9}}]],
+        "commands": [
+            [0, {"at": 0.0, "blend": 1.0, "gait": "lateral_walk", "set": {"stride": 0.9}}]
+        ],
         "pushes": [{"tick": 1, "ticks": 3, "body": 1, "force": [1, 0, 0]}],
         "samples": [[[0.0], [0.0], [0.0], [None]]],
         "ticks": 3,
@@ -243,14 +274,33 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
             [mutated_lines],
             journal,
         ),
-        "recording": (Path(shutil.copyfile(RECORDED, top / "walk.npz")), arrays, whole(top / "walk.npz")),
-        "policy": (Path(shutil.copyfile(POLICY, top / "policy.npz")), arrays, lambda: load_policy(top / "policy.npz")),
-        "run.json": (sweep / "run.json", text, lambda: (read_record(sweep), codes_of(sweep), last_command(sweep))),
+        "recording": (
+            Path(shutil.copyfile(RECORDED, top / "walk.npz")),
+            arrays,
+            whole(top / "walk.npz"),
+        ),
+        "policy": (
+            Path(shutil.copyfile(POLICY, top / "policy.npz")),
+            arrays,
+            lambda: load_policy(top / "policy.npz"),
+        ),
+        "run.json": (
+            sweep / "run.json",
+            text,
+            lambda: (read_record(sweep), codes_of(sweep), last_command(sweep)),
+        ),
         "sweep.json": (sweep / "sweep.json", text, lambda: two_tables(sweep, search)),
-        "metrics.json": (sweep / "metrics.json", text, lambda: own_metrics.load_metrics(str(sweep / "metrics.py"))),
+        "metrics.json": (
+            sweep / "metrics.json",
+            text,
+            lambda: own_metrics.load_metrics(str(sweep / "metrics.py")),
+        ),
         "best.json": (search / "best.json", text, kind("search", search)),
         "steps.json": (
-            write_json(identified / log_report.STEPS, {"decides": "a", "arrays": [[[0.1, None], [0.2, 0.3]]]}),
+            write_json(
+                identified / log_report.STEPS,
+                {"decides": "a", "arrays": [[[0.1, None], [0.2, 0.3]]]},
+            ),
             text,
             lambda: (
                 log_report.identification_status(identified),
@@ -258,11 +308,23 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
             ),
         ),
         "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
-        "part": (part, table_like, lambda: (read_table(sweep), Results([part]), sweep_status(sweep), runs_of(sweep))),
+        "part": (
+            part,
+            table_like,
+            lambda: (read_table(sweep), Results([part]), sweep_status(sweep), runs_of(sweep)),
+        ),
         "rows.csv": (write_text(top / "rows.csv", ROWS), [mutated_bytes], rows(top / "rows.csv")),
         "rows.parquet": (top / "rows.parquet", table_like, rows(top / "rows.parquet")),
-        "sweep.yaml": (write_json(top / "s.yaml", SWEEP), text, lambda: Sweep.from_file(top / "s.yaml")),
-        "channels.yaml": (write_json(top / "c.yaml", CHANNELS), text, lambda: read_channels(top / "c.yaml")),
+        "sweep.yaml": (
+            write_json(top / "s.yaml", SWEEP),
+            text,
+            lambda: Sweep.from_file(top / "s.yaml"),
+        ),
+        "channels.yaml": (
+            write_json(top / "c.yaml", CHANNELS),
+            text,
+            lambda: read_channels(top / "c.yaml"),
+        ),
         "spec as text": (
             write_text(top / "t.yaml", Sweep.from_dict(SWEEP).to_yaml()),
             [mutated_bytes],
@@ -273,7 +335,9 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("share", [0, *(pytest.param(share, marks=pytest.mark.release) for share in range(1, 4))])
+@pytest.mark.parametrize(
+    "share", [0, *(pytest.param(share, marks=pytest.mark.release) for share in range(1, 4))]
+)
 def test_mutants_of_all_kinds_of_files_end_in_a_sentence(kinds_of_files: Any, share: int) -> None:
     """2,000 in all."""
     assert hunted(kinds_of_files, 500, seed=share) == []
@@ -332,7 +396,9 @@ def hunted(kinds_of_files: Any, mutants: int, seed: int) -> list[str]:
         lambda path: read_row_table(read_mapping({}), str(path.with_suffix(".parquet"))),
         stored_json,
         replayed,
-        lambda path: protocol.Source.named("metrics has", str(path.with_suffix(".py")), "a file").content(),
+        lambda path: protocol.Source.named(
+            "metrics has", str(path.with_suffix(".py")), "a file"
+        ).content(),
         lambda path: opened_part(path).__enter__(),
     ],
 )
@@ -350,15 +416,25 @@ def test_a_file_that_is_none_is_refused(load: Any, kind: str, tmp_path: Path) ->
 
 @pytest.mark.release
 @SPECIAL
-@pytest.mark.parametrize("name", ["run.json", "sweep.yaml", "sweep.json", "metrics.json", "results/part", "plots"])
-def test_a_special_file_in_a_directory_ends_in_a_sentence(kinds_of_files: Any, kind: str, name: str, tmp_path: Path):
+@pytest.mark.parametrize(
+    "name", ["run.json", "sweep.yaml", "sweep.json", "metrics.json", "results/part", "plots"]
+)
+def test_a_special_file_in_a_directory_ends_in_a_sentence(
+    kinds_of_files: Any, kind: str, name: str, tmp_path: Path
+):
     """As of a sweep's directory that someone sends; a figure's place is no file of ours, either."""
     out = tmp_path / "theirs"
     shutil.copytree(kinds_of_files["part"][0].parents[1], out)
     part = next((out / "results").glob("*.parquet"))
     (out / "plots").mkdir(exist_ok=True)
-    special({"results/part": part, "plots": out / "plots" / "speed.png"}.get(name, out / name), kind)
-    for words in (("status", out), ("compare", out, "--by", "frequency"), ("plot", out, "--format", "png")):
+    special(
+        {"results/part": part, "plots": out / "plots" / "speed.png"}.get(name, out / name), kind
+    )
+    for words in (
+        ("status", out),
+        ("compare", out, "--by", "frequency"),
+        ("plot", out, "--format", "png"),
+    ):
         with bounded():
             result = call(*words)
         assert result.exit_code in (0, 1, 2)
@@ -396,16 +472,22 @@ NOT_READ_FOR_A_PERSON = {
 def test_nothing_else_opens_what_is_read() -> None:
     package = Path(protocol.__file__).parents[1]
     found = {
-        path.relative_to(package).as_posix(): len([1 for line in path.read_text().splitlines() if OPENS.search(line)])
+        path.relative_to(package).as_posix(): len(
+            [1 for line in path.read_text().splitlines() if OPENS.search(line)]
+        )
         for path in package.rglob("*.py")
         if "vendor" not in path.parts
     }
-    assert {name: count for name, count in found.items() if count} == NOT_READ_FOR_A_PERSON | {"files.py": 5}
+    assert {name: count for name, count in found.items() if count} == NOT_READ_FOR_A_PERSON | {
+        "files.py": 5
+    }
 
 
 @pytest.mark.release(cases=("variant", "fell", "speed", "frequency", "code"))
 @pytest.mark.parametrize("name", ["row", "variant", "status", "code", "frequency", "speed", "fell"])
-def test_a_null_in_a_typed_column_is_a_sentence_or_a_gap(kinds_of_files: Any, name: str, tmp_path: Path) -> None:
+def test_a_null_in_a_typed_column_is_a_sentence_or_a_gap(
+    kinds_of_files: Any, name: str, tmp_path: Path
+) -> None:
     """In a part that is sealed: its name has its digest."""
     out = tmp_path / "theirs"
     shutil.copytree(kinds_of_files["part"][0].parents[1], out)
@@ -413,7 +495,9 @@ def test_a_null_in_a_typed_column_is_a_sentence_or_a_gap(kinds_of_files: Any, na
     table = parquet_table(part)
     assert table is not None
     at, field = table.column_names.index(name), table.schema.field(name)
-    table = table.set_column(at, field, pa.array([None, *table.column(at).to_pylist()[1:]], field.type))
+    table = table.set_column(
+        at, field, pa.array([None, *table.column(at).to_pylist()[1:]], field.type)
+    )
     content = parquet_bytes(table)
     part.unlink()
     part.with_name(f"{part.stem.rpartition('-')[0]}-{digest(content)}.parquet").write_bytes(content)

@@ -56,7 +56,19 @@ def test_ci_fails_for_many_programs_and_for_many_setups(few: int, tmp_path: Path
     for name in ("a", "b"):
         (tmp_path / f"test_{name}.py").write_text(TESTS.replace("FEW", str(few)))
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "guard", "-p", "no:cacheprovider", "-rE", "-n", "1", tmp_path],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-p",
+            "guard",
+            "-p",
+            "no:cacheprovider",
+            "-rE",
+            "-n",
+            "1",
+            tmp_path,
+        ],
         env=os.environ | {"CI": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
         cwd=tmp_path,
         capture_output=True,
@@ -65,7 +77,9 @@ def test_ci_fails_for_many_programs_and_for_many_setups(few: int, tmp_path: Path
     )
     assert done.returncode == 1
     many = "its default tests create 25 programs, more than 8 for each of 3 functions; most of them: test_shared 21, "
-    told = [done.stdout.count(f"\ntest_{name}.py: {many}") for name in ("a", "b")]  # by the test and at the end
+    told = [
+        done.stdout.count(f"\ntest_{name}.py: {many}") for name in ("a", "b")
+    ]  # by the test and at the end
     assert told == [2 * (few == 15)] * 2, done.stdout
     assert ("2 errors" in done.stdout) == (few == 15)
     assert "more than 3 shared setups, with their programs: 4" in done.stdout
@@ -94,7 +108,9 @@ def test_too_many_setups_fail_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     assert session.exitstatus == 1
 
 
-def test_programs_of_a_shared_setup_do_not_count_for_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_programs_of_a_shared_setup_do_not_count_for_the_test(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(guard, "_programs", collections.Counter())
     jax.jit(lambda x: x + 0.25)(1.0)
     with guard.shared("a"):
@@ -105,7 +121,9 @@ def test_programs_of_a_shared_setup_do_not_count_for_the_test(monkeypatch: pytes
     assert guard._programs == {"": 1, "a": 3, "b": 1}
 
 
-def test_a_process_that_becomes_too_large_fails_the_test_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_becomes_too_large_fails_the_test_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     class Item:
         def __init__(self) -> None:
             self.stash, self.user_properties, self.name = {guard.PEAK: before}, list[Any](), "test"

@@ -31,14 +31,21 @@ def imported(node: ast.AST, known: Collection[str]) -> Iterator[str]:
 
 def graph(sources: dict[str, str]) -> dict[str, set[str]]:
     """By module: the modules that its source imports."""
-    return {name: {*imported(ast.parse(text), sources)} & {*sources} - {name} for name, text in sources.items()}
+    return {
+        name: {*imported(ast.parse(text), sources)} & {*sources} - {name}
+        for name, text in sources.items()
+    }
 
 
 def modules() -> dict[str, str]:
     """By name: the source of each module, and of each package."""
-    files = {path: path.relative_to(PACKAGE.parent).with_suffix("").parts for path in PACKAGE.rglob("*.py")}
+    files = {
+        path: path.relative_to(PACKAGE.parent).with_suffix("").parts
+        for path in PACKAGE.rglob("*.py")
+    }
     return {
-        ".".join(parts).removesuffix(".__init__"): path.read_text(encoding="utf-8") for path, parts in files.items()
+        ".".join(parts).removesuffix(".__init__"): path.read_text(encoding="utf-8")
+        for path, parts in files.items()
     }
 
 

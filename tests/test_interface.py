@@ -25,7 +25,9 @@ from nermo_mjx.robot.quantity import allowed_names
 ROOT = Path(__file__).parents[1]
 INTERFACE = (ROOT / "docs" / "reference" / "interface.md").read_text(encoding="utf-8")
 #: The modules that the page lists.
-MODULES = re.findall(r"^\| `(nermo_mjx[.\w]*)` \| [^`]*[a-z]", INTERFACE.partition("## What stays")[0], re.MULTILINE)
+MODULES = re.findall(
+    r"^\| `(nermo_mjx[.\w]*)` \| [^`]*[a-z]", INTERFACE.partition("## What stays")[0], re.MULTILINE
+)
 PAGES = [ROOT / "README.md", ROOT / "sweeps" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 #: Scripts that measure, or that make the pages and their results: they may use internal names.
 SCRIPTS = ("docs/benchmarks/", "docs/answers/", "docs/howto/terrain/")
@@ -35,7 +37,9 @@ def public(module: str) -> set[str]:
     """The names of a public module: `__all__`, or the literal `__all__` of one whose library may be missing."""
     if module.endswith("_door"):
         file = ROOT / f"{module.replace('.', '/')}.py"
-        (listed,) = re.findall(r"^__all__ = (\[.*\])$", file.read_text(encoding="utf-8"), re.MULTILINE)
+        (listed,) = re.findall(
+            r"^__all__ = (\[.*\])$", file.read_text(encoding="utf-8"), re.MULTILINE
+        )
         return set(ast.literal_eval(listed))
     return set(importlib.import_module(module).__all__)
 
@@ -45,7 +49,9 @@ PUBLIC = {module: public(module) for module in MODULES}
 
 def is_internal(path: str) -> bool:
     """Whether a dotted path leads into the package, but not to a public name, or to what such a name has."""
-    module = max((each for each in MODULES if f"{path}.".startswith(f"{each}.")), key=len, default="")
+    module = max(
+        (each for each in MODULES if f"{path}.".startswith(f"{each}.")), key=len, default=""
+    )
     name = path.removeprefix(module).removeprefix(".").partition(".")[0]
     return module != "" and name != "" and name not in PUBLIC[module]
 
@@ -67,7 +73,9 @@ def pages() -> Iterator[tuple[str, str]]:
     """Name and Python code of each page, each file that a page shows, each notebook, and each public docstring."""
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        for code in re.findall(r"^```(?:\{code-block\} )?python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        for code in re.findall(
+            r"^```(?:\{code-block\} )?python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL
+        ):
             yield page.relative_to(ROOT).as_posix(), re.sub(r"\A(:.*\n)+", "", code)
     for file in sorted([*(ROOT / "docs" / "howto").rglob("*.py"), *(ROOT / "sweeps").glob("*.py")]):
         if not (name := file.relative_to(ROOT).as_posix()).startswith(SCRIPTS):
@@ -75,7 +83,10 @@ def pages() -> Iterator[tuple[str, str]]:
     for file in sorted((ROOT / "notebooks").glob("*.ipynb")):
         for cell in json.loads(file.read_text(encoding="utf-8"))["cells"]:
             if cell["cell_type"] == "code":
-                yield file.name, re.sub(r"^(\s*)[!%].*", r"\1pass", "".join(cell["source"]), flags=re.MULTILINE)
+                yield (
+                    file.name,
+                    re.sub(r"^(\s*)[!%].*", r"\1pass", "".join(cell["source"]), flags=re.MULTILINE),
+                )
     for module in MODULES:
         for name in PUBLIC[module] if not module.endswith("_door") else ():
             text = inspect.getdoc(getattr(importlib.import_module(module), name)) or ""
@@ -99,7 +110,10 @@ def test_pages_notebooks_and_examples_use_public_names_alone() -> None:
         ("from nermo_mjx import runtime, Setup", ["nermo_mjx.runtime"]),
         ("from nermo_mjx.physics import step", ["nermo_mjx.physics.step"]),
         ("import nermo_mjx\nnermo_mjx.Tuning.from_file", []),
-        ("from nermo_mjx.kinematics import leg\nimport nermo_mjx.learn.playground_door as door", []),
+        (
+            "from nermo_mjx.kinematics import leg\nimport nermo_mjx.learn.playground_door as door",
+            [],
+        ),
     ],
 )
 def test_an_internal_name_is_found(code: str, bad: list[str]) -> None:
@@ -111,14 +125,22 @@ def test_texts_of_pages_write_public_names_alone() -> None:
     wrong = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8").partition("| former name |")[0]
-        named = re.findall(r"(?<![\w/])nermo_mjx(?:\.[A-Za-z_]+)+\b(?!:)", text.replace("nermo_mjx.zip", ""))
+        named = re.findall(
+            r"(?<![\w/])nermo_mjx(?:\.[A-Za-z_]+)+\b(?!:)", text.replace("nermo_mjx.zip", "")
+        )
         wrong |= {page.name: bad} if (bad := [*filter(is_internal, named)]) else {}
     assert wrong == {}
 
 
 def test_the_page_lists_every_public_module_and_each_has_its_names() -> None:
-    rooms = [path.parent for path in (ROOT / "nermo_mjx").glob("*/__init__.py") if "__all__" in path.read_text()]
-    doors = {f"nermo_mjx.learn.{file.stem}" for file in (ROOT / "nermo_mjx" / "learn").glob("*_door.py")}
+    rooms = [
+        path.parent
+        for path in (ROOT / "nermo_mjx").glob("*/__init__.py")
+        if "__all__" in path.read_text()
+    ]
+    doors = {
+        f"nermo_mjx.learn.{file.stem}" for file in (ROOT / "nermo_mjx" / "learn").glob("*_door.py")
+    }
     assert set(MODULES) == {"nermo_mjx", *(f"nermo_mjx.{room.name}" for room in rooms), *doors}
     for module in set(MODULES) - doors:
         found: dict[str, object] = {}
@@ -126,15 +148,21 @@ def test_the_page_lists_every_public_module_and_each_has_its_names() -> None:
         names = importlib.import_module(module).__all__
         assert set(names) == found.keys() - {"__builtins__"}
         assert len(set(names)) == len(names)
-    for name in re.findall(r"`(\w+)`", INTERFACE.partition("| `nermo_mjx.kinematics` |")[2].partition("\n")[0]):
+    for name in re.findall(
+        r"`(\w+)`", INTERFACE.partition("| `nermo_mjx.kinematics` |")[2].partition("\n")[0]
+    ):
         assert name in nermo_mjx.kinematics.__all__
 
 
-@pytest.mark.parametrize(("former", "present"), re.findall(r"^\| `(nermo_mjx\.\S+)` \| `(\S+)` \|$", INTERFACE, re.M))
+@pytest.mark.parametrize(
+    ("former", "present"), re.findall(r"^\| `(nermo_mjx\.\S+)` \| `(\S+)` \|$", INTERFACE, re.M)
+)
 def test_a_former_name_works_and_warns(former: str, present: str) -> None:
     room, _, name = former.rpartition(".")
     home, _, new = present.rpartition(".")
-    with pytest.warns(DeprecationWarning, match=rf"{re.escape(former)} is a former name.*: use {present}\.$") as caught:
+    with pytest.warns(
+        DeprecationWarning, match=rf"{re.escape(former)} is a former name.*: use {present}\.$"
+    ) as caught:
         found = getattr(importlib.import_module(room), name)
     assert found is getattr(importlib.import_module(home), new)
     assert caught[0].filename == __file__, "the warning names the line that uses the name"
@@ -144,7 +172,11 @@ def test_a_former_name_works_and_warns(former: str, present: str) -> None:
 
 
 def test_the_page_lists_every_former_name_of_a_module() -> None:
-    listed = set(re.findall(r"^\| `(nermo_mjx\.\S+)` \|", INTERFACE.partition("| former name |")[2], re.MULTILINE))
+    listed = set(
+        re.findall(
+            r"^\| `(nermo_mjx\.\S+)` \|", INTERFACE.partition("| former name |")[2], re.MULTILINE
+        )
+    )
     rooms = [importlib.import_module(module) for module in MODULES if not module.endswith("_door")]
     former = {
         room.__name__: inspect.getclosurevars(room.__getattr__).nonlocals["former"] or ()
@@ -203,8 +235,13 @@ def test_each_name_of_a_choice_is_implemented() -> None:
         "trajectory": (*trajectory.FORMS, stepping.FREE),
         "pilot": ("open_loop", *path.PATHS, "waypoints", "external"),
     }
-    assert {name: set(table) for name, table in tables.items()} == {name: set(allowed[name]) for name in tables}
-    others = {"waypoints": {"waypoints": ((0.0, 0.0), (0.0, -1.0), (0.2, -2.0))}, "external": {"command": lambda t: t}}
+    assert {name: set(table) for name, table in tables.items()} == {
+        name: set(allowed[name]) for name in tables
+    }
+    others = {
+        "waypoints": {"waypoints": ((0.0, 0.0), (0.0, -1.0), (0.2, -2.0))},
+        "external": {"command": lambda t: t},
+    }
     for field, names in allowed.items():
         for name in names:
             tail = {"tail": "articulated"} if field == "tail_motion" else {}
@@ -236,7 +273,9 @@ def test_a_type_checker_rejects_an_unknown_choice(tmp_path: Path) -> None:
     (tmp_path / "typed.py").write_text(TYPED)
     words = [sys.executable, "-m", "mypy", "--no-error-summary", str(tmp_path / "typed.py")]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
-    wrong = {int(line): said for line, said in re.findall(r"typed\.py:(\d+): error: (.*)", done.stdout)}
+    wrong = {
+        int(line): said for line, said in re.findall(r"typed\.py:(\d+): error: (.*)", done.stdout)
+    }
     expected = [
         number
         for number, line in enumerate(TYPED.splitlines(), 1)

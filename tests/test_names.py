@@ -33,7 +33,9 @@ def directions(source):
         else:
             continue
         for name, value in pairs:
-            said = {each.value for each in ast.walk(value) if isinstance(each, ast.Constant)} & words
+            said = {
+                each.value for each in ast.walk(value) if isinstance(each, ast.Constant)
+            } & words
             if isinstance(name, ast.Constant) and name.value in METRICS and said:
                 found.add(name.value)
     return found
@@ -41,14 +43,18 @@ def directions(source):
 
 def test_one_place_declares_which_direction_of_a_metric_is_better():
     package = Path(nermo_mjx.__file__).parent
-    assert directions('{"speed": "max"}, [("slip", "low")], {"roll_std": Metric("rad", "", "low")}') == {
-        *("speed", "slip", "roll_std")
+    assert directions(
+        '{"speed": "max"}, [("slip", "low")], {"roll_std": Metric("rad", "", "low")}'
+    ) == {*("speed", "slip", "roll_std")}
+    declaring = {
+        path for path in package.rglob("*.py") if directions(path.read_text(encoding="utf-8"))
     }
-    declaring = {path for path in package.rglob("*.py") if directions(path.read_text(encoding="utf-8"))}
     assert declaring == {package / "rollout" / "own_metrics.py"}
 
 
-@pytest.mark.parametrize(("module", "name"), [("nermo_mjx", "run_landscape"), ("nermo_mjx.learn", "ShortHorizon")])
+@pytest.mark.parametrize(
+    ("module", "name"), [("nermo_mjx", "run_landscape"), ("nermo_mjx.learn", "ShortHorizon")]
+)
 def test_a_name_of_an_earlier_release_says_what_replaces_it(module, name):
     with pytest.raises(ImportError, match=rf"^{module}\.{name} was removed: ."):
         exec(f"from {module} import {name}")

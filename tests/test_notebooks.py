@@ -54,12 +54,20 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, kernel: NotebookClient) -> 
     kernel.nb = notebook = nbformat.read(path, as_version=4)
     notebook.cells.insert(0, new_code_cell(f"%reset -f\n%cd -q {tmp_path}"))
     kernel.execute(cleanup_kc=False)
-    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    outputs = [
+        output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
+    ]
     kinds = {kind for output in outputs for kind in output.get("data", {})}
     assert "image/png" in kinds, "a figure is shown"
-    errors = "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stderr")
+    errors = "".join(
+        output.text
+        for output in outputs
+        if output.output_type == "stream" and output.name == "stderr"
+    )
     # Progress, the end of its line, and that something compiles, which depends on the cache.
-    assert not [line for line in errors.splitlines() if not re.search(r"^$|^[a-z, ]+: \d+%|compiling", line)]
+    assert not [
+        line for line in errors.splitlines() if not re.search(r"^$|^[a-z, ]+: \d+%|compiling", line)
+    ]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -70,16 +78,24 @@ def test_a_notebook_shows_what_its_code_gave_and_installs_as_the_others_do(path:
     assert notebook.metadata.get("code_digest") == notebooks.code_digest(notebook), (
         "run docs/notebooks.py, look at the outputs"
     )
-    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    outputs = [
+        output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
+    ]
     assert any("image/png" in output.get("data", {}) for output in outputs)
-    assert {output.output_type for output in outputs} <= {"stream", "execute_result", "display_data"}
+    assert {output.output_type for output in outputs} <= {
+        "stream",
+        "execute_result",
+        "display_data",
+    }
     assert not [output for output in outputs if output.get("name") == "stderr"]
     assert path.stat().st_size < 500_000
     assert {kind for output in outputs for kind in output.get("data", {}) if "/" in kind} & {
         "image/gif",
         "video/mp4",
     } == set()
-    assert not re.search(r"/(tmp|home|root|work)/", "".join(json.dumps(output.get("text", "")) for output in outputs))
+    assert not re.search(
+        r"/(tmp|home|root|work)/", "".join(json.dumps(output.get("text", "")) for output in outputs)
+    )
 
 
 def test_a_film_is_stored_as_one_frame_and_a_link_and_a_figure_with_few_colours() -> None:
@@ -116,7 +132,8 @@ def installed(source: str = "") -> list[str]:
     ran: list[str] = []
     names: dict[str, Any] = {}
     shell = types.SimpleNamespace(
-        run_line_magic=lambda name, line: ran.append(f"{name} {line.format(**names)}"), system=ran.append
+        run_line_magic=lambda name, line: ran.append(f"{name} {line.format(**names)}"),
+        system=ran.append,
     )
     names["get_ipython"] = lambda: shell
     cell = INSTALL.replace('SOURCE = ""', f'SOURCE = "{source}"')
@@ -134,10 +151,17 @@ def test_a_notebook_installs_its_checkout_or_its_source_or_says_what_is_missing(
     assert installed(source) == [f'pip install -q "{ROOT}" cma']
     monkeypatch.chdir(tmp_path)
     assert installed(source) == [f'pip install -q "{source}" cma']
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name if name == "jax_cuda12_plugin" else None)
-    assert installed(source) == [f'pip install -q "{source}" cma "jax[cuda12]"'], "JAX keeps its GPU"
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: name if name == "jax_cuda12_plugin" else None
+    )
+    assert installed(source) == [f'pip install -q "{source}" cma "jax[cuda12]"'], (
+        "JAX keeps its GPU"
+    )
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(RuntimeError, match="nermo_mjx is not installed: set SOURCE above, or open the notebook in a"):
+    with pytest.raises(
+        RuntimeError,
+        match="nermo_mjx is not installed: set SOURCE above, or open the notebook in a",
+    ):
         installed()
     # In Colab an archive of the checkout or a wheel is chosen in the file dialogue.
     colab = types.ModuleType("google.colab")
@@ -146,7 +170,10 @@ def test_a_notebook_installs_its_checkout_or_its_source_or_says_what_is_missing(
     monkeypatch.setitem(sys.modules, "google.colab", colab)
     draw = "apt-get -qq install -y libosmesa6 > /dev/null"
     assert installed() == ['pip install -q "nermo_mjx.zip" cma', draw]
-    assert installed("https://example.org/a.whl") == ['pip install -q "https://example.org/a.whl" cma', draw]
+    assert installed("https://example.org/a.whl") == [
+        'pip install -q "https://example.org/a.whl" cma',
+        draw,
+    ]
     colab.files.upload = dict  # the dialogue was closed
     with pytest.raises(RuntimeError, match="set SOURCE"):
         installed()

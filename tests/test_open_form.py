@@ -33,14 +33,18 @@ def test_the_licence_covers_the_vendored_code() -> None:
     carried = {path for pattern in PROJECT["license-files"] for path in ROOT.glob(pattern)}
     assert {ROOT / "LICENSE", ROOT / "NOTICE"} <= carried
     vendor = ROOT / "nermo_mjx" / "view" / "web" / "vendor"
-    versions = dict(re.findall(r"\b(three|meshoptimizer)@([\d.]+)", text("nermo_mjx/view/web/vendor/build.sh")))
+    versions = dict(
+        re.findall(r"\b(three|meshoptimizer)@([\d.]+)", text("nermo_mjx/view/web/vendor/build.sh"))
+    )
     folders = [path for path in vendor.iterdir() if path.is_dir()]
     assert {path.name for path in folders} == set(versions)
     for folder in folders:
         assert folder / "LICENSE" in carried
         assert folder.relative_to(ROOT).as_posix() in text("NOTICE")
         assert versions[folder.name] in text("NOTICE")
-        (holder,) = re.findall(r"^Copyright (?:©|\(c\)) (.*)$", (folder / "LICENSE").read_text(), re.MULTILINE)
+        (holder,) = re.findall(
+            r"^Copyright (?:©|\(c\)) (.*)$", (folder / "LICENSE").read_text(), re.MULTILINE
+        )
         assert f"Copyright {holder}." in text("NOTICE")
 
 
@@ -58,14 +62,32 @@ def test_what_is_undecided_appears_nowhere() -> None:
     values = dict(re.findall(r"^\| (.+?) \| (.+?) \|", text("OWNER.md"), re.MULTILINE))
     undecided = {name for name in DECISIONS if values[name] == "undecided"}
     citation = text("CITATION.cff")
-    for name, key in {"Repository address": "repository-code", "DOI": "doi", "Release date": "date-released"}.items():
+    for name, key in {
+        "Repository address": "repository-code",
+        "DOI": "doi",
+        "Release date": "date-released",
+    }.items():
         assert (re.search(f"^{key}:", citation, re.MULTILINE) is None) == (name in undecided), key
     assert ("urls" not in PROJECT) == ("Repository address" in undecided)
     assert ("not released" in text("CHANGELOG.md")) == ("Release date" in undecided)
     known = {"OWNER", "a-rohr", *PROJECT.get("urls", {}).get("Repository", "").split("/")[-2:-1]}
-    names = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "NOTICE", "CITATION.cff", "pyproject.toml")
-    for path in (*map(ROOT.joinpath, names), *(ROOT / "docs").rglob("*.md"), *(ROOT / "notebooks").glob("*.ipynb")):
-        for owner in re.findall(r"github(?:\.com)?/([\w.-]+)/nermo", path.read_text(encoding="utf-8")):
+    names = (
+        "README.md",
+        "CHANGELOG.md",
+        "CONTRIBUTING.md",
+        "SECURITY.md",
+        "NOTICE",
+        "CITATION.cff",
+        "pyproject.toml",
+    )
+    for path in (
+        *map(ROOT.joinpath, names),
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "notebooks").glob("*.ipynb"),
+    ):
+        for owner in re.findall(
+            r"github(?:\.com)?/([\w.-]+)/nermo", path.read_text(encoding="utf-8")
+        ):
             assert owner in known, path
 
 
@@ -98,7 +120,9 @@ def test_the_hosted_ci_runs_each_part_and_the_parts_are_those_of_the_script() ->
     assert sorted(called) == sorted(parts)
     assert jobs["part"]["steps"][-1]["run"] == ".ci/run ${{ matrix.part }}"
     assert jobs["other-pythons"]["steps"][-1]["run"] == ".ci/run other-pythons"
-    admitted = {each.rsplit(" ", 1)[1] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)}
+    admitted = {
+        each.rsplit(" ", 1)[1] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)
+    }
     assert set(matrix["python"]) == admitted
     versions = jobs["other-pythons"]["steps"][1]["with"]["python-version"].split()
     assert set(versions) == admitted
@@ -119,7 +143,9 @@ def test_pre_commit_runs_the_two_commands_of_the_ci() -> None:
     assert floor <= set(PROJECT["optional-dependencies"]["dev"])
 
 
-def test_the_site_leads_to_files_of_the_repository_once_its_address_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_site_leads_to_files_of_the_repository_once_its_address_is_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     needs("docutils", "latex2mathml", "sphinx")
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     conf = importlib.import_module("conf")

@@ -14,11 +14,42 @@ from test_dependencies import OTHER_EXTRAS, PROJECT, REQUIREMENTS, declared
 from test_extras import SPECS
 
 #: Python's modules that Windows does not have, except those of which subprocess and multiprocessing consist here.
-POSIX_MODULES = ("curses", "fcntl", "grp", "pty", "pwd", "readline", "resource", "syslog", "termios", "tty")
+POSIX_MODULES = (
+    "curses",
+    "fcntl",
+    "grp",
+    "pty",
+    "pwd",
+    "readline",
+    "resource",
+    "syslog",
+    "termios",
+    "tty",
+)
 #: Attributes of modules that Windows does not have, except those that Python's own modules use here.
 POSIX_NAMES = {
-    "os": ("O_NONBLOCK", "fchmod", "fork", "geteuid", "getpgid", "getuid", "killpg", "sched_getaffinity", "setsid"),
-    "signal": ("SIGALRM", "SIGHUP", "SIGIO", "SIGPROF", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGXCPU", "setitimer"),
+    "os": (
+        "O_NONBLOCK",
+        "fchmod",
+        "fork",
+        "geteuid",
+        "getpgid",
+        "getuid",
+        "killpg",
+        "sched_getaffinity",
+        "setsid",
+    ),
+    "signal": (
+        "SIGALRM",
+        "SIGHUP",
+        "SIGIO",
+        "SIGPROF",
+        "SIGQUIT",
+        "SIGUSR1",
+        "SIGUSR2",
+        "SIGXCPU",
+        "setitimer",
+    ),
 }
 WITHOUT = """
 import importlib, json, os, pkgutil, signal, sys
@@ -40,8 +71,12 @@ for command in commands:
 def optional_modules() -> list[str]:
     """Modules at the top of what only extras install."""
     extras = PROJECT["optional-dependencies"].items()
-    installed = declared(each for name, extra in extras if name not in OTHER_EXTRAS for each in extra)
-    modules = {"salib": "SALib", "tensorboardx": "tensorboardX"} | {of: name for name, of in REQUIREMENTS.items()}
+    installed = declared(
+        each for name, extra in extras if name not in OTHER_EXTRAS for each in extra
+    )
+    modules = {"salib": "SALib", "tensorboardx": "tensorboardX"} | {
+        of: name for name, of in REQUIREMENTS.items()
+    }
     return sorted(modules.get(each, each.replace("-", "_")) for each in installed)
 
 
@@ -49,7 +84,11 @@ def optional_modules() -> list[str]:
 def test_the_robot_walks_sweeps_and_is_tuned_without_posix_and_extras(tmp_path: Path) -> None:
     absent = [*POSIX_MODULES, *optional_modules()]
     assert {"fcntl", "cma", "websockets", "SALib", "paho", "tensorboardX"} <= set(absent)
-    spec = SPECS["tuning"] | {"method": "local_gradient", "iterations": 1, "run": {"duration": 0.3, "warmup": 0.0}}
+    spec = SPECS["tuning"] | {
+        "method": "local_gradient",
+        "iterations": 1,
+        "run": {"duration": 0.3, "warmup": 0.0},
+    }
     (tmp_path / "tuning.yaml").write_text(json.dumps(spec))
     (tmp_path / "sweep.yaml").write_text(json.dumps(SPECS["sweep"]))
     commands = [
@@ -61,7 +100,11 @@ def test_the_robot_walks_sweeps_and_is_tuned_without_posix_and_extras(tmp_path: 
     # Its own cache: without fcntl, filelock takes the files of other processes' locks for locks.
     own = os.environ | {"NERMO_MJX_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *given], cwd=tmp_path, env=own, capture_output=True, text=True
+        [sys.executable, "-c", WITHOUT, *given],
+        cwd=tmp_path,
+        env=own,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     assert '"status": "ok"' in done.stdout

@@ -42,13 +42,17 @@ class Uses(ast.NodeVisitor):
 
     def _bind(self, name: str, alias: str | None) -> None:
         if name.partition(".")[0] in LIBRARIES:
-            self._scopes[-1][alias or name.partition(".")[0]] = name if alias else name.partition(".")[0]
+            self._scopes[-1][alias or name.partition(".")[0]] = (
+                name if alias else name.partition(".")[0]
+            )
             self._add(name)
 
     def _name(self, node: ast.AST) -> str | None:
         """What an expression such as `math.norm` means, by the imports that it sees."""
         if isinstance(node, ast.Name):
-            return next((scope[node.id] for scope in reversed(self._scopes) if node.id in scope), None)
+            return next(
+                (scope[node.id] for scope in reversed(self._scopes) if node.id in scope), None
+            )
         before = self._name(node.value) if isinstance(node, ast.Attribute) else None
         return before and f"{before}.{node.attr}"  # type: ignore[attr-defined]
 
@@ -75,7 +79,11 @@ class Uses(ast.NodeVisitor):
 
     def _pair(self, nodes: list[ast.expr]) -> None:
         """`module, "name"`, in a tuple or a call."""
-        if len(nodes) > 1 and isinstance(nodes[1], ast.Constant) and (name := self._name(nodes[0])) is not None:
+        if (
+            len(nodes) > 1
+            and isinstance(nodes[1], ast.Constant)
+            and (name := self._name(nodes[0])) is not None
+        ):
             self._add(f"{name}.{nodes[1].value}")
 
     def visit_Tuple(self, node: ast.Tuple) -> None:
@@ -87,14 +95,18 @@ class Uses(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_Constant(self, node: ast.Constant) -> None:
-        if isinstance(node.value, str) and re.fullmatch(rf"({'|'.join(LIBRARIES)})(\.\w+)+", node.value):
+        if isinstance(node.value, str) and re.fullmatch(
+            rf"({'|'.join(LIBRARIES)})(\.\w+)+", node.value
+        ):
             self._add(node.value)
 
 
 def uses_of(code: str, own: set[str] | None = None) -> Uses:
     uses = Uses(own or set())
     uses.visit(ast.parse(code))
-    uses.found = {name for name in uses.found if not any(other.startswith(f"{name}.") for other in uses.found)}
+    uses.found = {
+        name for name in uses.found if not any(other.startswith(f"{name}.") for other in uses.found)
+    }
     return uses
 
 
@@ -117,9 +129,13 @@ def exists(name: str) -> bool:
 
 def test_the_list_is_complete() -> None:
     """If it fails: edit tests/private_attributes.txt as the message says, or use a public attribute."""
-    codes = {path.relative_to(PACKAGE).as_posix(): path.read_text() for path in PACKAGE.rglob("*.py")}
+    codes = {
+        path.relative_to(PACKAGE).as_posix(): path.read_text() for path in PACKAGE.rglob("*.py")
+    }
     own = {
-        name for code in codes.values() for name in re.findall(r"(?:self\.|cls\.|def |class |^ *)(_\w+)", code, re.M)
+        name
+        for code in codes.values()
+        for name in re.findall(r"(?:self\.|cls\.|def |class |^ *)(_\w+)", code, re.M)
     }
     where = dict[str, str]()
     for file, code in codes.items():
@@ -134,7 +150,9 @@ def test_the_list_is_complete() -> None:
     assert sorted(set(LISTED)) == LISTED
 
 
-@pytest.mark.parametrize("library", ["jax", "jaxlib", "mujoco", pytest.param("ray", marks=pytest.mark.release)])
+@pytest.mark.parametrize(
+    "library", ["jax", "jaxlib", "mujoco", pytest.param("ray", marks=pytest.mark.release)]
+)
 def test_the_installed_releases_have_what_the_list_names(library: str) -> None:
     pytest.importorskip(library)
     assert [name for name in LISTED if name.partition(".")[0] == library and not exists(name)] == []

@@ -62,9 +62,14 @@ def test_a_constant_that_is_changed_at_run_time_counts(monkeypatch: pytest.Monke
 @pytest.mark.release
 def test_a_process_does_not_find_a_program_of_other_code(tmp_path: Path) -> None:
     """The first one keeps what it compiled of a changed constant; the second has the constant of the sources."""
-    cache = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    cache = {
+        "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
     cache["NERMO_MJX_CACHE"] = str(tmp_path)
-    changed, plain = (float(said(HEIGHT.format(change=change), **cache)) for change in ("run.DEPTH += 1e-3", ""))
+    changed, plain = (
+        float(said(HEIGHT.format(change=change), **cache)) for change in ("run.DEPTH += 1e-3", "")
+    )
     assert list((tmp_path / "jax").iterdir())
     assert changed == pytest.approx(plain - 1e-3, abs=1e-7)
 

@@ -58,7 +58,9 @@ def test_in_a_notebook_a_job_writes_one_line_over_and_over(monkeypatch):
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=object))
     clock = itertools.count()
-    monkeypatch.setattr("nermo_mjx.progress.time", types.SimpleNamespace(monotonic=lambda: float(next(clock))))
+    monkeypatch.setattr(
+        "nermo_mjx.progress.time", types.SimpleNamespace(monotonic=lambda: float(next(clock)))
+    )
     swept()
     text = stream.getvalue()
     assert (text.count("\n"), text[-2:]) == (1, "\r\n")
@@ -66,14 +68,16 @@ def test_in_a_notebook_a_job_writes_one_line_over_and_over(monkeypatch):
     assert len(states) > 2
     assert states[-1].startswith("sweep: 100%, 36 of 36 runs")
     widths = [len(state) for state in states]
-    assert all(after >= len(state.rstrip()) for state, after in zip(states, widths[1:], strict=False)), (
-        "nothing is left"
-    )
+    assert all(
+        after >= len(state.rstrip()) for state, after in zip(states, widths[1:], strict=False)
+    ), "nothing is left"
 
 
 @pytest.mark.parametrize("watch", [3, "no", None, print])
 def test_a_watch_of_another_type_is_refused(watch):
-    with pytest.raises(TypeError, match=r"^watch is .*: expected a Watch, such as Watch\(warn=print\)\.$"):
+    with pytest.raises(
+        TypeError, match=r"^watch is .*: expected a Watch, such as Watch\(warn=print\)\.$"
+    ):
         swept(watch=watch)
 
 
@@ -104,13 +108,17 @@ def test_a_walk_is_shown_if_it_takes_long(simulator, monkeypatch):
 
 def test_a_walk_refuses_what_it_cannot_tell():
     with (
-        pytest.raises(TypeError, match=r"^progress is 3: expected a function of the share done, or False"),
+        pytest.raises(
+            TypeError, match=r"^progress is 3: expected a function of the share done, or False"
+        ),
         shown_share("x", 3),
     ):
         pass
 
 
-def test_the_remaining_time_of_a_resumed_job_is_that_of_the_work_of_this_session(monkeypatch) -> None:
+def test_the_remaining_time_of_a_resumed_job_is_that_of_the_work_of_this_session(
+    monkeypatch,
+) -> None:
     """Eighty of a hundred were there; ten more take 20 s, so that the last ten take 20 s."""
     clock = iter([0.0, 0.0, 20.0])
     monkeypatch.setattr("nermo_mjx.progress.time.monotonic", lambda: next(clock))

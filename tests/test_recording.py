@@ -41,11 +41,15 @@ def test_a_saved_recording_is_loaded_as_it_was_and_read_by_numpy_alone(tmp_path:
     loaded = Recording.load(path := recording.save(tmp_path / "new" / "walk.npz"))
     for name in ("time", "qpos", "qvel", "ctrl"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(recording, name))
-    np.testing.assert_array_equal(loaded.sensors["foot_position"], recording.sensors["foot_position"])
+    np.testing.assert_array_equal(
+        loaded.sensors["foot_position"], recording.sensors["foot_position"]
+    )
     assert loaded.metadata == recording.metadata
     assert loaded.model_hash == recording.model_hash
     assert loaded.duration == pytest.approx(0.08)
-    assert [file.name for file in (tmp_path / "new").iterdir()] == ["walk.npz"], "no temporary file stays behind"
+    assert [file.name for file in (tmp_path / "new").iterdir()] == ["walk.npz"], (
+        "no temporary file stays behind"
+    )
     with np.load(path, allow_pickle=False) as file:
         assert file["qpos"].shape == (5, 7)
         assert json.loads(str(file["header"]))["metadata"]["setup"] == {"gait": "trot"}
@@ -56,13 +60,17 @@ def test_a_part_of_a_recording_is_one_too() -> None:
     part = recording.between(0.02, 0.06)
     np.testing.assert_allclose(part.time, [0.02, 0.04, 0.06])
     np.testing.assert_array_equal(part.qpos, recording.qpos[1:4])
-    np.testing.assert_array_equal(part.sensors["foot_position"], recording.sensors["foot_position"][1:4])
+    np.testing.assert_array_equal(
+        part.sensors["foot_position"], recording.sensors["foot_position"][1:4]
+    )
     assert part.metadata == recording.metadata
     assert recording.between(0.03, 0.03).time.tolist() == [0.04], "at least one sample"
     assert recording.between(1.0, 2.0).time.tolist() == [0.08]
 
 
-def test_another_layout_is_refused_with_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_layout_is_refused_with_its_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("nermo_mjx.recording.LAYOUT", 7)
     path = some_recording().save(tmp_path / "walk.npz")
     monkeypatch.undo()
@@ -103,9 +111,15 @@ def test_arrays_of_different_lengths_are_refused() -> None:
 
 def test_the_hash_knows_structure_and_ignores_what_a_sweep_varies() -> None:
     assert model_hash(ball()) == model_hash(ball(mass=2.0))
-    assert model_hash(ball()) == model_hash(ball(more="<camera name='eye'/><light name='sun'/>")), "looks"
-    assert model_hash(ball()) != model_hash(ball(more="<body pos='0 0 1'><joint/><geom size='.1'/></body>"))
-    assert model_hash(ball(more="<body pos='0 0 1'/>")) != model_hash(ball(more="<body pos='0 0 1.001'/>"))
+    assert model_hash(ball()) == model_hash(ball(more="<camera name='eye'/><light name='sun'/>")), (
+        "looks"
+    )
+    assert model_hash(ball()) != model_hash(
+        ball(more="<body pos='0 0 1'><joint/><geom size='.1'/></body>")
+    )
+    assert model_hash(ball(more="<body pos='0 0 1'/>")) != model_hash(
+        ball(more="<body pos='0 0 1.001'/>")
+    )
 
 
 def test_a_recording_of_another_model_is_refused() -> None:
@@ -134,8 +148,15 @@ def test_one_world_of_a_trace_becomes_a_recording() -> None:
 def test_a_part_of_a_recording_has_both_ends_and_at_least_one_sample() -> None:
     """Times are sums of steps, whose rounding neither adds nor removes a sample."""
     time = np.cumsum(np.full(30, 0.1))
-    recording = Recording(time, *(np.arange(30.0)[:, None] for _ in range(3)), sensors={"a": np.arange(30)})
-    for begin, end, first, last in ((0.3, 0.7, 2, 6), (0.0, 0.1, 0, 0), (2.9, 9.0, 28, 29), (0.31, 0.32, 3, 3)):
+    recording = Recording(
+        time, *(np.arange(30.0)[:, None] for _ in range(3)), sensors={"a": np.arange(30)}
+    )
+    for begin, end, first, last in (
+        (0.3, 0.7, 2, 6),
+        (0.0, 0.1, 0, 0),
+        (2.9, 9.0, 28, 29),
+        (0.31, 0.32, 3, 3),
+    ):
         part = recording.between(begin, end)
         assert part.qpos[:, 0].tolist() == list(range(first, last + 1))
         assert part.sensors["a"].tolist() == list(range(first, last + 1))

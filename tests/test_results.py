@@ -36,7 +36,10 @@ MADE = (
 def test_each_result_of_the_docs_is_listed_once():
     made = {path.relative_to(ROOT).as_posix() for each in MADE for path in ROOT.glob(each)}
     outputs = [
-        path.relative_to(ROOT).as_posix() for each in LISTED.values() for one in each.outputs for path in ROOT.glob(one)
+        path.relative_to(ROOT).as_posix()
+        for each in LISTED.values()
+        for one in each.outputs
+        for path in ROOT.glob(one)
     ]
     assert made - set(outputs) == {"docs/answers/stamps.json"}
     assert len(outputs) == len(set(outputs))
@@ -56,7 +59,9 @@ def test_what_is_stale_is_told():
     for name, each in changed.items():
         assert ("stale" in results.told(name, LISTED[name])) == bool(each), name
     if stale or unknown:
-        warnings.warn(f"results of the docs that are stale: {stale}; without a stamp: {unknown}", stacklevel=1)
+        warnings.warn(
+            f"results of the docs that are stale: {stale}; without a stamp: {unknown}", stacklevel=1
+        )
 
 
 def test_pages_have_the_numbers_that_were_made():
@@ -70,13 +75,21 @@ def test_pages_have_the_numbers_that_were_made():
         assert not re.search(r"^<!-- [\w./]+ -->.", text, re.MULTILINE), page
     assert len(used & known.keys()) > 20
     assert used <= known.keys()
-    page, numbers = "a <!-- one -->0<!-- / --> b\n<!-- two --><!-- /two -->", {"one": "2", "two": "| a |\n|---|"}
-    assert results.filled(page, numbers) == "a <!-- one -->2<!-- / --> b\n<!-- two -->\n| a |\n|---|\n<!-- /two -->"
+    page, numbers = (
+        "a <!-- one -->0<!-- / --> b\n<!-- two --><!-- /two -->",
+        {"one": "2", "two": "| a |\n|---|"},
+    )
+    assert (
+        results.filled(page, numbers)
+        == "a <!-- one -->2<!-- / --> b\n<!-- two -->\n| a |\n|---|\n<!-- /two -->"
+    )
 
 
 def test_the_table_of_the_readme_is_that_of_the_sweeps():
     """The table and the sentence about the frequency follow from the pairs of runs, which are listed next to them."""
-    spec = importlib.util.spec_from_file_location("three_gaits", ROOT / "docs" / "answers" / "three_gaits.py")
+    spec = importlib.util.spec_from_file_location(
+        "three_gaits", ROOT / "docs" / "answers" / "three_gaits.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     pairs = pd.read_csv(module.PAIRS)
@@ -86,9 +99,14 @@ def test_the_table_of_the_readme_is_that_of_the_sweeps():
 
 def test_the_counts_of_published_values_leave_none_out():
     """By rule, the counts contain as many predicted values as published.yaml lists."""
-    yaml = YAML(typ="safe").load((ROOT / "nermo_mjx" / "experiments" / "published.yaml").read_text(encoding="utf-8"))
+    yaml = YAML(typ="safe").load(
+        (ROOT / "nermo_mjx" / "experiments" / "published.yaml").read_text(encoding="utf-8")
+    )
     listed = Counter(
-        each["rule"] for group in yaml["figures"].values() for each in group if each["kind"] == "predicted"
+        each["rule"]
+        for group in yaml["figures"].values()
+        for each in group
+        if each["kind"] == "predicted"
     )
     rules = {
         "outcomes": ["outcome"],
@@ -122,7 +140,11 @@ def test_a_digest_follows_what_changes_a_result(tmp_path: Path, monkeypatch: pyt
         assert after('def f(x):\n    """Twice."""\n    return 3 * x\n') != first
     results.digest_of_sources.cache_clear()
     assert all(results.digests(each) for each in LISTED.values())  # files of pictures are no text
-    name = next(name for name, each in LISTED.items() if name in results.stamps() and each.robot == "nermo_lite")
+    name = next(
+        name
+        for name, each in LISTED.items()
+        if name in results.stamps() and each.robot == "nermo_lite"
+    )
     before = results.digests(LISTED[name])
     defaults = Setup.defaults
     monkeypatch.setattr(Setup, "defaults", lambda setup: defaults(setup) | {"damping.knee": 0.0253})
@@ -131,7 +153,11 @@ def test_a_digest_follows_what_changes_a_result(tmp_path: Path, monkeypatch: pyt
     results.body.cache_clear()
     assert {what for what in now if now[what] != before[what]} == {"body"}
     monkeypatch.undo()
-    stamp = {"date": "2026-01-01", "version": "0", "digests": before | {"metrics": "of another day"}}
+    stamp = {
+        "date": "2026-01-01",
+        "version": "0",
+        "digests": before | {"metrics": "of another day"},
+    }
     monkeypatch.setattr(results, "stamps", lambda: {name: stamp})
     assert results.stale(name, LISTED[name]) == ["metrics"]
     assert results.told(name, LISTED[name]).endswith("stale, since these changed: metrics")

@@ -31,7 +31,9 @@ SETTINGS = (
 def run(script: str, **environment: str) -> list[str]:
     """Lines printed by a script in a fresh interpreter, without the settings of this one."""
     clean = {key: value for key, value in os.environ.items() if key not in SETTINGS}
-    done = subprocess.run([sys.executable, "-c", script], env=clean | environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=clean | environment, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
@@ -76,13 +78,19 @@ def test_a_small_machine_gets_threads_enough_and_a_large_one_is_left_alone() -> 
 @pytest.mark.release
 def test_a_choice_of_the_user_is_kept_and_guarded_where_it_would_hang() -> None:
     assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '1'")) == ["1 None True"]
-    assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '2'")) == [f"2 {runtime.GUARDED_BATCH} True"]
+    assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '2'")) == [
+        f"2 {runtime.GUARDED_BATCH} True"
+    ]
 
 
 @pytest.mark.release
 def test_batches_are_limited_where_jax_started_before_us() -> None:
-    assert run(SHOW.format(cores=2, before="import jax; jax.devices()")) == [f"{runtime.GUARDED_BATCH} True"]
-    assert run(SHOW.format(cores=2, before="import jax")) == ["8 None True"], "imported is not started"
+    assert run(SHOW.format(cores=2, before="import jax; jax.devices()")) == [
+        f"{runtime.GUARDED_BATCH} True"
+    ]
+    assert run(SHOW.format(cores=2, before="import jax")) == ["8 None True"], (
+        "imported is not started"
+    )
 
 
 TOMORROW = """
@@ -124,7 +132,9 @@ def test_the_compilers_options_are_those_that_xla_knows_and_give_way_to_the_user
     assert run(OPTIONS, JAX_PLATFORMS="cpu") == ["True"]
     users = "--xla_cpu_use_fusion_emitters=true"
     if known_flags(users):
-        assert run("from nermo_mjx import runtime; print(runtime.compiler_options())", XLA_FLAGS=users) == ["{}"]
+        assert run(
+            "from nermo_mjx import runtime; print(runtime.compiler_options())", XLA_FLAGS=users
+        ) == ["{}"]
 
 
 def test_dispatch_is_set_as_before_once_jax_has_started() -> None:
@@ -136,7 +146,9 @@ def test_dispatch_is_set_as_before_once_jax_has_started() -> None:
     assert run(script) == ["True"]
 
 
-def test_the_number_of_threads_is_the_callers_or_the_users_or_all(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_threads_is_the_callers_or_the_users_or_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert runtime.thread_count(3) == 3
     monkeypatch.setenv(runtime.THREADS, "5")
     assert runtime.thread_count() == 5
@@ -162,7 +174,9 @@ def test_the_cache_is_on_where_we_compile_and_has_a_size(tmp_path: Path, first: 
 
 
 @pytest.mark.release
-def test_the_users_cache_is_kept_and_a_directory_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
+def test_the_users_cache_is_kept_and_a_directory_that_cannot_be_written_is_no_error(
+    tmp_path: Path,
+) -> None:
     script = CACHE.format(first="")
     assert run(script, JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [f"{tmp_path} -1"]
     (tmp_path / "file").write_text("")
@@ -170,7 +184,9 @@ def test_the_users_cache_is_kept_and_a_directory_that_cannot_be_written_is_no_er
     ours, _ = run(script, NERMO_MJX_CACHE=str(tmp_path / "ours"))[0].split()
     Path(ours, ".lockfile").touch()
     theirs = "import os; os.access = lambda path, mode: not str(path).endswith('.lockfile')\n"
-    assert run(theirs + script, NERMO_MJX_CACHE=str(tmp_path / "ours")) == ["None -1"], "the lock is another user's"
+    assert run(theirs + script, NERMO_MJX_CACHE=str(tmp_path / "ours")) == ["None -1"], (
+        "the lock is another user's"
+    )
 
 
 def test_the_choice_of_the_user_for_gl_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

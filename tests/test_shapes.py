@@ -18,9 +18,13 @@ ONE, TWO, THREE, FOUR = jnp.zeros(()), jnp.zeros(2), jnp.zeros(3), jnp.zeros(4)
     ("function", "arguments"),
     [
         pytest.param(load_robot().sensors, ("none",), id="robot: readings that are none"),
-        pytest.param(bracketed_root, (jnp.sin, ONE, ONE, "steep"), id="kinematics: a slope that is no number"),
+        pytest.param(
+            bracketed_root, (jnp.sin, ONE, ONE, "steep"), id="kinematics: a slope that is no number"
+        ),
         pytest.param(body_speed, (ONE, ONE), id="control: a gait that is a number"),
-        pytest.param(leg_radius, (THREE, TWO, ONE), id="control: worlds that are three here and two there"),
+        pytest.param(
+            leg_radius, (THREE, TWO, ONE), id="control: worlds that are three here and two there"
+        ),
         pytest.param(rotate, (TWO, FOUR), id="physics: a vector with two numbers"),
         pytest.param(attitude, (THREE,), id="rollout: a quaternion with three numbers"),
     ],

@@ -20,7 +20,9 @@ from nermo_mjx.dynamics.mjx_import import Solved
 
 STUDIES = Path(__file__).parents[1] / "docs" / "benchmarks"
 sys.path.insert(0, str(STUDIES))
-step_matrix, step_models, step_page = map(importlib.import_module, ("step_matrix", "step_models", "step_page"))
+step_matrix, step_models, step_page = map(
+    importlib.import_module, ("step_matrix", "step_models", "step_page")
+)
 profile_step = importlib.import_module("profile_step")
 
 MODELS = dict(step_models.installed_models())
@@ -59,7 +61,11 @@ def test_the_gradient_of_what_stands_for_composites(name: str, tmp_path: Path) -
 
 
 def test_mujocos_models_of_mjx_are_there() -> None:
-    assert {"mjx/humanoid/humanoid", "mjx/shadow_hand/scene_right", "mjx/tendon/wrap_sidesite"} <= MODELS.keys()
+    assert {
+        "mjx/humanoid/humanoid",
+        "mjx/shadow_hand/scene_right",
+        "mjx/tendon/wrap_sidesite",
+    } <= MODELS.keys()
     assert "mjx/shadow_hand/right_hand" not in MODELS, "a part of its scene"
 
 
@@ -76,7 +82,9 @@ def test_a_mesh_that_is_missing_is_left_out_where_it_is_only_drawn(tmp_path: Pat
     assert step_models.load(path).ngeom == 2
     for given in ((inertia, ""), ("", 'contype="0" conaffinity="0"')):
         path.write_text(MISSING.format(inertia=given[0], collides=given[1]))
-        with pytest.raises(ValueError, match="mesh 'skin' is not there, and it collides or has a mass"):
+        with pytest.raises(
+            ValueError, match="mesh 'skin' is not there, and it collides or has a mass"
+        ):
             step_models.load(path)
 
 
@@ -92,7 +100,10 @@ def test_lines_become_a_table(tmp_path: Path) -> None:
     (tmp_path / "lines.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     text = step_page.page(tmp_path / "lines.jsonl")
     assert "2 models; the gradients of 2 are finite, and 1 are within 0.0001" in text
-    assert "`mjx.step` was differentiated on 1 of them: it refuses 1, and 0 more gradients are wrong or NaN" in text
+    assert (
+        "`mjx.step` was differentiated on 1 of them: it refuses 1, and 0 more gradients are wrong or NaN"
+        in text
+    )
     assert "| b | 2 | 1, 4 | **3e-02** | 1e-09 | 0e+00 |" in text
     assert "end of C's, on 1: a 1.\n" in text
     assert "| c | ValueError: no file |" in text
@@ -108,13 +119,17 @@ def test_the_stages_of_a_profile_are_a_step() -> None:
     engine = Simulator(Setup(), "mjx").engine
 
     def staged(data: Solved) -> Solved:
-        return functools.reduce(lambda each, stage: stage(engine.model, each), profile_step.MJX_STAGES.values(), data)
+        return functools.reduce(
+            lambda each, stage: stage(engine.model, each), profile_step.MJX_STAGES.values(), data
+        )
 
     options = compiler_options(level=0)
     found = jax.jit(staged, compiler_options=options)(Solved.of(engine.data))
     wanted = jax.jit(functools.partial(step, engine.model), compiler_options=options)(engine.data)
     for name in ("qpos", "qvel", "sensordata"):
-        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-4, atol=1e-5, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(wanted, name), rtol=1e-4, atol=1e-5, err_msg=name
+        )
     rows = profile_step.profile("mjx", worlds=2)["stages"]
     assert [row["stage"] for row in rows] == list(profile_step.MJX_STAGES)
     assert all(row["us"] > 0 for row in rows)

@@ -39,8 +39,12 @@ def test_the_first_line_of_each_file_names_the_modules_that_it_tests() -> None:
         for name in line[1].split(", "):
             assert (package / name).exists() or (here.parent / name).exists(), (path, name)
             found.add((name, path.relative_to(here).parts[0] if path.parent != here else ""))
-    modules = [path.relative_to(package) for path in package.rglob("*.py") if path.name != "__init__.py"]
-    rooms = {path.as_posix(): path.parts[0] if path.parent.parts else "" for path in modules} | ELSEWHERE
+    modules = [
+        path.relative_to(package) for path in package.rglob("*.py") if path.name != "__init__.py"
+    ]
+    rooms = {
+        path.as_posix(): path.parts[0] if path.parent.parts else "" for path in modules
+    } | ELSEWHERE
     assert set(rooms.items()) - found == set()
 
 
@@ -63,13 +67,17 @@ def test_a_day_is_written_down_and_told(tmp_path: Path, monkeypatch: pytest.Monk
     about = tiers.last_runs()["a"]
     assert about is not None
     assert about["seconds"] == 61
-    assert tiers.sentence() == f"1 last passed between {about['day']} and {about['day']}; not yet: b"
+    assert (
+        tiers.sentence() == f"1 last passed between {about['day']} and {about['day']}; not yet: b"
+    )
 
 
 def test_workers_follow_the_cores_and_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PYTEST_XDIST_AUTO_NUM_WORKERS", raising=False)
     monkeypatch.setattr(runtime, "cpu_count", lambda: 2)
-    monkeypatch.setattr("os.sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 64 * 2**18}.__getitem__)
+    monkeypatch.setattr(
+        "os.sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 64 * 2**18}.__getitem__
+    )
     assert pytest_xdist_auto_num_workers() == 3, "one more than the cores"
     monkeypatch.setattr(runtime, "cpu_count", lambda: 100)
     assert pytest_xdist_auto_num_workers() == 21, "of 64 GiB"

@@ -42,7 +42,9 @@ SPECS: dict[str, tuple[str, dict[str, Any]]] = {
 
 @pytest.mark.parametrize("own", ["metrics", "controller", "module", "deep"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_command_that_reads_runs_the_code_of_a_directory(kind: str, own: str, tmp_path: Path, canary: Path) -> None:
+def test_no_command_that_reads_runs_the_code_of_a_directory(
+    kind: str, own: str, tmp_path: Path, canary: Path
+) -> None:
     out, code = tmp_path / "theirs", (tmp_path / "own.py").read_text()
     named = {
         "metrics": {"metrics": "metrics.py"},
@@ -68,7 +70,10 @@ def test_no_command_that_reads_runs_the_code_of_a_directory(kind: str, own: str,
         ("merge", out, out, "--out", tmp_path / "both"),
     ):
         result = call(*words)
-        assert result.exception is None or isinstance(result.exception, SystemExit), (words, result.exception)
+        assert result.exception is None or isinstance(result.exception, SystemExit), (
+            words,
+            result.exception,
+        )
         assert not canary.exists(), f"{words[0]} ran it"
         assert result.exit_code == 0 or result.stderr.count("\n") == 1, result.stderr
 
@@ -121,19 +126,27 @@ def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]
         assert merged.exit_code == 0, merged.stderr
         table = read_table(a.with_name("both"))
         assert table.num_rows == 160
-        assert meta(table.schema.field("yaw_shake")) == meta(read_table(a).schema.field("yaw_shake"))
+        assert meta(table.schema.field("yaw_shake")) == meta(
+            read_table(a).schema.field("yaw_shake")
+        )
     assert not log.exists(), "it was run"
-    if own == "metrics":  # the merged directory has the code, which `sweep` then runs: nothing is simulated again
+    if (
+        own == "metrics"
+    ):  # the merged directory has the code, which `sweep` then runs: nothing is simulated again
         both, simulator = a.with_name("both"), Measuring()
         assert run_sweep(both / "sweep.yaml", both, simulator=simulator).complete
         assert simulator.batches == []
         assert log.exists()
 
 
-def test_a_file_that_is_not_that_of_the_table_is_not_run_either(directories: tuple[str, Path, Path, Path]) -> None:
+def test_a_file_that_is_not_that_of_the_table_is_not_run_either(
+    directories: tuple[str, Path, Path, Path],
+) -> None:
     own, a, b, log = directories
     (a / f"{own}.py").write_text((a / f"{own}.py").read_text() + "\n")
-    with pytest.raises(DirectoryError, match=r"it is code, which a command that only reads does not run\."):
+    with pytest.raises(
+        DirectoryError, match=r"it is code, which a command that only reads does not run\."
+    ):
         merge_sweeps([a, b], a.with_name("both"))
     assert call("status", a).exit_code == 0
     assert not log.exists()
@@ -141,14 +154,19 @@ def test_a_file_that_is_not_that_of_the_table_is_not_run_either(directories: tup
         own_metrics.load_metrics(str(a / "metrics.py") if own == "metrics" else "json:loads")
 
 
-@pytest.mark.parametrize("named", [{"controller": "own.py:stiff"}, {"metrics": "own.py"}, {"scene": "own.xml"}])
+@pytest.mark.parametrize(
+    "named", [{"controller": "own.py:stiff"}, {"metrics": "own.py"}, {"scene": "own.xml"}]
+)
 def test_a_policy_names_no_code(named: dict[str, str], tmp_path: Path, canary: Path) -> None:
     with np.load(POLICY) as file:
         arrays = {name: file[name] for name in file.files}
     for place in ("base", "top"):
         about = json.loads(arrays["about"].tobytes())
         (about if place == "top" else about["base"]).update(named)
-        np.savez(tmp_path / "a.npz", **arrays | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+        np.savez(
+            tmp_path / "a.npz",
+            **arrays | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)},
+        )
         with pytest.raises(ParameterError, match="holds no policy of `nermo-mjx train`: "):
             load_policy(tmp_path / "a.npz")
     assert not canary.exists()
@@ -157,8 +175,13 @@ def test_a_policy_names_no_code(named: dict[str, str], tmp_path: Path, canary: P
 @pytest.mark.release
 def test_a_recording_names_no_code(tmp_path: Path, canary: Path) -> None:
     recording = Recording.load(RECORDED)
-    setup = dict(recording.metadata["setup"] or {}) | {"controller": "own.py:stiff", "metrics": ["own.py"]}
-    theirs = dataclasses.replace(recording.between(1.0, 1.1), metadata={**recording.metadata, "setup": setup})
+    setup = dict(recording.metadata["setup"] or {}) | {
+        "controller": "own.py:stiff",
+        "metrics": ["own.py"],
+    }
+    theirs = dataclasses.replace(
+        recording.between(1.0, 1.1), metadata={**recording.metadata, "setup": setup}
+    )
     path = theirs.save(tmp_path / "walk.npz")
     for words in (
         ("view", path, "--no-open", "--out", tmp_path / "page.html"),

@@ -66,11 +66,18 @@ def as_saved():
     trace = Trace(*state, CTRL[None, None], DATA[None, None])
     for signal in all_signals(ROBOT):
         if signal.source not in ("qpos", "qvel", "attitude", "speed"):
-            yield signal.name, saved(signal.source, trace, ROBOT.sensors(trace.sensordata))[0, 0, signal.place]
+            yield (
+                signal.name,
+                saved(signal.source, trace, ROBOT.sensors(trace.sensordata))[0, 0, signal.place],
+            )
 
 
 def as_observed():
-    raw = [name for name in SENSED if name not in ("foot_contact", "motor_current", "projected_gravity", "height_scan")]
+    raw = [
+        name
+        for name in SENSED
+        if name not in ("foot_contact", "motor_current", "projected_gravity", "height_scan")
+    ]
     observer = Observer(tuple(raw), (), (), False, False, 0, False, 0.01)
     scales = [SENSED[name].scale for name in raw for _ in reading_names(name, ACTED)]
     yield from zip(observer.names, np.asarray(observer.readings(SENSORS)) * scales, strict=True)
@@ -85,14 +92,23 @@ def in_the_log_of_a_drive(folder):
     log.end()
     names, *rows = (line.split(",") for line in log.path.read_text().splitlines())
     for row in rows:
-        yield from ((name, float(cell)) for name, cell in zip(names, row, strict=True) if cell and name != "t")
+        yield from (
+            (name, float(cell))
+            for name, cell in zip(names, row, strict=True)
+            if cell and name != "t"
+        )
 
 
 def beside_a_log():
-    sensors = {field.name: np.asarray(getattr(SENSORS, field.name))[None] for field in dataclasses.fields(Sensors)}
+    sensors = {
+        field.name: np.asarray(getattr(SENSORS, field.name))[None]
+        for field in dataclasses.fields(Sensors)
+    }
     state = (np.zeros((1, ROBOT.model.nq)), np.zeros((1, ROBOT.model.nv)))
     log = twin_signals(Recording(np.zeros(1), *state, CTRL[None], sensors), ROBOT)
-    group = {"force": "foot_force"} | {last: f"servo_{last}" for last in ("command", "angle", "velocity", "torque")}
+    group = {"force": "foot_force"} | {
+        last: f"servo_{last}" for last in ("command", "angle", "velocity", "torque")
+    }
     for channel in log.channels:
         name = group.get(channel.quantity, channel.quantity)
         if channel.quantity in ("yaw", "contact"):
@@ -118,11 +134,19 @@ def test_each_number_of_the_sensors_has_one_name(tmp_path):
             called[round(float(value), 5)].add(name)
             seen[name].add(round(float(value), 5))
     assert {value: names for value, names in called.items() if len(names) != 1} == {}
-    assert {name: values for name, values in seen.items() if len(values) != 1} == {}, "and no two things one name"
-    of_joints = {name for name in seen if name.endswith("_velocity") and "_foot_" not in name and "servo" not in name}
+    assert {name: values for name, values in seen.items() if len(values) != 1} == {}, (
+        "and no two things one name"
+    )
+    of_joints = {
+        name
+        for name in seen
+        if name.endswith("_velocity") and "_foot_" not in name and "servo" not in name
+    }
     known = {number for name in READINGS for number in reading_names(name, ROBOT.servos)}
     assert set(seen) - of_joints <= known
-    assert {number for name in SAVED for number in reading_names(name, ROBOT.servos)} <= set(seen) | {
+    assert {number for name in SAVED for number in reading_names(name, ROBOT.servos)} <= set(
+        seen
+    ) | {
         *READINGS["attitude"].names,
         "speed",
     }
@@ -142,7 +166,11 @@ def test_what_a_policy_is_told_has_the_names_of_the_vocabulary():
     observer = Observer(tuple(SENSED), (), (), False, False, 0, False, 0.01)
     assert set(observer.names) <= known
     critic = {name for name in privileged_names((), (), False) if "." not in name}
-    assert critic - known <= {"height", "time_left", *(name for name in critic if name.endswith("_foot_height"))}
+    assert critic - known <= {
+        "height",
+        "time_left",
+        *(name for name in critic if name.endswith("_foot_height")),
+    }
 
 
 def test_motor_current_is_one_thing_as_metric_and_as_observation():
@@ -150,10 +178,16 @@ def test_motor_current_is_one_thing_as_metric_and_as_observation():
     servo = ModelParameters().servo
     torque = 0.01 * np.arange(len(ROBOT.servos)) * (np.arange(len(ROBOT.servos)) < len(ACTED))
     sums = electrical.power_sums(jnp.asarray(torque)[None], jnp.zeros((1, len(torque))), servo)
-    metric = electrical.electrical_result(sums, jnp.ones(()), electrical.Supply.of(ModelParameters()))
-    sensed = SENSED["motor_current"].read(dataclasses.replace(SENSORS, servo_torque=jnp.asarray(torque)))
+    metric = electrical.electrical_result(
+        sums, jnp.ones(()), electrical.Supply.of(ModelParameters())
+    )
+    sensed = SENSED["motor_current"].read(
+        dataclasses.replace(SENSORS, servo_torque=jnp.asarray(torque))
+    )
     unloaded = float(servo.idle_current) * (len(torque) - len(ACTED))
-    assert float(metric["motor_current"]) == pytest.approx(float(np.sum(sensed)) + unloaded, rel=1e-6)
+    assert float(metric["motor_current"]) == pytest.approx(
+        float(np.sum(sensed)) + unloaded, rel=1e-6
+    )
 
 
 # ---
@@ -164,7 +198,9 @@ def test_a_policy_of_a_former_version_observes_the_same_numbers():
     path = ROOT / "tests" / "data" / "former_policy.npz"
     about = json.loads(bytes(np.load(path)["about"]))
     policy = load_policy(path)
-    assert {"servo_load.spine", "tilt.x", "gyro.x"} <= set(about["observation"]), "it is of a former version"
+    assert {"servo_load.spine", "tilt.x", "gyro.x"} <= set(about["observation"]), (
+        "it is of a former version"
+    )
     for old, new in (
         ("servo_load.spine", "spine_servo_torque"),
         ("tilt.x", "projected_gravity_x"),
@@ -180,7 +216,10 @@ def test_a_policy_of_a_former_version_observes_the_same_numbers():
 def test_specifications_of_a_former_version_are_read():
     training = Training.from_dict(
         {
-            "task": {"observe": ["servo_load", "servo_current", "tilt", "phase"], "set": {"sensing.tilt_noise": 0.01}},
+            "task": {
+                "observe": ["servo_load", "servo_current", "tilt", "phase"],
+                "set": {"sensing.tilt_noise": 0.01},
+            },
             "randomize": {"sensing.servo_load_noise": [0.0, 0.1]},
         }
     )
@@ -202,12 +241,19 @@ def test_channels_of_a_former_version_are_read(tmp_path):
         "switch": {"quantity": "contact", "of": "front_left", "unit": "switch"},
         "imu": {"quantity": "acceleration", "columns": ["x", "y", "z"], "unit": "m/s^2"},
     }
-    log = read_log(tmp_path / "log.csv", {"time": {"column": "t", "unit": "s"}, "channels": channels})
+    log = read_log(
+        tmp_path / "log.csv", {"time": {"column": "t", "unit": "s"}, "channels": channels}
+    )
     assert [each.quantity for each in log.channels] == ["force", "contact", "accelerometer"]
 
 
 @pytest.mark.release
 def test_a_walk_saves_commands_under_their_name(simulator):
-    found = simulator("c").run({}, Run(duration=0.1), save=Saving(("servo_command", "spine_servo_angle"), 100.0))
-    assert [*found.series.values] == [*reading_names("servo_command", ROBOT.servos), "spine_servo_angle"]
+    found = simulator("c").run(
+        {}, Run(duration=0.1), save=Saving(("servo_command", "spine_servo_angle"), 100.0)
+    )
+    assert [*found.series.values] == [
+        *reading_names("servo_command", ROBOT.servos),
+        "spine_servo_angle",
+    ]
     assert Setup().load().servos == ROBOT.servos

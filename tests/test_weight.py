@@ -24,10 +24,15 @@ def tree() -> list[Path]:
     if not (ROOT / ".git").exists():
         pytest.skip("no git repository: other files may lie in the folder")
     listed = subprocess.run(
-        ["git", "-C", ROOT, "ls-files", "-z", "--cached", "--others", "--exclude-standard"], capture_output=True
+        ["git", "-C", ROOT, "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        capture_output=True,
     )
     assert listed.returncode == 0, listed.stderr
-    return [path for name in listed.stdout.decode().split("\0") if name and (path := ROOT / name).is_file()]
+    return [
+        path
+        for name in listed.stdout.decode().split("\0")
+        if name and (path := ROOT / name).is_file()
+    ]
 
 
 def test_all_files_together_have_at_most_14_megabytes(tree: list[Path]) -> None:
@@ -61,7 +66,10 @@ def test_pictures_and_films_of_the_pages_are_small_webp() -> None:
 def moving(count: int, size: tuple[int, int] = (60, 40)) -> list[Image.Image]:
     """Frames of noise, of which no two are alike."""
     noise = np.random.default_rng(1)
-    return [Image.fromarray(noise.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)) for _ in range(count)]
+    return [
+        Image.fromarray(noise.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
+        for _ in range(count)
+    ]
 
 
 def test_a_film_keeps_its_speed_and_its_proportions(tmp_path: Path) -> None:
@@ -78,13 +86,17 @@ def test_a_film_keeps_its_speed_and_its_proportions(tmp_path: Path) -> None:
 
 def test_a_film_that_is_too_large_is_rejected_and_not_written(tmp_path: Path) -> None:
     path = tmp_path / "film.webp"
-    with pytest.raises(pictures.PictureError, match="at most 500,000 are allowed: use fewer frames per second"):
+    with pytest.raises(
+        pictures.PictureError, match="at most 500,000 are allowed: use fewer frames per second"
+    ):
         pictures.write_film(moving(8, (400, 400)), 8 * [100], path)
     assert not path.exists()
 
 
 def test_a_picture_of_few_colours_is_stored_exactly_and_others_nearly(tmp_path: Path) -> None:
-    few = np.random.default_rng(2).integers(0, 16, (30, 40, 1), dtype=np.uint8) * np.array([16, 8, 4], np.uint8)
+    few = np.random.default_rng(2).integers(0, 16, (30, 40, 1), dtype=np.uint8) * np.array(
+        [16, 8, 4], np.uint8
+    )
     ramp = np.stack(np.meshgrid(np.arange(256), np.arange(256)), axis=-1).astype(np.uint8)
     many = np.concatenate([ramp, np.full((256, 256, 1), 90, np.uint8)], axis=-1)
     for pixels, error in ((few, 0), (many, 16)):

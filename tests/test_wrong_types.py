@@ -12,7 +12,18 @@ import nermo_mjx
 from nermo_mjx import ParameterError, Rollout, Run, Setup, Simulator, Sweep, Tuning
 from nermo_mjx.learn import Task
 
-NAMES = ("gait", "spine", "steering", "profile", "pilot", "trajectory", "head", "tail_motion", "physics", "robot")
+NAMES = (
+    "gait",
+    "spine",
+    "steering",
+    "profile",
+    "pilot",
+    "trajectory",
+    "head",
+    "tail_motion",
+    "physics",
+    "robot",
+)
 NUMBERS = ("cycles", "warmup_cycles", "duration", "warmup", "distance")
 SWEEP = {"vary": {"frequency": [0.8, 0.9]}}
 
@@ -55,8 +66,14 @@ CALLS: dict[str, tuple[Any, str]] = {
     "Setup.schedule": (lambda value: Setup(schedule=value), "schedule"),
     "Setup.schedule.one": (lambda value: Setup(schedule=[value]), "schedule"),
     **{f"Setup.{name}": (lambda value, name=name: Setup(**{name: value}), name) for name in NAMES},
-    **{f"Setup.{name}s": (lambda value, name=name: Setup(**{name: [value]}), name) for name in NAMES},
-    **{f"Run.{name}": (lambda value, name=name: Run(**{name: f"{value} kg"}), f"run.{name}") for name in NUMBERS},
+    **{
+        f"Setup.{name}s": (lambda value, name=name: Setup(**{name: [value]}), name)
+        for name in NAMES
+    },
+    **{
+        f"Run.{name}": (lambda value, name=name: Run(**{name: f"{value} kg"}), f"run.{name}")
+        for name in NUMBERS
+    },
 }
 
 
@@ -71,7 +88,9 @@ def _as_a_user_has_it(monkeypatch):
 def test_a_wrong_type_is_refused_in_a_sentence(name, value, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     call, argument = CALLS[name]
-    with pytest.raises((ParameterError, TypeError), match=rf"^{argument} (is|has) .*({value}).*\.$") as refused:
+    with pytest.raises(
+        (ParameterError, TypeError), match=rf"^{argument} (is|has) .*({value}).*\.$"
+    ) as refused:
         call(value)
     assert "\n" not in str(refused.value)
     assert not any(tmp_path.iterdir())
@@ -92,14 +111,18 @@ def test_modes_of_the_spine_are_one_name() -> None:
 
 
 def test_names_of_parameters_are_texts(simulator):
-    with pytest.raises(ParameterError, match=r"^values is 3: expected names of parameters as keys\.$"):
+    with pytest.raises(
+        ParameterError, match=r"^values is 3: expected names of parameters as keys\.$"
+    ):
         simulator("c").run({3: 1.0})
 
 
 @pytest.mark.parametrize("value", [True, {}, object(), [None]])
 @pytest.mark.parametrize("name", NUMBERS)
 def test_a_run_is_of_numbers(name, value):
-    with pytest.raises(ParameterError, match=rf"^run\.{name} is .*: expected a number, or an array of such\.$"):
+    with pytest.raises(
+        ParameterError, match=rf"^run\.{name} is .*: expected a number, or an array of such\.$"
+    ):
         Run(**{name: value})
 
 
@@ -108,14 +131,21 @@ def test_a_length_of_a_run_may_have_a_unit():
     assert Run(cycles=3, distance="30 cm").distance == pytest.approx(0.3)
     assert Run(duration=["2 s", 3]).duration == [2.0, 3.0]
     for name, other in (("cycles", "duration"), ("warmup_cycles", "warmup")):
-        with pytest.raises(ParameterError, match=rf"^run.{name} is '8 s': .* such; seconds are run.{other}\.$"):
+        with pytest.raises(
+            ParameterError, match=rf"^run.{name} is '8 s': .* such; seconds are run.{other}\.$"
+        ):
             Run(**{name: "8 s"})
-    with pytest.raises(ParameterError, match=r"^run.duration is '8 min': expected a number in s or ms, such as 8 s\.$"):
+    with pytest.raises(
+        ParameterError,
+        match=r"^run.duration is '8 min': expected a number in s or ms, such as 8 s\.$",
+    ):
         Run(duration="8 min")
 
 
 def test_an_episode_may_have_units():
     task = Task(episode_length="8 s", distance="500 mm", corridor="10 cm")
     assert (task.episode_length, task.distance, task.corridor) == (8.0, 0.5, 0.1)
-    with pytest.raises(ParameterError, match=r"^corridor is '3 kg': expected a number in m, mm or cm, such as"):
+    with pytest.raises(
+        ParameterError, match=r"^corridor is '3 kg': expected a number in m, mm or cm, such as"
+    ):
         Task(corridor="3 kg")

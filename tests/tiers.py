@@ -26,14 +26,19 @@ def needs(*packages: str) -> None:
 
 def last_runs() -> dict[str, dict[str, Any] | None]:
     """Test -> day and version of its last run, and how long it took [s]."""
-    found: dict[str, dict[str, Any] | None] = json.loads(LAST_RUN.read_text()) if LAST_RUN.exists() else {}
+    found: dict[str, dict[str, Any] | None] = (
+        json.loads(LAST_RUN.read_text()) if LAST_RUN.exists() else {}
+    )
     return found
 
 
 def note(seconds: Mapping[str, float]) -> None:
     """Write down that tests marked `long` have passed today, with the time that each took [s]."""
     day = datetime.datetime.now(datetime.UTC).date().isoformat()
-    ran = {name: {"day": day, "version": __version__, "seconds": round(took)} for name, took in seconds.items()}
+    ran = {
+        name: {"day": day, "version": __version__, "seconds": round(took)}
+        for name, took in seconds.items()
+    }
     if ran:
         LAST_RUN.write_text(json.dumps(dict(sorted((last_runs() | ran).items())), indent=1) + "\n")
 
@@ -42,6 +47,10 @@ def sentence() -> str:
     """When the tests marked `long` last passed."""
     runs = last_runs()
     days = sorted(run["day"] for run in runs.values() if run)
-    never = sorted({test.partition("[")[0].partition("::")[2] or test for test, run in runs.items() if not run})
+    never = sorted(
+        {test.partition("[")[0].partition("::")[2] or test for test, run in runs.items() if not run}
+    )
     told = f"{len(days)} last passed between {days[0]} and {days[-1]}" if days else ""
-    return "; ".join(part for part in (told, f"not yet: {', '.join(never)}" if never else "") if part)
+    return "; ".join(
+        part for part in (told, f"not yet: {', '.join(never)}" if never else "") if part
+    )

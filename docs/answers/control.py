@@ -23,7 +23,9 @@ def walked(values: dict[str, Any], run: Run = RUN, **setup: Any) -> dict[str, np
     """Metrics of walks; angles in degrees and speeds in mm/s."""
     result = Simulator(Setup(**setup), engine="c").run(values, run)
     assert set(result.status.tolist()) == {"ok"}, result.status
-    scale = {"speed": 1e3} | {name: np.degrees(1.0) for name in result.metrics if name.endswith(("_std", "_roll"))}
+    scale = {"speed": 1e3} | {
+        name: np.degrees(1.0) for name in result.metrics if name.endswith(("_std", "_roll"))
+    }
     return {name: scale.get(name, 1.0) * np.asarray(each) for name, each in result.metrics.items()}
 
 
@@ -36,8 +38,13 @@ def gaze() -> dict[str, str]:
     found = {}
     for robot, frequencies in (("nermo_lite", FREQUENCIES), ("nermo_41", [0.8])):
         for head in ("none", "gaze"):
-            found[robot, head] = walked({"frequency": frequencies}, robot=robot, head=head, spine="stride_extension")
-    lines = ["| held, gazing | " + " | ".join(f"{each:g} Hz" for each in FREQUENCIES) + " |", "|---|---|---|---|"]
+            found[robot, head] = walked(
+                {"frequency": frequencies}, robot=robot, head=head, spine="stride_extension"
+            )
+    lines = [
+        "| held, gazing | " + " | ".join(f"{each:g} Hz" for each in FREQUENCIES) + " |",
+        "|---|---|---|---|",
+    ]
     held, gazed = found["nermo_lite", "none"], found["nermo_lite", "gaze"]
     for title, metric, places in (
         ("head yaw, standard deviation [degrees]", "head_yaw_std", 1),
@@ -45,19 +52,33 @@ def gaze() -> dict[str, str]:
         ("`picture_motion` [rad/s]", "picture_motion", 2),
     ):
         pairs = zip(held[metric], gazed[metric], strict=True)
-        lines.append(f"| {title} | {' | '.join(f'{a:.{places}f}, {b:.{places}f}' for a, b in pairs)} |")
+        lines.append(
+            f"| {title} | {' | '.join(f'{a:.{places}f}, {b:.{places}f}' for a, b in pairs)} |"
+        )
     full = {head: found["nermo_41", head] for head in ("none", "gaze")}
     arc = {
-        head: walked({"frequency": 0.8, "pilot.radius": 0.5}, pilot="arc", head=head, spine="stride_extension")
+        head: walked(
+            {"frequency": 0.8, "pilot.radius": 0.5},
+            pilot="arc",
+            head=head,
+            spine="stride_extension",
+        )
         for head in ("none", "gaze")
     }
-    changes = [np.abs(found[robot, "gaze"]["speed"] / found[robot, "none"]["speed"] - 1).max() for robot, _ in found]
+    changes = [
+        np.abs(found[robot, "gaze"]["speed"] / found[robot, "none"]["speed"] - 1).max()
+        for robot, _ in found
+    ]
     return {
         "gaze": "\n".join(lines),
         "gaze.pitch_41": " to ".join(f"{full[head]['head_pitch_std'].item():.1f}" for head in full),
-        "gaze.motion_41": " to ".join(f"{full[head]['picture_motion'].item():.2f}" for head in full),
+        "gaze.motion_41": " to ".join(
+            f"{full[head]['picture_motion'].item():.2f}" for head in full
+        ),
         "gaze.speed": f"{100 * max(changes):.1f} %",
-        "gaze.arc": " instead of ".join(f"{np.ravel(arc[head]['picture_motion'])[0]:.2f}" for head in ("gaze", "none")),
+        "gaze.arc": " instead of ".join(
+            f"{np.ravel(arc[head]['picture_motion'])[0]:.2f}" for head in ("gaze", "none")
+        ),
     }
 
 
@@ -69,12 +90,22 @@ def tail() -> dict[str, str]:
         ("counter_roll", "tail.roll_gain", "none", ("roll_std", "speed")),
         ("counter_roll", "tail.roll_gain", "stride_extension", ("roll_std", "speed")),
     ):
-        found = walked({"frequency": 0.8, gain: GAINS}, tail="articulated", tail_motion=motion, spine=spine)
+        found = walked(
+            {"frequency": 0.8, gain: GAINS}, tail="articulated", tail_motion=motion, spine=spine
+        )
         for metric in metrics:
             first = (
-                f"`{motion}`, {'without' if spine == 'none' else 'with'} the spine: " if metric == metrics[0] else ""
+                f"`{motion}`, {'without' if spine == 'none' else 'with'} the spine: "
+                if metric == metrics[0]
+                else ""
             )
-            lines.append(row(first + metric.removesuffix("_std"), found[metric], 0 if metric == "speed" else 2))
+            lines.append(
+                row(
+                    first + metric.removesuffix("_std"),
+                    found[metric],
+                    0 if metric == "speed" else 2,
+                )
+            )
     return {"tail": "\n".join(lines)}
 
 
@@ -89,7 +120,9 @@ def switching() -> dict[str, str]:
             for a, b in itertools.permutations(several, 2)
         ]
         steady = [walked({"frequency": 0.8}, run, **{what: each}) for each in several]
-        largest = [np.degrees(max(abs(each["roll_min"]), abs(each["roll_max"])).item()) for each in steady]
+        largest = [
+            np.degrees(max(abs(each["roll_min"]), abs(each["roll_max"])).item()) for each in steady
+        ]
         found[f"switch.{what}"] = f"{np.max(rolls):.1f}"
         found[f"switch.{what}_steady"] = f"{max(largest):.1f}"
     return found

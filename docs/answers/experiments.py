@@ -29,10 +29,17 @@ SHOWN = (
     ("speed, spine over none, 0.8 Hz", ["speed of trot, 0.8 Hz, spine over none"], 2),
     (
         "trot over lateral walk, 0.8 Hz, spine held and free †",
-        ["speed of trot over lateral walk, 0.8 Hz, no spine", "speed of trot with spine over lateral walk, 0.8 Hz"],
+        [
+            "speed of trot over lateral walk, 0.8 Hz, no spine",
+            "speed of trot with spine over lateral walk, 0.8 Hz",
+        ],
         2,
     ),
-    ("roll std, compensated over not, 0.67 Hz", ["roll std of trot, 0.67 Hz, spine, compensated over not"], 2),
+    (
+        "roll std, compensated over not, 0.67 Hz",
+        ["roll std of trot, 0.67 Hz, spine, compensated over not"],
+        2,
+    ),
     (
         "smallest radius, trot, legs and both [m]",
         ["smallest radius of trot, leg-based", "smallest radius of trot, mix-based"],
@@ -40,11 +47,18 @@ SHOWN = (
     ),
     (
         "rear left foot, lifted, without and with compensation [N]",
-        ["force of the rear left foot, without compensation", "force of the rear left foot, with compensation"],
+        [
+            "force of the rear left foot, without compensation",
+            "force of the rear left foot, with compensation",
+        ],
         2,
     ),
     ("maze: time, spine held and free [s]", ["time without spine", "time with spine"], 1),
-    ("maze: roll std, spine held and free [°]", ["roll std without spine", "roll std with spine"], 2),
+    (
+        "maze: roll std, spine held and free [°]",
+        ["roll std without spine", "roll std with spine"],
+        2,
+    ),
 )
 #: The same of the hardware's figures.
 BUILT = (
@@ -59,11 +73,18 @@ BUILT = (
         2,
     ),
     ("spine over none, 0.67 Hz", ["hardware: speed of trot, 0.67 Hz, spine over none"], 2),
-    ("the same at 0.5 and 0.8 Hz, farthest", ["hardware: speed of trot, 0.5 and 0.8 Hz, spine over none"], 2),
+    (
+        "the same at 0.5 and 0.8 Hz, farthest",
+        ["hardware: speed of trot, 0.5 and 0.8 Hz, spine over none"],
+        2,
+    ),
     ("maze: time saved with the spine", ["hardware: time saved with the spine"], 2),
     (
         "quarter circle of 0.5 m, legs, spine, both [s]",
-        [f"hardware: time for 0.5 m, trot, 0.67 Hz, {way}-based" for way in ("leg", "spine", "mix")],
+        [
+            f"hardware: time for 0.5 m, trot, 0.67 Hz, {way}-based"
+            for way in ("leg", "spine", "mix")
+        ],
         1,
     ),
 )
@@ -76,7 +97,12 @@ EXPERIMENTS = {
 }
 KINDS = ("predicted", "chosen", "theory")
 #: Groups of rules by the name of their count: an outcome is a yes or no, a word or a count.
-RULES = {"outcomes": ["outcome"], "numbers": ["number"], "effects": ["effect", "gain"], "ranges": ["range", "at_most"]}
+RULES = {
+    "outcomes": ["outcome"],
+    "numbers": ["number"],
+    "effects": ["effect", "gain"],
+    "ranges": ["range", "at_most"],
+}
 GAITS = ("trot", "walking trot", "lateral walk")
 #: Standard deviation of the roll of the author's model in a trot at 0.67 Hz, spine held and free [degrees].
 AUTHORS_ROLL = (3.22, 4.45)
@@ -100,11 +126,18 @@ def judged(lines: Iterable[Line], **wanted: Any) -> list[Line]:
 
 def counts(lines: list[Line]) -> dict[str, str]:
     """How many figures of each experiment hold, by kind."""
-    table = ["| figures that hold | predicted | chosen with it in view | theory |", "|---|---|---|---|"]
+    table = [
+        "| figures that hold | predicted | chosen with it in view | theory |",
+        "|---|---|---|---|",
+    ]
     for title, names in EXPERIMENTS.items():
         cells = []
         for kind in KINDS:
-            cells.append(reproduced([line for name in names for line in judged(lines, experiment=name, kind=kind)]))
+            cells.append(
+                reproduced(
+                    [line for name in names for line in judged(lines, experiment=name, kind=kind)]
+                )
+            )
         table.append(f"| {title} | {' | '.join(cells)} |")
     predicted = judged(lines, kind="predicted")
     hold = sum(line["holds"] for line in predicted)
@@ -126,7 +159,9 @@ def reproduced(lines: list[Line]) -> str:
 def by_rule(lines: list[Line]) -> dict[str, str]:
     """How many predicted values of each group of rules hold."""
     return {
-        f"published.{name}": reproduced([line for rule in rules for line in judged(lines, kind="predicted", rule=rule)])
+        f"published.{name}": reproduced(
+            [line for rule in rules for line in judged(lines, kind="predicted", rule=rule)]
+        )
         for name, rules in RULES.items()
     }
 
@@ -136,7 +171,10 @@ def figures(rows: Any, heads: dict[str, str], by_name: dict[str, Line]) -> str:
     lines = [f"| figure | {' | '.join(heads.values())} |", "|---" * (1 + len(heads)) + "|"]
     for title, names, places in rows:
         values = [[by_name[name][what] for name in names] for what in heads]
-        cells = ["–" if of == [None] * len(of) else ", ".join(shown(each, places) for each in of) for of in values]
+        cells = [
+            "–" if of == [None] * len(of) else ", ".join(shown(each, places) for each in of)
+            for of in values
+        ]
         lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -153,8 +191,12 @@ def built() -> dict[str, str]:
             both.append(Case({"frequency": frequency, "spine": spine}, "trot", values=values))
     changed = {name: np.full(len(both), value) for name, value in {**STIFF, "stride": 1.0}.items()}
     values = worlds(both, simulator.setup.defaults(), settings).values | changed
-    speed = np.reshape(simulator.run(values, Run(cycles=12, warmup_cycles=2)).metrics["speed"], (-1, 2))
-    time = walk_maze(Settings(profiles=["as_built"], repeats=1, engine="c", values=STIFF)).columns["time"]
+    speed = np.reshape(
+        simulator.run(values, Run(cycles=12, warmup_cycles=2)).metrics["speed"], (-1, 2)
+    )
+    time = walk_maze(Settings(profiles=["as_built"], repeats=1, engine="c", values=STIFF)).columns[
+        "time"
+    ]
     return {
         "built.both": ", ".join(f"{each:.2f}" for each in speed[:, 1] / speed[:, 0]),
         "built.maze": f"{1 - time[1] / time[0]:.2f}",
@@ -164,7 +206,9 @@ def built() -> dict[str, str]:
 def quoted(by_name: dict[str, Line]) -> dict[str, str]:
     """Figures of `as_published` that the text of docs/experiments.md tells."""
     published = {name: line["as_published"] for name, line in by_name.items()}
-    tighter = [100 * published[f"smallest radius of {gait}, mix-based below leg-based"] for gait in GAITS]
+    tighter = [
+        100 * published[f"smallest radius of {gait}, mix-based below leg-based"] for gait in GAITS
+    ]
     return {
         "published.slow_gain": f"{published['speed of trot, 0.5 and 0.67 Hz, spine over none']:.2f}",
         "published.over_theory": f"{published['speed of trot over its theory, 0.8 Hz']:.2f}",
@@ -177,7 +221,9 @@ def set_up(walks: pd.DataFrame) -> dict[str, str]:
     trot = walks[(walks.profile == "as_published") & (walks.gait == "trot") & (walks.stride == 1.0)]
     means = trot[~trot.compensated].groupby(["frequency", "spine"]).mean(numeric_only=True)
     gains = [means.speed[each, True] / means.speed[each, False] for each in (0.8, 0.67, 0.5)]
-    roll, pitch = (np.degrees(means.loc[0.67, f"{name}_std"]).to_numpy() for name in ("roll", "pitch"))
+    roll, pitch = (
+        np.degrees(means.loc[0.67, f"{name}_std"]).to_numpy() for name in ("roll", "pitch")
+    )
     more = sorted(100 * (roll / AUTHORS_ROLL - 1.0))
     return {
         "set_up.gains": ", ".join(f"{each:.2f}" for each in gains),
@@ -202,10 +248,23 @@ if __name__ == "__main__":
     lines = json.loads((Path(sys.argv[1]) / "report.json").read_text())["lines"]
     by_name = {line["figure"]: line for line in lines}
     straight, turns = (
-        pd.read_parquet(Path(sys.argv[1]) / "results" / f"{name}.parquet") for name in ("straight-line", "turning")
+        pd.read_parquet(Path(sys.argv[1]) / "results" / f"{name}.parquet")
+        for name in ("straight-line", "turning")
     )
-    found = counts(lines) | by_rule(lines) | built() | quoted(by_name) | set_up(straight) | circles(turns)
-    heads = {"published": "published", "author": "author's model", "as_published": "`as_published`", "exact": "`exact`"}
+    found = (
+        counts(lines)
+        | by_rule(lines)
+        | built()
+        | quoted(by_name)
+        | set_up(straight)
+        | circles(turns)
+    )
+    heads = {
+        "published": "published",
+        "author": "author's model",
+        "as_published": "`as_published`",
+        "exact": "`exact`",
+    }
     found["published.main"] = figures(SHOWN, heads, by_name)
     found["built"] = figures(BUILT, {"published": "hardware", "as_built": "`as_built`"}, by_name)
     print(json.dumps(found, indent=1, ensure_ascii=False))

@@ -36,7 +36,9 @@ def row(best: Path, modes: dict[str, str]) -> str:
 def write_rows(directory: Path) -> None:
     rows = "\n".join(row(directory / name / "best.json", modes) for name, modes in MODES.items())
     text = SPEC.read_text()
-    SPEC.write_text(re.sub(r"(?<=^rows:\n).*(?=^randomize:)", rows + "\n", text, flags=re.DOTALL | re.MULTILINE))
+    SPEC.write_text(
+        re.sub(r"(?<=^rows:\n).*(?=^randomize:)", rows + "\n", text, flags=re.DOTALL | re.MULTILINE)
+    )
 
 
 def table(directory: Path) -> dict[str, str]:
@@ -52,10 +54,15 @@ def table(directory: Path) -> dict[str, str]:
         mean = means[name] = walks.mean(numeric_only=True)
         speeds = 1e3 * walks["speed"]
         cells = [f"{speeds.mean():.0f} ({speeds.min():.0f} to {speeds.max():.0f})"]
-        cells += [f"{scale * mean[metric]:.{places}f}" for metric, (scale, places) in METRICS.items()]
-        lines.append(f"| {TITLES[name]} | {' | '.join(cells)} | {np.degrees(mean['roll_std']):.1f} |")
+        cells += [
+            f"{scale * mean[metric]:.{places}f}" for metric, (scale, places) in METRICS.items()
+        ]
+        lines.append(
+            f"| {TITLES[name]} | {' | '.join(cells)} | {np.degrees(mean['roll_std']):.1f} |"
+        )
     change = {
-        name: f"{100 * (means['free'][name] / means['published'][name] - 1):+.0f}" for name in ("speed", *METRICS)
+        name: f"{100 * (means['free'][name] / means['published'][name] - 1):+.0f}"
+        for name in ("speed", *METRICS)
     }
     return {
         "free.table": "\n".join(lines),

@@ -42,18 +42,30 @@ def speeds(gait: str, changed: dict[str, float]) -> Callable[[np.ndarray], np.nd
 
     def walked(points: np.ndarray) -> np.ndarray:
         amplitude, phase = points.T
-        values = {"frequency": GAITS[gait], "spine.amplitude": amplitude, "spine.phase": phase, **changed}
+        values = {
+            "frequency": GAITS[gait],
+            "spine.amplitude": amplitude,
+            "spine.phase": phase,
+            **changed,
+        }
         return np.asarray(simulator.run(values, RUN).metrics["speed"], float)
 
     return walked
 
 
-def cosines(speed: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> tuple[np.ndarray, float]:
+def cosines(
+    speed: Callable[[np.ndarray], np.ndarray], points: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Cosine of derivative and wide slope at each point, and the mean speed [m/s]."""
     ends = [
-        points + side * share * RANGES * np.eye(2)[k] for share in (EXACT, WIDE) for k in (0, 1) for side in (-1, 1)
+        points + side * share * RANGES * np.eye(2)[k]
+        for share in (EXACT, WIDE)
+        for k in (0, 1)
+        for side in (-1, 1)
     ]
-    found = speed(np.concatenate(ends)).reshape(2, 2, 2, len(points))  # share, parameter, side, point
+    found = speed(np.concatenate(ends)).reshape(
+        2, 2, 2, len(points)
+    )  # share, parameter, side, point
     exact, wide = (found[:, :, 1] - found[:, :, 0]) / np.array([EXACT, WIDE])[:, None, None]
     lengths = np.linalg.norm(exact, axis=0) * np.linalg.norm(wide, axis=0)
     return (exact * wide).sum(axis=0) / lengths, float(found[1].mean())
@@ -62,8 +74,15 @@ def cosines(speed: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> tu
 def roughness(speed: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:
     """Root mean square of the speed off a parabola over 1 % of the range, by parameter and place (2 n,) [m/s]."""
     along = np.linspace(-0.005, 0.005, ALONG)
-    lines = points[:, None, None] + along[:, None, None] * (RANGES * np.eye(2))  # place, along, parameter, (2,)
-    found = speed(lines.reshape(-1, 2)).reshape(len(points), ALONG, 2).transpose(0, 2, 1).reshape(-1, ALONG)
+    lines = points[:, None, None] + along[:, None, None] * (
+        RANGES * np.eye(2)
+    )  # place, along, parameter, (2,)
+    found = (
+        speed(lines.reshape(-1, 2))
+        .reshape(len(points), ALONG, 2)
+        .transpose(0, 2, 1)
+        .reshape(-1, ALONG)
+    )
     fits = np.polynomial.polynomial.polyfit(along / 0.005, found.T, 2)
     left = found - np.polynomial.polynomial.polyval(along / 0.005, fits)
     return np.sqrt((left**2).mean(axis=1))
@@ -82,16 +101,22 @@ def slopes() -> dict[str, str]:
     told = {}
     for gait, frequency in GAITS.items():
         points = rng.uniform(LOW, HIGH, (POINTS, 2))
-        (here, mean), (stiff, other) = (cosines(speeds(gait, changed), points) for changed in ({}, HARD))
+        (here, mean), (stiff, other) = (
+            cosines(speeds(gait, changed), points) for changed in ({}, HARD)
+        )
         cells = [f"{gait.replace('_', ' ')}, {frequency:g} Hz"]
-        cells += [f"{np.median(each):.3f}, {(each > 0.9).sum()} of {POINTS}" for each in (here, stiff)]
+        cells += [
+            f"{np.median(each):.3f}, {(each > 0.9).sum()} of {POINTS}" for each in (here, stiff)
+        ]
         cells += [f"{here.min():.2f}, {stiff.min():.2f}", f"{1e3 * mean:.1f}, {1e3 * other:.1f}"]
         for row, cell in zip(rows.values(), cells, strict=True):
             row.append(cell)
         if gait == "trot":
             rough = roughness(speeds(gait, {}), points[:PLACES])
             ends = {"rough": np.median(rough), "roughest": rough.max()}
-            told = {f"slopes.{name}": f"{each:.1e}".replace("e-0", "e-") for name, each in ends.items()}
+            told = {
+                f"slopes.{name}": f"{each:.1e}".replace("e-0", "e-") for name, each in ends.items()
+            }
     lines = [f"| {title} | {' | '.join(cells)} |" for title, cells in rows.items()]
     lines.insert(1, "|---" * (1 + len(GAITS)) + "|")
     return {"slopes": "\n".join(lines)} | told
@@ -127,17 +152,27 @@ def tuned(cache: str, out: str) -> tuple[float, float]:
     env = os.environ | {"NERMO_MJX_CACHE": cache, "PYTHONPATH": str(ROOT)}
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     command = [sys.executable, "-m", "nermo_mjx", "tune", "sweeps/tune_speed.yaml", "--out", out]
-    subprocess.run(command, cwd=ROOT, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True)
+    subprocess.run(
+        command, cwd=ROOT, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True
+    )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, time.perf_counter() - began
+    return (
+        after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+        time.perf_counter() - began,
+    )
 
 
 def costs() -> dict[str, str]:
-    lines = ["| run | cold: start to the first value and gradient | compiled | each further |", "|---|---|---|---|"]
+    lines = [
+        "| run | cold: start to the first value and gradient | compiled | each further |",
+        "|---|---|---|---|",
+    ]
     for engine, title in (("c", "engine `c`"), ("mjx", "engine `mjx`, reverse mode, float32")):
         with tempfile.TemporaryDirectory() as cache:
             cold, compiled = first(engine, cache), first(engine, cache)
-        cells = [f"{each[0]:.{0 if each[0] > 20 else 1}f}, {each[2]:.1f} GB" for each in (cold, compiled)]
+        cells = [
+            f"{each[0]:.{0 if each[0] > 20 else 1}f}, {each[2]:.1f} GB" for each in (cold, compiled)
+        ]
         lines.append(f"| {title} | {' | '.join(cells)} | {compiled[1]:.1f} |")
     with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as out:
         processor, wall = tuned(cache, f"{out}/tuned")
@@ -148,4 +183,6 @@ def costs() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    print(json.dumps({"slopes": slopes, "costs": costs}[sys.argv[1]](), indent=1, ensure_ascii=False))
+    print(
+        json.dumps({"slopes": slopes, "costs": costs}[sys.argv[1]](), indent=1, ensure_ascii=False)
+    )

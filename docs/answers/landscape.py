@@ -39,7 +39,12 @@ def errors_of(tuning: Tuning) -> dict[str, np.ndarray]:
     problem, given = WalkProblem(tuning), np.array([each.start for each in tuning.tuned], float)
     for i, each in enumerate(tuning.tuned):
         bounds = each.high - each.low
-        line = np.linspace(each.low + FURTHEST * bounds, each.high - FURTHEST * bounds, POINTS).round(14) + 0.0
+        line = (
+            np.linspace(each.low + FURTHEST * bounds, each.high - FURTHEST * bounds, POINTS).round(
+                14
+            )
+            + 0.0
+        )
         ends = [
             line[centre] + side * 0.5 * width * bounds
             for centre, width, side in itertools.product(CENTRES, WIDTHS, (-1, 1))
@@ -51,9 +56,15 @@ def errors_of(tuning: Tuning) -> dict[str, np.ndarray]:
         )  # as they are evaluated: a secant divides by their distance
         batches = [points[first : first + BATCH] for first in range(0, len(points), BATCH)]
         results = [problem.evaluate(jnp.asarray(batch, float), True) for batch in batches]
-        value, slope = (np.concatenate([np.asarray(getattr(r, k)) for r in results]) for k in ("value", "gradient"))
+        value, slope = (
+            np.concatenate([np.asarray(getattr(r, k)) for r in results])
+            for k in ("value", "gradient")
+        )
         value = np.where(np.concatenate([np.asarray(r.ok) for r in results]), value, np.nan)
-        x, rise = (column[POINTS:].reshape(len(CENTRES), len(WIDTHS), 2) for column in (points[:, i], value))
+        x, rise = (
+            column[POINTS:].reshape(len(CENTRES), len(WIDTHS), 2)
+            for column in (points[:, i], value)
+        )
         secant = np.diff(rise)[..., 0] / np.diff(x)[..., 0]
         error = np.abs(slope[CENTRES, i, None] - secant) / np.abs(secant)
         error[~np.isfinite(value[CENTRES])] = np.nan
@@ -71,9 +82,13 @@ def table(tuning: Tuning, found: dict[str, np.ndarray]) -> str:
     lines = ["| parameter | width | of the bounds | median error |", "| --- | --: | --: | --: |"]
     for each, errors in zip(tuning.tuned, found.values(), strict=True):
         for width, error in zip(WIDTHS, errors.T, strict=True):
-            of = shown("", tuning.parameters[each.name].unit, np.asarray(width * (each.high - each.low)))
+            of = shown(
+                "", tuning.parameters[each.name].unit, np.asarray(width * (each.high - each.low))
+            )
             name = each.name if width == WIDTHS[0] else ""
-            lines.append(f"| {name} | {of.shown(float(of.values))} | {100 * width:g} % | {median(error)} % |")
+            lines.append(
+                f"| {name} | {of.shown(float(of.values))} | {100 * width:g} % | {median(error)} % |"
+            )
     return "\n".join(lines)
 
 
@@ -88,5 +103,7 @@ if __name__ == "__main__":
         texts = {"landscape.table": table(soft, both["soft"])}
         for name, found in both.items():
             for parameter, errors in found.items():
-                texts[f"landscape.{name}_{parameter.split('.')[1]}"] = median(errors[:, WIDTHS.index(0.02)])
+                texts[f"landscape.{name}_{parameter.split('.')[1]}"] = median(
+                    errors[:, WIDTHS.index(0.02)]
+                )
         print(json.dumps(texts, indent=1, ensure_ascii=False))

@@ -32,7 +32,9 @@ class Constant:
 def distance(driving: RobotDriving, delay: float, loss: float, draw: int | None) -> float:
     """How far it walks [m]."""
     both = Together(driving, delay=delay, loss=loss)
-    randoms = [Constant() if draw is None else np.random.default_rng([draw, way]) for way in range(2)]
+    randoms = [
+        Constant() if draw is None else np.random.default_rng([draw, way]) for way in range(2)
+    ]
     both.body._inward, both.body.outward = (Way(delay, loss, random) for random in randoms)
     both.walk(SECONDS)
     return both.body.about["distance"]
@@ -41,11 +43,16 @@ def distance(driving: RobotDriving, delay: float, loss: float, draw: int | None)
 def main() -> dict[str, str]:
     driving = RobotDriving(Setup(), channels=CHANNELS, rate=100.0)
     whole = distance(driving, 0.0, 0.0, None)
-    found = {"messages.constant_20": f"{100 * (1 - distance(driving, 0.02, 0.0, None) / whole):.1f}"}
+    found = {
+        "messages.constant_20": f"{100 * (1 - distance(driving, 0.02, 0.0, None) / whole):.1f}"
+    }
     for delay, loss in WAYS:
         lost = [100 * (1 - distance(driving, delay, loss, draw) / whole) for draw in range(DRAWS)]
         name = f"messages.{1e3 * delay:.0f}_{100 * loss:.0f}"
-        found |= {name: f"{np.mean(lost):.0f}", f"{name}_range": f"{min(lost):.0f} to {max(lost):.0f}"}
+        found |= {
+            name: f"{np.mean(lost):.0f}",
+            f"{name}_range": f"{min(lost):.0f} to {max(lost):.0f}",
+        }
     return found
 
 

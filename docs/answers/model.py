@@ -44,17 +44,25 @@ def trots(values: Mapping[str, Any] | None = None, starts: int = 1) -> dict[str,
     """Metrics (frequencies, amplitudes), means over the starts."""
     shape = (len(FREQUENCIES), len(AMPLITUDES), starts)
     frequency, amplitude, start = (
-        each.ravel() for each in np.meshgrid(FREQUENCIES, AMPLITUDES, np.arange(starts), indexing="ij")
+        each.ravel()
+        for each in np.meshgrid(FREQUENCIES, AMPLITUDES, np.arange(starts), indexing="ij")
     )
     rng = np.random.default_rng(0)
-    drawn = {name: rng.uniform(-spread, spread, starts)[start] * (start > 0) for name, spread in START_SPREAD.items()}
-    simulator = Simulator(Setup(gait="trot", spine="stride_extension", pilot="open_loop"), engine="c")
+    drawn = {
+        name: rng.uniform(-spread, spread, starts)[start] * (start > 0)
+        for name, spread in START_SPREAD.items()
+    }
+    simulator = Simulator(
+        Setup(gait="trot", spine="stride_extension", pilot="open_loop"), engine="c"
+    )
     result = simulator.run(
         {"frequency": frequency, "spine.amplitude": amplitude, **drawn, **(values or {})},
         Run(cycles=10, warmup_cycles=2),
     )
     assert set(result.status.tolist()) == {"ok"}, result.status
-    return {name: np.asarray(each).reshape(shape).mean(axis=2) for name, each in result.metrics.items()}
+    return {
+        name: np.asarray(each).reshape(shape).mean(axis=2) for name, each in result.metrics.items()
+    }
 
 
 def changed(found: Mapping[str, np.ndarray], metric: str, amplitude: int) -> np.ndarray:
@@ -76,10 +84,16 @@ def lengths(directory: Path) -> dict[str, str]:
     """Speed by the length of a spine segment, and by that of the rear upper leg."""
     table = read_table(directory).to_pandas()
     assert (table["status"] == "ok").all()
-    segment, upper, amplitude = "geometry.spine.segment", "geometry.rear_leg.upper", "spine.amplitude"
+    segment, upper, amplitude = (
+        "geometry.spine.segment",
+        "geometry.rear_leg.upper",
+        "spine.amplitude",
+    )
     speed = 1e3 * table.groupby([amplitude, segment])["speed"].mean().unstack()
     titles = {0.0: "spine held", 0.4: "spine at 0.4 rad"}
-    rows = [[title, *(f"{each:.1f}" for each in speed.loc[value])] for value, title in titles.items()]
+    rows = [
+        [title, *(f"{each:.1f}" for each in speed.loc[value])] for value, title in titles.items()
+    ]
     gain = 100 * (speed.loc[0.4] / speed.loc[0.0] - 1)
     roll = np.degrees(table[table[amplitude] == 0.4].groupby(segment)["roll_std"].mean())
     rows += [["gain at 0.4 rad [%]", *(f"{each:.0f}" for each in gain)]]
@@ -108,7 +122,10 @@ def servos() -> dict[str, str]:
 def cost() -> dict[str, str]:
     """Speed and both costs of transport by amplitude, from several starts; what could turn the electrical cost."""
     found = trots(starts=STARTS)
-    lines = ["| metric | spine held | change at 0.2 rad [%] | change at 0.4 rad [%] |", "|---|---|---|---|"]
+    lines = [
+        "| metric | spine held | change at 0.2 rad [%] | change at 0.4 rad [%] |",
+        "|---|---|---|---|",
+    ]
     for title, metric, scale, form in (
         ("speed [mm/s]", "speed", 1e3, ".1f"),
         (f"`{COST}`, of mechanical work", COST, 1.0, ".2f"),
@@ -125,9 +142,14 @@ def cost() -> dict[str, str]:
         ("dead", [{"servo.dead_band": np.radians(each)} for each in (0.0, 0.5, 1.0, 2.0)]),
         ("stiffness", [{"servo.kp": each} for each in (6.0, 10.0, 19.1, 35.0, 60.0)]),
     ):
-        numbers[f"cost.{name}"] = between([changed(trots(each), ELECTRICAL, 2)[1] for each in values]) + " %"
+        numbers[f"cost.{name}"] = (
+            between([changed(trots(each), ELECTRICAL, 2)[1] for each in values]) + " %"
+        )
     # The electrical cost is linear in the idle current: where both amplitudes cost the same?
-    base, idle = trots({"servo.idle_current": 0.0})[ELECTRICAL], trots({"servo.idle_current": 0.1})[ELECTRICAL]
+    base, idle = (
+        trots({"servo.idle_current": 0.0})[ELECTRICAL],
+        trots({"servo.idle_current": 0.1})[ELECTRICAL],
+    )
     slope = (idle - base) / 0.1
     turn = (base[:, 2] - base[:, 0]) / (slope[:, 0] - slope[:, 2])
     return numbers | {"cost.idle": between(turn, ".2f")}
@@ -140,12 +162,25 @@ def friction(directory: Path) -> dict[str, str]:
     for gait in ("trot", "walking_trot", "lateral_walk"):
         of = table[(table["gait"] == gait) & (table["status"] == "ok")]
         held, free = (
-            of[of["spine"] == spine].set_index(["frequency", "seed"]) for spine in ("none", "stride_extension")
+            of[of["spine"] == spine].set_index(["frequency", "seed"])
+            for spine in ("none", "stride_extension")
         )
         held, free = held.align(free, join="inner", axis=0)
-        pairs = pd.DataFrame({"gain": 100 * (free["speed"] / held["speed"] - 1), "friction": held["contact.friction"]})
-        slopes = [0.6 * np.polyfit(each["friction"], each["gain"], 1)[0] for _, each in pairs.groupby("frequency")]
-        cost = 100 * (free[ELECTRICAL].groupby("frequency").mean() / held[ELECTRICAL].groupby("frequency").mean() - 1)
+        pairs = pd.DataFrame(
+            {
+                "gain": 100 * (free["speed"] / held["speed"] - 1),
+                "friction": held["contact.friction"],
+            }
+        )
+        slopes = [
+            0.6 * np.polyfit(each["friction"], each["gain"], 1)[0]
+            for _, each in pairs.groupby("frequency")
+        ]
+        cost = 100 * (
+            free[ELECTRICAL].groupby("frequency").mean()
+            / held[ELECTRICAL].groupby("frequency").mean()
+            - 1
+        )
         found |= {f"friction.{gait}": between(slopes), f"electrical.{gait}": f"{between(cost)} %"}
     return found
 
@@ -153,7 +188,10 @@ def friction(directory: Path) -> dict[str, str]:
 def soles() -> dict[str, str]:
     """The default soles beside stiff ones."""
     stiff, soft = trots(STIFF), trots()
-    lines = [f"| stiff, soft soles | {' | '.join(f'{each:g} Hz' for each in FREQUENCIES)} |", "|---|---|---|---|"]
+    lines = [
+        f"| stiff, soft soles | {' | '.join(f'{each:g} Hz' for each in FREQUENCIES)} |",
+        "|---|---|---|---|",
+    ]
     for title, metric, amplitude, scale, form in (
         ("speed, spine held [mm/s]", "speed", 0, 1e3, ".1f"),
         ("gain at 0.2 rad [%]", "speed", 1, None, ".1f"),
@@ -163,7 +201,8 @@ def soles() -> dict[str, str]:
         ("slip of loaded feet, spine held [mm/s]", "slip", 0, 1e3, ".1f"),
     ):
         pair = [
-            changed(each, metric, amplitude) if scale is None else scale * each[metric][:, 0] for each in (stiff, soft)
+            changed(each, metric, amplitude) if scale is None else scale * each[metric][:, 0]
+            for each in (stiff, soft)
         ]
         cells = [f"{a:{form}}, {b:{form}}" for a, b in zip(*pair, strict=True)]
         lines.append(f"| {title} | {' | '.join(cells)} |")

@@ -59,7 +59,9 @@ def extension(directory: Path) -> dict[str, str]:
         )
         numbers[f"sagittal.gain_{frequency:g}"] = f"{1e3 * repeated['difference']:.0f}"
         (cost,) = compared(out, "cost_of_transport")
-        numbers[f"sagittal.cost_{frequency:g}"] = f"{cost['base_mean']:.0f} to {cost['other_mean']:.0f}"
+        numbers[f"sagittal.cost_{frequency:g}"] = (
+            f"{cost['base_mean']:.0f} to {cost['other_mean']:.0f}"
+        )
     slowest = min(row["other_mean"] for row in rows)
     return numbers | {"sagittal": "\n".join(lines), "sagittal.backward": f"{-1e3 * slowest:.0f}"}
 
@@ -67,7 +69,12 @@ def extension(directory: Path) -> dict[str, str]:
 def walk(values: dict[str, object], **setup: object) -> dict[str, np.ndarray]:
     """Metrics of walks of ten cycles; angles in degrees, speeds in mm/s."""
     result = Simulator(Setup(**setup), engine="c").run(values, Run(cycles=10, warmup_cycles=3))
-    scale = {"speed": 1e3, "head_yaw_std": np.degrees(1), "head_pitch_std": np.degrees(1), "pitch_std": np.degrees(1)}
+    scale = {
+        "speed": 1e3,
+        "head_yaw_std": np.degrees(1),
+        "head_pitch_std": np.degrees(1),
+        "pitch_std": np.degrees(1),
+    }
     return {name: scale.get(name, 1.0) * np.asarray(each) for name, each in result.metrics.items()}
 
 
@@ -79,19 +86,32 @@ def walks() -> dict[str, str]:
         found[f"bound{title}"] = f"{speed.item():.0f}"
     for gait in ("trot", "lateral_walk", "bound"):
         both = walk(
-            {"frequency": 0.67, "spine.pitch_gain": [0.0, 2.0]}, robot="nermo_41", gait=gait, spine="pitch_balance"
+            {"frequency": 0.67, "spine.pitch_gain": [0.0, 2.0]},
+            robot="nermo_41",
+            gait=gait,
+            spine="pitch_balance",
         )
         for name, places in (("pitch_std", 1), ("speed", 0)):
-            found[f"balance.{gait}.{name}"] = " to ".join(f"{each:.{places}f}" for each in both[name])
+            found[f"balance.{gait}.{name}"] = " to ".join(
+                f"{each:.{places}f}" for each in both[name]
+            )
     found["lite.bound"] = f"{walk({'frequency': 0.67}, gait='bound')['speed'].item():.0f}"
     gallop = {"frequency": 0.67, "spine.sagittal_phase": np.radians(np.arange(0, 360, 45))}
     found["lite.gallop"] = f"{walk({'frequency': 0.67}, gait='gallop')['speed'].item():.0f}"
-    found["41.gallop"] = f"{walk({'frequency': 0.67}, robot='nermo_41', gait='gallop')['speed'].item():.0f}"
+    found["41.gallop"] = (
+        f"{walk({'frequency': 0.67}, robot='nermo_41', gait='gallop')['speed'].item():.0f}"
+    )
     best = walk(gallop, robot="nermo_41", gait="gallop", spine="sagittal_extension")["speed"].max()
     found["41.gallop_best"] = f"{best:.0f}"
     for robot in ("nermo_lite", "nermo_41"):
         for head in ("none", "gaze"):
-            metrics = walk({"frequency": 0.67}, robot=robot, gait="lateral_walk", spine="stride_extension", head=head)
+            metrics = walk(
+                {"frequency": 0.67},
+                robot=robot,
+                gait="lateral_walk",
+                spine="stride_extension",
+                head=head,
+            )
             for name in ("pitch", "yaw"):
                 found[f"head.{robot}.{head}.{name}"] = f"{metrics[f'head_{name}_std'].item():.1f}"
     return found

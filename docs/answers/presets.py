@@ -32,11 +32,15 @@ ROWS = {
 PHYSICS = {"fast": {"physics": "fast"}, "2.5 ms": {"timestep": 0.0025}, "5 ms": {"timestep": 0.005}}
 
 
-def walked(frequencies: tuple[float, ...], turn_rates: tuple[float, ...], **setup: Any) -> dict[str, np.ndarray]:
+def walked(
+    frequencies: tuple[float, ...], turn_rates: tuple[float, ...], **setup: Any
+) -> dict[str, np.ndarray]:
     """Metrics of every gait, frequency and turn rate, without and with the spine."""
     shift = setup.pop("start", {})
     rows = [
-        published_values(gait, steering="mix") | {"frequency": frequency, "pilot.turn_rate": turn} | shift
+        published_values(gait, steering="mix")
+        | {"frequency": frequency, "pilot.turn_rate": turn}
+        | shift
         for gait, frequency, turn in itertools.product(GAITS, frequencies, turn_rates)
     ]
     values = {name: np.array([row[name] for row in rows]) for name in rows[0]}
@@ -49,7 +53,9 @@ def walked(frequencies: tuple[float, ...], turn_rates: tuple[float, ...], **setu
     return {name: np.concatenate([each[name] for each in found]) for name in found[0]}
 
 
-def changes(found: dict[str, np.ndarray], reference: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+def changes(
+    found: dict[str, np.ndarray], reference: dict[str, np.ndarray], names: tuple[str, ...]
+) -> np.ndarray:
     """Relative changes of metrics, as a share."""
     return np.abs(np.concatenate([found[name] / reference[name] - 1 for name in names]))
 
@@ -69,9 +75,17 @@ def against() -> dict[str, str]:
         ours = changes(fast, reference, names)
         largest = [percent(each.max()) for each in (ours, changes(shorter, reference, names))]
         lines.append(f"| {title} | {percent(np.median(ours))} | {' | '.join(largest)} |")
-    radii = [np.abs(each["turning_radius"] / reference["turning_radius"] - 1)[turning] for each in (fast, shorter)]
-    lines.append(f"| turning radius | {percent(np.median(radii[0]))} | {' | '.join(percent(e.max()) for e in radii)} |")
-    return {"presets.against": "\n".join(lines), "presets.speed": percent(changes(fast, reference, ("speed",)).max())}
+    radii = [
+        np.abs(each["turning_radius"] / reference["turning_radius"] - 1)[turning]
+        for each in (fast, shorter)
+    ]
+    lines.append(
+        f"| turning radius | {percent(np.median(radii[0]))} | {' | '.join(percent(e.max()) for e in radii)} |"
+    )
+    return {
+        "presets.against": "\n".join(lines),
+        "presets.speed": percent(changes(fast, reference, ("speed",)).max()),
+    }
 
 
 def longest() -> dict[str, str]:
@@ -83,7 +97,10 @@ def longest() -> dict[str, str]:
     numbers = {}
     for name, each in found.items():
         beyond = changes(each, reference, GAIT_METRICS) > 0.02
-        numbers |= {f"presets.beyond_{name.replace(' ', '_')}": f"{beyond.sum()}", "presets.figures": f"{beyond.size}"}
+        numbers |= {
+            f"presets.beyond_{name.replace(' ', '_')}": f"{beyond.sum()}",
+            "presets.figures": f"{beyond.size}",
+        }
     return numbers
 
 

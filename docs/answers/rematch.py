@@ -21,7 +21,10 @@ def main(path: Path) -> dict[str, str]:
     searches = pd.DataFrame(json.loads(line) for line in path.read_text().splitlines())
     searches = searches[searches.cpu_s == SECONDS].reset_index(drop=True)
     searches[["aim", "parameters", "method", "seed"]] = pd.DataFrame(searches.of.tolist())
-    lines = [f"| objective | parameters | start | {' | '.join(METHODS)} |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        f"| objective | parameters | start | {' | '.join(METHODS)} |",
+        "|---|---|---|---|---|---|---|",
+    ]
     found = {}
     for (aim, parameters), each in searches.groupby(["aim", "parameters"]):
         title, factor, places = OBJECTIVES[aim]
@@ -33,7 +36,9 @@ def main(path: Path) -> dict[str, str]:
             ends = sorted(factor * runs.found)
             cells.append(f"{f'**{told}**' if best else told} ({runs.walks.mean():.0f})")
             found[f"rematch.{aim}_{parameters}_{name}"] = told
-            found[f"rematch.{aim}_{parameters}_{name}_range"] = f"{ends[0]:.{places}f} to {ends[-1]:.{places}f}"
+            found[f"rematch.{aim}_{parameters}_{name}_range"] = (
+                f"{ends[0]:.{places}f} to {ends[-1]:.{places}f}"
+            )
         lines.append(f"| {title} | {parameters} | {' | '.join(cells)} |")
     return {"rematch.table": "\n".join(lines)} | found
 

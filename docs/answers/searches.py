@@ -31,8 +31,13 @@ def main(path: Path) -> dict[str, str]:
             f"published gait, where each begins, {case['published_share']:.2%}."
         )
         reached = [search["runs_to_99"] or case["budget_runs"] for search in each]
-        spans = [spread(each, what, form) for what, form in (("amplitude", ".3f"), ("phase", ".2f"), ("share", ".2%"))]
-        lines.append(f"| {name} | {len(each)} | {' | '.join(spans)} | {min(reached)} to {max(reached)} |")
+        spans = [
+            spread(each, what, form)
+            for what, form in (("amplitude", ".3f"), ("phase", ".2f"), ("share", ".2%"))
+        ]
+        lines.append(
+            f"| {name} | {len(each)} | {' | '.join(spans)} | {min(reached)} to {max(reached)} |"
+        )
         found |= {
             f"search.median_{name}": f"{100 * case['median_share']:.1f}",
             f"search.worst_{name}": f"{100 * min(search['share'] for search in each):.1f}",

@@ -90,7 +90,8 @@ def walked(setup: dict[str, Any], change: Change) -> Callable[[], tuple[Metrics,
     ]
     values = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     simulators = [
-        Simulator(Setup(pilot="open_loop", spine=spine, **setup), engine="c") for spine in ("none", "stride_extension")
+        Simulator(Setup(pilot="open_loop", spine=spine, **setup), engine="c")
+        for spine in ("none", "stride_extension")
     ]
     for each in simulators:
         change(each.engine.model)
@@ -98,7 +99,9 @@ def walked(setup: dict[str, Any], change: Change) -> Callable[[], tuple[Metrics,
     def walk() -> tuple[Metrics, int]:
         results = [each.run(values, RUN) for each in simulators]
         fell = sum(int((each.status != "ok").sum()) for each in results)
-        return {name: np.concatenate([each.metrics[name] for each in results]) for name in GAIT_METRICS}, fell
+        return {
+            name: np.concatenate([each.metrics[name] for each in results]) for name in GAIT_METRICS
+        }, fell
 
     walk()
     return walk
@@ -142,13 +145,19 @@ def settings() -> dict[str, str]:
 
 def stages() -> str:
     """The table of both engines' stages."""
-    found = {engine: {row["stage"]: row for row in profile(engine)["stages"]} for engine in ("c", "mjx")}
+    found = {
+        engine: {row["stage"]: row for row in profile(engine)["stages"]} for engine in ("c", "mjx")
+    }
     lines = ["| stage | `c` [µs] | share | `mjx` share | compile [s] |", "|---|--:|--:|--:|--:|"]
     for title, names in STAGES.items():
-        of = {engine: [rows[name] for name in names if name in rows] for engine, rows in found.items()}
+        of = {
+            engine: [rows[name] for name in names if name in rows] for engine, rows in found.items()
+        }
         us, share = (sum(row[what] for row in of["c"]) for what in ("us", "share"))
         there, compiling = (sum(row[what] for row in of["mjx"]) for what in ("share", "compile_s"))
-        lines.append(f"| {title} | {us:.1f} | {100 * share:.0f} % | {100 * there:.0f} % | {compiling:.1f} |")
+        lines.append(
+            f"| {title} | {us:.1f} | {100 * share:.0f} % | {100 * there:.0f} % | {compiling:.1f} |"
+        )
     return "\n".join(lines)
 
 

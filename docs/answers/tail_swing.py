@@ -27,10 +27,15 @@ def main(directory: str) -> dict[str, str]:
     for profile in ("exact", "as_published"):
         of = table["profile"] == profile
         for title, which in (("no swing", still), ("the author's swing", his)):
-            rows = [table[of & which & (table["spine"] == spine)]["yaw"] for spine in ("none", "stride_extension")]
+            rows = [
+                table[of & which & (table["spine"] == spine)]["yaw"]
+                for spine in ("none", "stride_extension")
+            ]
             cells = [f"{row.mean():.2g} ({row.min():.2g} to {row.max():.2g})" for row in rows]
             ratio = rows[1].mean() / rows[0].mean()
-            lines.append(f"| `{profile}`, {title}, {len(rows[0])} walks each | {' | '.join(cells)} | {ratio:.2g} |")
+            lines.append(
+                f"| `{profile}`, {title}, {len(rows[0])} walks each | {' | '.join(cells)} | {ratio:.2g} |"
+            )
         # Three walks of each swing: with and without the spine they have the same phase and amplitude.
         columns = ["tail.swing_amplitude", "tail.swing_phase", "spine"]
         means = table[of].groupby(columns)["yaw"].mean().unstack()

@@ -43,13 +43,22 @@ def main() -> dict[str, str]:
     seeds = pd.read_csv(HERE / "seeds.csv", dtype={"seed": str})
     means = compared(seeds)
     scenes = list(dict.fromkeys(seeds.scene))
-    lines = [f"| scene | {' | '.join(title for title, *_ in COLUMNS.values())} |", "|---|---|---|---|---|"]
+    lines = [
+        f"| scene | {' | '.join(title for title, *_ in COLUMNS.values())} |",
+        "|---|---|---|---|---|",
+    ]
     for scene in (*scenes, "all"):
-        cells = [cell(means.loc[(name, scene)], scale, places) for name, (_, scale, places, _) in COLUMNS.items()]
+        cells = [
+            cell(means.loc[(name, scene)], scale, places)
+            for name, (_, scale, places, _) in COLUMNS.items()
+        ]
         lines.append(f"| {scene if scene == 'all' else f'`{scene}`'} | {' | '.join(cells)} |")
     found = {"terrain.table": "\n".join(lines)}
     for name, (_, scale, places, finer) in COLUMNS.items():
-        short = {"cost_of_transport": "mechanical", "electrical_cost_of_transport": "electrical"}.get(name, name)
+        short = {
+            "cost_of_transport": "mechanical",
+            "electrical_cost_of_transport": "electrical",
+        }.get(name, name)
         for scene in ("all", "spiral_stairs", "planks"):
             row = means.loc[(name, scene)]
             found[f"terrain.{scene}_{short}"] = apart(row, "stiff", scale, finer)

@@ -61,7 +61,9 @@ def pairs_of(profile: str, sweep: Path) -> pd.DataFrame:
     assert sought is not None
     assert record is not None
     runs = read_table(sweep).to_pandas()
-    runs = runs[(runs["repeat"] >= record.repeats) & (runs["repeat"] < record.repeats + sought.asked.fresh)]
+    runs = runs[
+        (runs["repeat"] >= record.repeats) & (runs["repeat"] < record.repeats + sought.asked.fresh)
+    ]
     points, sampled = ["spine.amplitude", "spine.phase"], columns_of(sought.results, "randomized")
     found = []
     for answer in sought.answers:
@@ -71,11 +73,15 @@ def pairs_of(profile: str, sweep: Path) -> pd.DataFrame:
             own[np.isclose(own[points], [answer.at[name] for name in points]).all(1)],
         )
         both = best.merge(
-            stiff[["seed", *METRICS, "status"]].add_prefix(STIFF), left_on="seed", right_on=f"{STIFF}seed"
+            stiff[["seed", *METRICS, "status"]].add_prefix(STIFF),
+            left_on="seed",
+            right_on=f"{STIFF}seed",
         )
         assert len(both) == sought.asked.fresh
         assert (both[["status", f"{STIFF}status"]] == "ok").all(axis=None)
-        found.append(both[["gait", *points, "seed", *sampled, *(STIFF + name for name in METRICS), *METRICS]])
+        found.append(
+            both[["gait", *points, "seed", *sampled, *(STIFF + name for name in METRICS), *METRICS]]
+        )
     both = pd.concat(found)
     both.insert(0, "profile", profile)
     both.insert(1, "frequency", simulated_frequency(profile))
@@ -85,12 +91,17 @@ def pairs_of(profile: str, sweep: Path) -> pd.DataFrame:
 def at_frequency(pairs: pd.DataFrame, frequency: float) -> pd.DataFrame:
     """The same pairs of one profile at another simulated stride frequency [Hz]."""
     found = pairs.assign(frequency=frequency)
-    profile, sampled = pairs["profile"].iloc[0], pairs.columns[pairs.columns.get_loc("seed") + 1 : -2 * len(METRICS)]
+    profile, sampled = (
+        pairs["profile"].iloc[0],
+        pairs.columns[pairs.columns.get_loc("seed") + 1 : -2 * len(METRICS)],
+    )
     for gait in pairs["gait"].unique():
         here = (pairs["gait"] == gait).to_numpy()
         values = {name: pairs.loc[here, name].to_numpy() for name in sampled}
         values["frequency"] = FREQUENCY * frequency / simulated_frequency(profile)
-        bent = {name: pairs.loc[here, name].to_numpy() for name in ("spine.amplitude", "spine.phase")}
+        bent = {
+            name: pairs.loc[here, name].to_numpy() for name in ("spine.amplitude", "spine.phase")
+        }
         for spine, prefix, more in (("none", STIFF, {}), ("stride_extension", "", bent)):
             setup = Setup(gait=gait, profile=profile, scene="flat", pilot="straight", spine=spine)
             result = Simulator(setup, engine="c").run(values | more, Run(cycles=6, warmup_cycles=2))
@@ -105,7 +116,11 @@ def change(pairs: pd.DataFrame, metric: str) -> tuple[float, float, float]:
     stiff, count = pairs[STIFF + metric], len(pairs)
     difference, scale = pairs[metric] - stiff, 100 / stiff.mean()
     half = float(half_width(difference.std(), count))
-    return scale * difference.mean(), scale * (difference.mean() - half), scale * (difference.mean() + half)
+    return (
+        scale * difference.mean(),
+        scale * (difference.mean() - half),
+        scale * (difference.mean() + half),
+    )
 
 
 def change_of_one_robot(pairs: pd.DataFrame, metric: str) -> tuple[float, float, float]:
@@ -129,19 +144,31 @@ def table(pairs: pd.DataFrame) -> str:
         assert len(own) == 24
         amplitude, phase = own["spine.amplitude"].iloc[0], math.degrees(own["spine.phase"].iloc[0])
         mark = " †" if (profile, gait) == MARKED else ""
-        cells = [f"`{profile}`", gait.replace("_", " ") + mark, f"{frequency:g}", f"{amplitude:g}", f"{phase:.0f}"]
+        cells = [
+            f"`{profile}`",
+            gait.replace("_", " ") + mark,
+            f"{frequency:g}",
+            f"{amplitude:g}",
+            f"{phase:.0f}",
+        ]
         cells += [text(*change(own, metric)) for metric in METRICS if metric != ELECTRICAL]
         electrical = change_of_one_robot(own, ELECTRICAL)
-        cells.append(text(*electrical) + (", **sign unknown**" if electrical[1] < 0 < electrical[2] else ""))
+        cells.append(
+            text(*electrical) + (", **sign unknown**" if electrical[1] < 0 < electrical[2] else "")
+        )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def slow(pairs: pd.DataFrame) -> str:
     """What the best points of `as_published` gain at the simulated frequency of `exact`, in words."""
-    own = pairs[(pairs["profile"] == "as_published") & np.isclose(pairs["frequency"], simulated_frequency("exact"))]
+    own = pairs[
+        (pairs["profile"] == "as_published")
+        & np.isclose(pairs["frequency"], simulated_frequency("exact"))
+    ]
     gains = [
-        f"{gait.replace('_', ' ')} {text(*change(each, 'speed'))} %" for gait, each in own.groupby("gait", sort=False)
+        f"{gait.replace('_', ' ')} {text(*change(each, 'speed'))} %"
+        for gait, each in own.groupby("gait", sort=False)
     ]
     return ", ".join(gains)
 
@@ -162,7 +189,9 @@ def worst(sweep: Path) -> str:
     for answer in sought.answers:
         gain = 100 * (answer.mean / answer.base_mean - 1.0)
         place = int(np.nanargmin(gain))
-        amplitude, phase = (float(answer.points[name][place]) for name in ("spine.amplitude", "spine.phase"))
+        amplitude, phase = (
+            float(answer.points[name][place]) for name in ("spine.amplitude", "spine.phase")
+        )
         at = f"{answer.group['gait'].replace('_', ' ')}, {amplitude:g} rad, {math.degrees(phase):.0f}°"
         lowest.append((gain[place], f"{-gain[place]:.0f} % of the speed ({at})"))
     return min(lowest)[1]
@@ -178,7 +207,9 @@ def film(sweep: Path, out: Path) -> None:
         files.append(sweep / f"{recording.metadata['kept']}.npz")
         recording.between(recording.time[-1] - SECONDS, recording.time[-1]).save(files[-1])
     small = ["--camera", "top", "--width", "360", "--height", "150", "--fps", "12"]
-    subprocess.run([sys.executable, "-m", "nermo_mjx", "render", *files, *small, "--out", out], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "nermo_mjx", "render", *files, *small, "--out", out], check=True
+    )
 
 
 if __name__ == "__main__":
@@ -188,7 +219,11 @@ if __name__ == "__main__":
         slower = at_frequency(made["as_published"], simulated_frequency("exact"))
         pd.concat([*made.values(), slower]).to_csv(PAIRS, index=False, float_format="%.6g")
         pairs = pd.read_csv(PAIRS)
-        found = {"answers": table(pairs), "answers.slow": slow(pairs), "answers.worst": worst(out / "exact")}
+        found = {
+            "answers": table(pairs),
+            "answers.slow": slow(pairs),
+            "answers.worst": worst(out / "exact"),
+        }
         found["answers.undecided"] = undecided(out / MARKED[0])
         print(json.dumps(found, indent=1, ensure_ascii=False))
     elif what == "film":

@@ -48,11 +48,17 @@ def minute(out: Path) -> dict[str, str]:
 def pushed(out: Path) -> dict[str, str]:
     scenes = json.loads((out / "summary.json").read_text())["scenes"]
     told = {f"price.{who}_speed": speed for who, speed in speeds(scenes).items()}
-    walks = pd.read_parquet(out / "evaluation.parquet").groupby("controller")[["cost_of_transport", "slip"]].median()
+    walks = (
+        pd.read_parquet(out / "evaluation.parquet")
+        .groupby("controller")[["cost_of_transport", "slip"]]
+        .median()
+    )
     for who, (cost, slip) in zip(walks.index, walks.to_numpy(), strict=True):
         name = "policy" if who == "policy" else "alone"
         told |= {f"price.{name}_cost": f"{cost:.1f}", f"price.{name}_slip": f"{1e3 * slip:.0f}"}
-    done = subprocess.run([sys.executable, PUSHED, out / "policy.npz"], text=True, stdout=subprocess.PIPE, check=True)
+    done = subprocess.run(
+        [sys.executable, PUSHED, out / "policy.npz"], text=True, stdout=subprocess.PIPE, check=True
+    )
     falls: dict[str, list[str]] = {}
     for line in done.stdout.splitlines():
         who, rest = line[:17].strip(), line[17:].split()

@@ -9,5 +9,8 @@ from pathlib import Path
 
 if __name__ == "__main__":
     best = json.loads((Path(sys.argv[1]) / "best.json").read_text())
-    speeds = {f"tuned.{name}": f"{1e3 * best['verified'][name]['metrics']['speed']:.0f}" for name in ("start", "best")}
+    speeds = {
+        f"tuned.{name}": f"{1e3 * best['verified'][name]['metrics']['speed']:.0f}"
+        for name in ("start", "best")
+    }
     print(json.dumps(speeds | {"tuned.steps": f"{best['iteration']}"}, indent=1))

@@ -84,7 +84,10 @@ def c_case(worlds: int) -> dict[str, Any]:
     session = engine.open(batch.params, batch.qpos, batch.fields)
     # Neither `loop.step` itself nor the function in it: JAX has cached both since the session was opened.
     tick = inspect.unwrap(session.loop.step)
-    ours = compile_cold(jax.jit(lambda *given: tick(*given), compiler_options=compiler_options()), *session.arguments)
+    ours = compile_cold(
+        jax.jit(lambda *given: tick(*given), compiler_options=compiler_options()),
+        *session.arguments,
+    )
     session.advance(ticks)  # past the start-up phase
 
     size = mujoco.mj_stateSize(simulator.robot.physical, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -104,7 +107,11 @@ def c_case(worlds: int) -> dict[str, Any]:
         plain()
         ours_s, plain_s, ratio = compare(lambda: session.advance(ticks), plain, ROUNDS["c"])
     nothing = Compiled(0.0, 0.0, None)  # plain C compiles nothing
-    return _case(simulator, worlds, ticks * steps, ours_s, plain_s) | compiling(ours, nothing) | {"ratio": ratio}
+    return (
+        _case(simulator, worlds, ticks * steps, ours_s, plain_s)
+        | compiling(ours, nothing)
+        | {"ratio": ratio}
+    )
 
 
 def scan_case(name: str, worlds: int) -> dict[str, Any]:
@@ -124,7 +131,9 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
     count = jnp.int32(ticks)
     ours = compile_cold(engine.advance, session.params, session.fields, session.carry, count)
 
-    walking = jax.block_until_ready(ours.program(session.params, session.fields, session.carry, count))
+    walking = jax.block_until_ready(
+        ours.program(session.params, session.fields, session.carry, count)
+    )
     states, ctrl = walking.physics, _targets(simulator, batch, ticks)
     model, blank = engine.model, engine.data_among(worlds)
     if name == "mjx":
@@ -134,7 +143,9 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
 
     def scan(data: mjx.Data, ctrl: jax.Array) -> mjx.Data:
         def tick(data: mjx.Data, target: jax.Array) -> tuple[mjx.Data, None]:
-            return jax.vmap(lambda one, goal: mjx.step(model, one.replace(ctrl=goal)))(data, target), None
+            return jax.vmap(lambda one, goal: mjx.step(model, one.replace(ctrl=goal)))(
+                data, target
+            ), None
 
         return jax.lax.scan(tick, data, ctrl)[0]
 
@@ -145,13 +156,17 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
 
     # Each round all walk the same steps. The carry is donated, so each program gets a copy.
     def run_ours() -> None:
-        jax.block_until_ready(ours.program(session.params, session.fields, jax.tree.map(jnp.copy, walking), count))
+        jax.block_until_ready(
+            ours.program(session.params, session.fields, jax.tree.map(jnp.copy, walking), count)
+        )
 
     def run_plain() -> None:
         jax.block_until_ready(plain.program(data, ctrl))
 
     def run_puppets() -> None:
-        jax.block_until_ready(puppets.advance(strings, session.fields, jax.tree.map(jnp.copy, hung), count))
+        jax.block_until_ready(
+            puppets.advance(strings, session.fields, jax.tree.map(jnp.copy, hung), count)
+        )
 
     run_ours()
     run_plain()
@@ -173,7 +188,9 @@ class Puppet:
         """The tick, 0."""
         return jnp.int32(0)
 
-    def step(self, params: jax.Array, state: jax.Array, sensordata: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def step(
+        self, params: jax.Array, state: jax.Array, sensordata: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
         """The next tick, and this one's targets."""
         return state + 1, params[state % len(params)]
 
@@ -182,11 +199,15 @@ def _targets(simulator: Simulator, batch: Batch, ticks: int) -> jax.Array:
     """Servo targets of a walk, one row per physics step (ticks * steps, worlds, servos), from the C engine."""
     engine = CEngine(simulator.robot, simulator.loop)
     trace = engine.open(batch.params, batch.qpos, batch.fields).record(2 * ticks)
-    steps = np.repeat(np.moveaxis(trace.ctrl[:, ticks:], 0, 1), simulator.loop.steps_per_tick, axis=0)
+    steps = np.repeat(
+        np.moveaxis(trace.ctrl[:, ticks:], 0, 1), simulator.loop.steps_per_tick, axis=0
+    )
     return jnp.asarray(steps)
 
 
-def _case(simulator: Simulator, worlds: int, steps: int, ours_s: float, plain_s: float) -> dict[str, Any]:
+def _case(
+    simulator: Simulator, worlds: int, steps: int, ours_s: float, plain_s: float
+) -> dict[str, Any]:
     rate = worlds * steps / ours_s
     return {
         "steps_per_second": rate,
@@ -218,11 +239,19 @@ def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
 
     run(plain.program)
     run(ours.program)
-    ours_s, plain_s, ratio = compare(lambda: run(ours.program), lambda: run(plain.program), GRADIENT_ROUNDS)
+    ours_s, plain_s, ratio = compare(
+        lambda: run(ours.program), lambda: run(plain.program), GRADIENT_ROUNDS
+    )
     steps = round(rollout.seconds({"frequency": FREQUENCY}) / rollout.robot.config.timestep)
     figures = {"engine": "mjx", "forward_s": plain_s, "gradient_s": ours_s, "ratio": 1.0 / ratio}
-    figures |= {"steps_per_second": worlds * steps / ours_s, "plain_steps_per_second": worlds * steps / plain_s}
-    for name, program in (("temporary_bytes_per_world", ours), ("plain_temporary_bytes_per_world", plain)):
+    figures |= {
+        "steps_per_second": worlds * steps / ours_s,
+        "plain_steps_per_second": worlds * steps / plain_s,
+    }
+    for name, program in (
+        ("temporary_bytes_per_world", ours),
+        ("plain_temporary_bytes_per_world", plain),
+    ):
         # In addition to arguments and results, as planned by the compiler.
         figures[name] = int(program.program.memory_analysis().temp_size_in_bytes) // worlds
     return figures | compiling(ours, plain) | {"peak_bytes": peak_bytes()}
@@ -285,7 +314,17 @@ COLUMNS: Final[dict[str, tuple[str, ...]]] = {
         *("temporary_bytes_per_world", "peak_bytes"),
     ),
     "startup": (
-        *("engine", "worlds", "cache", "total_s", "import_s", "model_s", "parameters_s", "open_s", "first_tick_s"),
+        *(
+            "engine",
+            "worlds",
+            "cache",
+            "total_s",
+            "import_s",
+            "model_s",
+            "parameters_s",
+            "open_s",
+            "first_tick_s",
+        ),
         "training_s",
     ),
 }
@@ -294,14 +333,19 @@ COLUMNS: Final[dict[str, tuple[str, ...]]] = {
 def table_of(case: str, lines: Sequence[Mapping[str, Any]]) -> str:
     """The Markdown table of a case's lines: the columns for which there is a figure."""
     rows = [row for line in lines for row in _rows(line)]
-    columns = {key: _COLUMNS[key] for key in COLUMNS[case] if any(row.get(key) is not None for row in rows)}
+    columns = {
+        key: _COLUMNS[key] for key in COLUMNS[case] if any(row.get(key) is not None for row in rows)
+    }
 
     def cell(value: Any, shape: str, factor: float) -> str:
         if value is None:
             return "-"
         return shape.format(value if isinstance(value, str) or factor == 1.0 else value * factor)
 
-    cells = [[cell(row.get(key), shape, factor) for key, (_, shape, factor) in columns.items()] for row in rows]
+    cells = [
+        [cell(row.get(key), shape, factor) for key, (_, shape, factor) in columns.items()]
+        for row in rows
+    ]
     return table([heading for heading, _, _ in columns.values()], cells)
 
 
@@ -324,14 +368,19 @@ def newest(path: Path) -> dict[str, list[dict[str, Any]]]:
         made = ", ".join([run["date"][:10], f"commit {run['commit']}", *versions])
         for line in run["cases"]:
             # A line from before an option existed was made with the option's first default.
-            options = [line.get(name, default[0]) for name, default in CASES[line["case"]][2].items()]
+            options = [
+                line.get(name, default[0]) for name, default in CASES[line["case"]][2].items()
+            ]
             key = (list(CASES).index(line["case"]), *options)
             found.setdefault(machine, {})[key] = {**line, "made": made}
 
     def order(key: tuple[Any, ...]) -> list[Any]:
         return [(0, part) if isinstance(part, (int, float)) else (1, str(part)) for part in key]
 
-    return {machine: [lines[key] for key in sorted(lines, key=order)] for machine, lines in found.items()}
+    return {
+        machine: [lines[key] for key in sorted(lines, key=order)]
+        for machine, lines in found.items()
+    }
 
 
 def draw_page(path: Path, folder: Path) -> None:
@@ -348,20 +397,30 @@ def draw_page(path: Path, folder: Path) -> None:
             own = [line for line in lines if line["case"] == case]
             text += [f"### {case.capitalize()}: {CASES[case][0]}", "", table_of(case, own)]
         text += [f"Measured {'; '.join(dict.fromkeys(line['made'] for line in lines))}.", ""]
-        for drawn in write_figures(_figures(machine, lines, number), folder / "plots", formats=("svg",)):
+        for drawn in write_figures(
+            _figures(machine, lines, number), folder / "plots", formats=("svg",)
+        ):
             text += [f"![{drawn.stem.removesuffix(f'_{number}')}](plots/{drawn.name})", ""]
     (folder / "results.md").write_text("\n".join(text).rstrip() + "\n")
 
 
-def _figures(machine: str, measured: Sequence[Mapping[str, Any]], number: int) -> Iterator[tuple[str, Figure]]:
+def _figures(
+    machine: str, measured: Sequence[Mapping[str, Any]], number: int
+) -> Iterator[tuple[str, Figure]]:
     """Throughput and memory over the batch, compile times, and the cost of gradients over the length of a walk."""
 
     def lines_with(case: str, *keys: str) -> list[Mapping[str, Any]]:
         """The lines of a case that have all these figures, and all its options."""
         lines = [line for line in measured if line["case"] == case]
-        return [line for line in lines if all(line.get(name) is not None for name in (*CASES[case][2], *keys))]
+        return [
+            line
+            for line in lines
+            if all(line.get(name) is not None for name in (*CASES[case][2], *keys))
+        ]
 
-    if walks := lines_with("throughput", "steps_per_second", "plain_steps_per_second", "peak_bytes"):
+    if walks := lines_with(
+        "throughput", "steps_per_second", "plain_steps_per_second", "peak_bytes"
+    ):
         yield f"throughput_{number}", _throughput(machine, walks)
     compiled = lines_with("throughput", "trace_s", "compile_s", "plain_trace_s", "plain_compile_s")
     if compiled := [line for line in compiled if line["compile_s"]]:
@@ -373,13 +432,21 @@ def _figures(machine: str, measured: Sequence[Mapping[str, Any]], number: int) -
 
 def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
     figure = page(
-        "Throughput and memory over the batch", 7.0, 3.2, f"{machine}. Dashed: plain physics of the same model."
+        "Throughput and memory over the batch",
+        7.0,
+        3.2,
+        f"{machine}. Dashed: plain physics of the same model.",
     )
     speed, memory = figure.subplots(1, 2)
     for engine in dict.fromkeys(line["engine"] for line in walks):
-        lines, colour = [line for line in walks if line["engine"] == engine], _COLOURS.get(engine, INK)
+        lines, colour = (
+            [line for line in walks if line["engine"] == engine],
+            _COLOURS.get(engine, INK),
+        )
         _curve(speed, lines, "worlds", "steps_per_second", color=colour, label=engine)
-        _curve(speed, lines, "worlds", "plain_steps_per_second", color=colour, marker="", ls="--", lw=1)
+        _curve(
+            speed, lines, "worlds", "plain_steps_per_second", color=colour, marker="", ls="--", lw=1
+        )
         _curve(memory, lines, "worlds", "peak_bytes", 1e-9, color=colour)
     sizes = sorted({line["worlds"] for line in walks})
     for ax, label in ((speed, "throughput [physics steps/s]"), (memory, "peak memory [GB]")):
@@ -390,13 +457,18 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
         ax.yaxis.set_minor_locator(NullLocator())
         low, high = ax.get_ylim()
-        ax.set_ylim(max(step for step in _STEPS if step <= low), min(step for step in _STEPS if step >= high))
+        ax.set_ylim(
+            max(step for step in _STEPS if step <= low),
+            min(step for step in _STEPS if step >= high),
+        )
         horizontal_grid(ax)
     speed.legend()
     return figure
 
 
-def _curve(ax: Axes, lines: Sequence[Mapping[str, Any]], x: str, y: str, scale: float = 1.0, **look: Any) -> None:
+def _curve(
+    ax: Axes, lines: Sequence[Mapping[str, Any]], x: str, y: str, scale: float = 1.0, **look: Any
+) -> None:
     """A figure of the lines over one of their options."""
     lines = sorted(lines, key=lambda line: line[x])
     look.setdefault("marker", "o")
@@ -404,7 +476,9 @@ def _curve(ax: Axes, lines: Sequence[Mapping[str, Any]], x: str, y: str, scale: 
 
 
 def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
-    figure = page("From Python to a program", 7.0, 1.8 + 0.45 * len(walks), f"{machine}. Cold cache.")
+    figure = page(
+        "From Python to a program", 7.0, 1.8 + 0.45 * len(walks), f"{machine}. Cold cache."
+    )
     ax = figure.subplots()
     names = [f"{line['engine']}, {line['worlds']:,} worlds" for line in walks]
     trace, compiled = ([line[key] for line in walks] for key in ("trace_s", "compile_s"))
@@ -426,8 +500,14 @@ def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
         of_mode = [line for line in lines if line["mode"] == mode]
         _curve(ratio, of_mode, "cycles", "ratio", color=colour, label=mode)
         _curve(memory, of_mode, "cycles", "temporary_bytes_per_world", 1e-6, color=colour)
-    ratio.set(xlabel="length of the walk [gait cycles]", ylabel="time over the walk's alone [1]", ylim=(0, None))
-    memory.set(xlabel="length of the walk [gait cycles]", ylabel="memory of a world [MB]", ylim=(0, None))
+    ratio.set(
+        xlabel="length of the walk [gait cycles]",
+        ylabel="time over the walk's alone [1]",
+        ylim=(0, None),
+    )
+    memory.set(
+        xlabel="length of the walk [gait cycles]", ylabel="memory of a world [MB]", ylim=(0, None)
+    )
     for ax in (ratio, memory):
         horizontal_grid(ax)
     ratio.legend()
@@ -443,11 +523,16 @@ def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
 def main(cases, **given):
     for case in cases:
         _, measure, options = CASES[case]
-        for chosen in itertools.product(*(given[name] or default for name, default in options.items())):
+        for chosen in itertools.product(
+            *(given[name] or default for name, default in options.items())
+        ):
             figures = apart(measure, *chosen)
             print(case, *chosen, figures)
             if "error" not in figures:
-                append(RESULTS, run_of([{"case": case, **dict(zip(options, chosen, strict=True)), **figures}]))
+                append(
+                    RESULTS,
+                    run_of([{"case": case, **dict(zip(options, chosen, strict=True)), **figures}]),
+                )
     draw_page(RESULTS, HERE)
 
 

@@ -25,7 +25,15 @@ import numpy as np
 from hlo import Module, Work
 from jax.experimental import topologies
 from jax.sharding import SingleDeviceSharding
-from measuring import FREQUENCY, NAMES, append, compile_cold, differentiable_walk, run_of, with_gradient
+from measuring import (
+    FREQUENCY,
+    NAMES,
+    append,
+    compile_cold,
+    differentiable_walk,
+    run_of,
+    with_gradient,
+)
 
 from nermo_mjx.bench import peak_bytes
 from nermo_mjx.rollout import Setup, Simulator
@@ -36,14 +44,42 @@ ROUNDS, LAUNCH_S, WAIT_S = 5, 2.5e-6, 15e-6
 #: From NVIDIA's data sheets and device queries: name, compute capability, multiprocessors, float32 units of each, clock
 #: [GHz], threads and shared memory of a multiprocessor, shared memory of a block, cache, memory [B], bandwidth [B/s].
 TARGETS = {
-    "h100": ("NVIDIA H100 80GB HBM3", 9, 0, 132, 128, 1.98, 2048, 233472, 232448, 52428800, 84942979072, 3.352e12),
-    "a100": ("NVIDIA A100-SXM4-80GB", 8, 0, 108, 64, 1.41, 2048, 167936, 166912, 41943040, 85100068864, 2.039e12),
+    "h100": (
+        "NVIDIA H100 80GB HBM3",
+        9,
+        0,
+        132,
+        128,
+        1.98,
+        2048,
+        233472,
+        232448,
+        52428800,
+        84942979072,
+        3.352e12,
+    ),
+    "a100": (
+        "NVIDIA A100-SXM4-80GB",
+        8,
+        0,
+        108,
+        64,
+        1.41,
+        2048,
+        167936,
+        166912,
+        41943040,
+        85100068864,
+        2.039e12,
+    ),
     "l4": ("NVIDIA L4", 8, 9, 58, 128, 2.04, 1536, 102400, 101376, 50331648, 23580639232, 3.0e11),
     "t4": ("Tesla T4", 7, 5, 40, 64, 1.59, 1024, 65536, 65536, 4194304, 15642329088, 3.2e11),
 }
 
 
-def device(name, major, minor, cores, units, clock, threads, shared, block, cache, memory, bandwidth):
+def device(
+    name, major, minor, cores, units, clock, threads, shared, block, cache, memory, bandwidth
+):
     """The GPU as a device that programs are compiled for, from XLA's description of it."""
     described = f"""gpu_device_info {{
   threads_per_block_limit: 1024  threads_per_warp: 32  threads_per_core_limit: {threads}
@@ -65,17 +101,32 @@ def program_of(name, worlds):
         rollout, speed = differentiable_walk(1.0)
         ticks = round(rollout.seconds({"frequency": FREQUENCY}) / rollout.controller.dt) + 1
         points = jax.ShapeDtypeStruct((worlds, len(NAMES)), jnp.zeros(()).dtype)
-        return jax.vmap(with_gradient(speed, name)), (points,), (), ticks, rollout.engine.loop.steps_per_tick
+        return (
+            jax.vmap(with_gradient(speed, name)),
+            (points,),
+            (),
+            ticks,
+            rollout.engine.loop.steps_per_tick,
+        )
     simulator = Simulator(Setup(spine="stride_extension"), "mjx", devices=1)
     engine, batch = simulator.engine, simulator.prepare({"frequency": np.full(1, FREQUENCY)})
     sizes = (engine.model.nq, engine.model.nv, engine.model.nsensordata)
     state = [jax.ShapeDtypeStruct((1, size), engine.data.qpos.dtype) for size in sizes]
     shapes = (batch.params, batch.fields, jax.eval_shape(engine.open_worlds, batch.params, *state))
     among = jax.tree.map(
-        lambda x: jax.ShapeDtypeStruct((worlds, *x.shape[1:]), jax.dtypes.canonicalize_dtype(x.dtype)), shapes
+        lambda x: jax.ShapeDtypeStruct(
+            (worlds, *x.shape[1:]), jax.dtypes.canonicalize_dtype(x.dtype)
+        ),
+        shapes,
     )
     function = inspect.unwrap(engine.advance, stop=inspect.ismethod)
-    return function, (*among, jax.ShapeDtypeStruct((), jnp.int32)), (2,), None, simulator.loop.steps_per_tick
+    return (
+        function,
+        (*among, jax.ShapeDtypeStruct((), jnp.int32)),
+        (2,),
+        None,
+        simulator.loop.steps_per_tick,
+    )
 
 
 def figures(text, ticks, steps, worlds, bandwidth):
@@ -84,11 +135,18 @@ def figures(text, ticks, steps, worlds, bandwidth):
     if ticks is not None:
         tick, loops = module.work(module.entry), list(module.loops(module.entry))
     else:  # the caller says how many: an iteration of the outermost loop
-        outer = max((loop for loop, _ in module.loops(module.entry)), key=lambda loop: module.round(loop).launches)
+        outer = max(
+            (loop for loop, _ in module.loops(module.entry)),
+            key=lambda loop: module.round(loop).launches,
+        )
         tick, loops = module.round(outer), list(module.loops(outer.body))
     over_steps = [(loop, times) for loop, times in loops if loop.rounds == steps]
     within = {inner.body for loop, _ in over_steps for inner, _ in module.loops(loop.body)}
-    chosen = (module.round(loop) * (steps * times) for loop, times in over_steps if loop.body not in within)
+    chosen = (
+        module.round(loop) * (steps * times)
+        for loop, times in over_steps
+        if loop.body not in within
+    )
     step, tick = sum(chosen, Work()) * (1.0 / (count * steps)), tick * (1.0 / count)
     return {
         "kernels_per_step": round(step.kernels, 1),
@@ -108,7 +166,9 @@ def figures(text, ticks, steps, worlds, bandwidth):
 @click.option("--target", type=click.Choice(list(TARGETS)), default="h100")
 @click.option("--program", type=click.Choice(["walk", "forward", "reverse"]), default="walk")
 @click.option("--worlds", type=click.IntRange(1), default=1024)
-@click.option("--into", type=click.Path(path_type=Path), default=Path(__file__).with_suffix(".jsonl"))
+@click.option(
+    "--into", type=click.Path(path_type=Path), default=Path(__file__).with_suffix(".jsonl")
+)
 def main(target, program, worlds, into):
     jax.config.update("jax_platforms", "cpu")  # an accelerator in this machine is not used
     where = SingleDeviceSharding(device(*TARGETS[target]))

@@ -52,7 +52,9 @@ _CONTROL: Final = {"while", "conditional", "call", "async-start"}
 _SLICES: Final = {"slice", "dynamic-slice", "gather"}
 
 _HEAD: Final = re.compile(r"^(ENTRY )?%?([\w.\-]+) \(.*\{$")
-_INSTRUCTION: Final = re.compile(r"^\s+(ROOT )?%?([\w.\-]+) = (\(.*?\)|\S+) ([a-z][a-z0-9\-]*)\(([^)]*)\)(.*)$")
+_INSTRUCTION: Final = re.compile(
+    r"^\s+(ROOT )?%?([\w.\-]+) = (\(.*?\)|\S+) ([a-z][a-z0-9\-]*)\(([^)]*)\)(.*)$"
+)
 _NAME: Final = re.compile(r"%([\w.\-]+)")
 _SHAPE: Final = re.compile(r"\b([a-z]+\d*)\[([\d,]*)\]")
 _TRIPS: Final = re.compile(r'"known_trip_count":\{"n":"(\d+)"\}')
@@ -129,7 +131,9 @@ class Module:
     def work(self, name: str) -> Work:
         """The total work of a computation, including all iterations of its loops."""
         if name not in self._known:
-            self._known[name] = sum((self._of(each, name) for each in self.computations[name].values()), Work())
+            self._known[name] = sum(
+                (self._of(each, name) for each in self.computations[name].values()), Work()
+            )
         return self._known[name]
 
     def loops(self, name: str) -> Iterator[tuple[Loop, float]]:
@@ -158,13 +162,21 @@ class Module:
             return self.round(loop) * self._rounds(loop)
         if each.opcode == "conditional":
             # The host waits for the branch to be known; the most expensive one counts.
-            return max((self.work(name) for name in each.called()), key=lambda work: work.launches) + Work(waits=1.0)
+            return max(
+                (self.work(name) for name in each.called()), key=lambda work: work.launches
+            ) + Work(waits=1.0)
         if each.opcode in _CONTROL:
             return sum((self.work(name) for name in each.called()), Work())
         moved = 0 if each.opcode in _FREE else self._moved(each, computation)
         if moved == 0:
             return Work()
-        kind = "copies" if each.opcode in _COPIES else "libraries" if each.opcode == "custom-call" else "kernels"
+        kind = (
+            "copies"
+            if each.opcode in _COPIES
+            else "libraries"
+            if each.opcode == "custom-call"
+            else "kernels"
+        )
         return Work(**{kind: 1.0}, bytes=moved)
 
     def _moved(self, each: Instruction, computation: str) -> int:
@@ -189,7 +201,9 @@ def _parsed(text: str) -> tuple[dict[str, dict[str, Instruction]], str]:
             entry = head.group(2) if head.group(1) else entry
         elif found := _INSTRUCTION.match(line):
             _, name, shape, opcode, operands, rest = found.groups()
-            current[name] = Instruction(name, opcode, _size(shape), tuple(_NAME.findall(operands)), rest)
+            current[name] = Instruction(
+                name, opcode, _size(shape), tuple(_NAME.findall(operands)), rest
+            )
     if not entry:
         raise ValueError("The text is no HLO: it has no ENTRY.")
     return computations, entry

@@ -65,16 +65,24 @@ def walk(duration: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return recording.time - recording.time[0], recording.ctrl
 
 
-def nermo_log(values: dict[str, float], times: np.ndarray, commands: np.ndarray, random: np.random.Generator) -> Log:
+def nermo_log(
+    values: dict[str, float], times: np.ndarray, commands: np.ndarray, random: np.random.Generator
+) -> Log:
     """A log of Nermo with these parameters, under commands (n, servos) at times (n,)."""
     robot = load_robot("nermo_lite")
-    own = {name: value for name, value in values.items() if "." in name and not name.startswith("bias.")}
+    own = {
+        name: value
+        for name, value in values.items()
+        if "." in name and not name.startswith("bias.")
+    }
     model = compile_model(robot, mass_values("nermo_lite") | own)
     data = mujoco.MjData(model)
     bias = np.array([values.get(f"bias.{servo}", 0.0) for servo in robot.servos])
     step = model.opt.timestep
     settle, steps = round(SETTLING / step), math.floor(times[-1] / step)
-    gyro, acceleration = (model.sensor(name).adr[0] + np.arange(3) for name in ("gyro", "accelerometer"))
+    gyro, acceleration = (
+        model.sensor(name).adr[0] + np.arange(3) for name in ("gyro", "accelerometer")
+    )
     servos = model.jnt_qposadr[model.actuator_trnid[:, 0]]
     torso = model.body("torso").id
     rows = []
@@ -85,11 +93,22 @@ def nermo_log(values: dict[str, float], times: np.ndarray, commands: np.ndarray,
         mujoco.mj_step(model, data)
         if k >= 0:
             yaw = math.atan2(data.xmat[torso, 3], data.xmat[torso, 0])
-            rows.append([*angles, *data.sensordata[gyro], *data.sensordata[acceleration], *data.xpos[torso, :2], yaw])
+            rows.append(
+                [
+                    *angles,
+                    *data.sensordata[gyro],
+                    *data.sensordata[acceleration],
+                    *data.xpos[torso, :2],
+                    yaw,
+                ]
+            )
     every = round(1 / (RATE * step))
     seen, n = np.array(rows)[::every], len(servos)
     at = np.arange(len(seen)) * every * step
-    channels = [Channel(f"command_{s}", "command", s, times, commands[:, i]) for i, s in enumerate(robot.servos)]
+    channels = [
+        Channel(f"command_{s}", "command", s, times, commands[:, i])
+        for i, s in enumerate(robot.servos)
+    ]
     channels += [
         Channel(f"angle_{s}", "angle", s, at, measured("angle", seen[:, i], random))
         for i, s in enumerate(robot.servos)
@@ -97,8 +116,20 @@ def nermo_log(values: dict[str, float], times: np.ndarray, commands: np.ndarray,
     ]
     channels += [
         Channel("gyro", "gyro", "imu", at, measured("gyro", seen[:, n : n + 3], random)),
-        Channel("accelerometer", "accelerometer", "imu", at, measured("accelerometer", seen[:, n + 3 : n + 6], random)),
-        Channel("position", "position", "torso", at, measured("position", seen[:, n + 6 : n + 8], random)),
+        Channel(
+            "accelerometer",
+            "accelerometer",
+            "imu",
+            at,
+            measured("accelerometer", seen[:, n + 3 : n + 6], random),
+        ),
+        Channel(
+            "position",
+            "position",
+            "torso",
+            at,
+            measured("position", seen[:, n + 6 : n + 8], random),
+        ),
         Channel("yaw", "yaw", "torso", at, measured("yaw", np.unwrap(seen[:, n + 8]), random)),
     ]
     return Log(tuple(channels), "simulated")
@@ -117,7 +148,9 @@ def drawn(body: NermoBody, random: np.random.Generator) -> dict[str, float]:
     return found
 
 
-def compared(found: Identification, truth: dict[str, float], noise: np.ndarray | None = None) -> dict[str, object]:
+def compared(
+    found: Identification, truth: dict[str, float], noise: np.ndarray | None = None
+) -> dict[str, object]:
     """What an identification says beside the truth."""
     names = [each.name for each in found.fit.space.parameters]
     inside = {n: bool(a <= truth[n] <= b) for n, (a, b) in zip(names, found.intervals, strict=True)}
@@ -142,7 +175,9 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "robots": len(rows),
         "determined": known / max(known + loose, 1),
         "coverage of determined": inside / max(known, 1),
-        "its 95 % interval (Wilson)": [*binomtest(inside, max(known, 1)).proportion_ci(method="wilson")],
+        "its 95 % interval (Wilson)": [
+            *binomtest(inside, max(known, 1)).proportion_ci(method="wilson")
+        ],
         "coverage of the others": held / max(loose, 1),
         "median error [noise]": float(np.median([row["error"] for row in rows])),
         "called right": float(np.mean([row["right"] for row in rows])),
@@ -158,8 +193,14 @@ def nermos(robots: int, first: int, tracks: bool, duration: float) -> None:
         body = NermoBody("nermo_lite", free)
         truth = drawn(body, random)
         log = nermo_log(truth, *walk(duration, seed), random)
-        seen = ("command", "position", "yaw") if tracks else ("command", "angle", "gyro", "accelerometer")
-        log = dataclasses.replace(log, channels=tuple(each for each in log.channels if each.quantity in seen))
+        seen = (
+            ("command", "position", "yaw")
+            if tracks
+            else ("command", "angle", "gyro", "accelerometer")
+        )
+        log = dataclasses.replace(
+            log, channels=tuple(each for each in log.channels if each.quantity in seen)
+        )
         found = identify_log([log], free=free)
         rows.append({"seed": seed} | compared(found, truth))
         print(json.dumps(rows[-1]), flush=True)
@@ -177,7 +218,9 @@ ARM = """<mujoco><option timestep="0.002"/><default><joint damping="0.2" armatur
 <position name="c" joint="c" kp="20" forcerange="-0.6 0.6"/></actuator></mujoco>"""
 
 
-def driven(model: mujoco.MjModel, values: dict[str, float], seed: int, duration: float, noise: float = 1e-3) -> Log:
+def driven(
+    model: mujoco.MjModel, values: dict[str, float], seed: int, duration: float, noise: float = 1e-3
+) -> Log:
     """A log of position servos under a chirp each, with delay, biases, and play in their gears."""
     random, data, step = np.random.default_rng(seed), mujoco.MjData(model), model.opt.timestep
     names = [model.actuator(i).name for i in range(model.nu)]
@@ -205,7 +248,9 @@ def driven(model: mujoco.MjModel, values: dict[str, float], seed: int, duration:
     every = round(1 / (RATE * step))
     seen = np.array(rows)[::every]
     at = np.arange(len(seen)) * every * step
-    channels = [Channel(f"command_{n}", "command", n, times, commands[:, i]) for i, n in enumerate(names)]
+    channels = [
+        Channel(f"command_{n}", "command", n, times, commands[:, i]) for i, n in enumerate(names)
+    ]
     angles = seen + random.normal(0.0, noise, seen.shape)
     joints = [model.joint(int(j)).name for j in model.actuator_trnid[:, 0]]
     channels += [Channel(f"angle_{n}", "angle", n, at, angles[:, i]) for i, n in enumerate(joints)]
@@ -221,7 +266,9 @@ def classes(robots: int, first: int, folder: Path) -> None:
         random, wrong = np.random.default_rng(seed), ("gain", "backlash")[seed % 2]
         model = mujoco.MjModel.from_xml_string(ARM)
         model.dof_damping[:] *= np.exp(random.normal(0, 0.4, model.nv))
-        values = {f"bias.{model.actuator(i).name}": random.uniform(-0.1, 0.1) for i in range(model.nu)}
+        values = {
+            f"bias.{model.actuator(i).name}": random.uniform(-0.1, 0.1) for i in range(model.nu)
+        }
         if wrong == "gain":
             factor = np.exp(random.choice([-1, 1]) * random.uniform(0.15, 0.6))
             model.actuator_gainprm[:, 0] *= factor
@@ -230,19 +277,38 @@ def classes(robots: int, first: int, folder: Path) -> None:
             values["backlash"] = random.uniform(0.03, 0.08)
         log = driven(model, values, seed, 6.0, 3e-4)
         found = identify_log([log], path, ("damping", "bias"))
-        row = {"seed": seed, "wrong": wrong, "named": not found.right, "missing": dict(found.missing)}
+        row = {
+            "seed": seed,
+            "wrong": wrong,
+            "named": not found.right,
+            "missing": dict(found.missing),
+        }
         if wrong == "gain":
             row["right class"] = identify_log([log], path, ("damping", "bias", "kp")).right
         rows.append(row)
         print(json.dumps(row), flush=True)
-    named = {kind: [row["named"] for row in rows if row["wrong"] == kind] for kind in ("gain", "backlash")}
+    named = {
+        kind: [row["named"] for row in rows if row["wrong"] == kind]
+        for kind in ("gain", "backlash")
+    }
     cause = []
     for row in rows:
-        own, most = "kp" if row["wrong"] == "gain" else "backlash", max(row["missing"].values(), default=0.0)
+        own, most = (
+            "kp" if row["wrong"] == "gain" else "backlash",
+            max(row["missing"].values(), default=0.0),
+        )
         cause.append(row["missing"].get(own, 0.0) > 0.8 * most)
     accepted = [row["right class"] for row in rows if "right class" in row]
     said = {kind: float(np.mean(each)) for kind, each in named.items() if each}
-    print(json.dumps({"named": said, "cause": float(np.mean(cause)), "right class accepted": float(np.mean(accepted))}))
+    print(
+        json.dumps(
+            {
+                "named": said,
+                "cause": float(np.mean(cause)),
+                "right class accepted": float(np.mean(accepted)),
+            }
+        )
+    )
 
 
 def quadruped_xml(base: bool) -> str:
@@ -278,19 +344,26 @@ def quadruped(folder: Path) -> None:
     truth = {f"bias.{name}": random.uniform(-0.1, 0.1) for name in names} | {"delay": 0.008}
     log = driven(model, truth, 0, 23.0)
     for kind in ("armature", "damping", "frictionloss"):
-        truth |= dict(zip([f"{kind}.{name}" for name in names], getattr(model, f"dof_{kind}"), strict=True))
+        truth |= dict(
+            zip([f"{kind}.{name}" for name in names], getattr(model, f"dof_{kind}"), strict=True)
+        )
     results = []
     for _ in range(2):
         began = time.process_time()
         found = identify_log([log], path, ("armature", "damping", "frictionloss", "bias", "delay"))
         results.append(found.fit.values)
-        row = compared(found, truth) | {"parameters": len(truth), "cpu": time.process_time() - began}
+        row = compared(found, truth) | {
+            "parameters": len(truth),
+            "cpu": time.process_time() - began,
+        }
         print(json.dumps(row), flush=True)
     print(json.dumps({"the same twice": bool(np.array_equal(*results))}))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=("nermo", "tracks", "classes", "quadruped"))
     parser.add_argument("--robots", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="seed of the first robot")

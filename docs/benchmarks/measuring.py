@@ -27,7 +27,9 @@ NAMES: Final = ("spine.amplitude", "spine.phase")
 FREQUENCY: Final = 0.8  # [Hz]
 
 
-def differentiable_walk(cycles: float) -> tuple[Rollout, Callable[[Array], tuple[Array, dict[str, Array]]]]:
+def differentiable_walk(
+    cycles: float,
+) -> tuple[Rollout, Callable[[Array], tuple[Array, dict[str, Array]]]]:
     """A walk of a number of gait cycles, and its speed and metrics as a function of `NAMES`."""
     rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0), "mjx")
 
@@ -56,7 +58,16 @@ def run_of(lines: list[dict[str, Any]]) -> dict[str, Any]:
 
 def commit() -> str | None:
     """The commit of the measured source, with a + if files differ from it; None for an installed package."""
-    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--exclude=*", "--dirty=+", "--abbrev=12"]
+    git = [
+        "git",
+        "-C",
+        str(Path(__file__).parent),
+        "describe",
+        "--always",
+        "--exclude=*",
+        "--dirty=+",
+        "--abbrev=12",
+    ]
     try:
         done = subprocess.run(git, check=False, capture_output=True, text=True)
     except OSError:
@@ -77,7 +88,9 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - began
 
 
-def compare(ours: Callable[[], object], plain: Callable[[], object], rounds: int) -> tuple[float, float, float]:
+def compare(
+    ours: Callable[[], object], plain: Callable[[], object], rounds: int
+) -> tuple[float, float, float]:
     """(seconds of `ours`, seconds of `plain`, plain over ours), medians over rounds in which both ran, alternately."""
     pairs = []
     for i in range(rounds):

@@ -31,7 +31,18 @@ def trained(spec: Path, seed: int, out: Path, *more: str) -> list[tuple[float, f
     """Train; wall time [s] and processor time [s] at which each policy was written, and its file."""
     out.mkdir(parents=True)
     found: list[tuple[float, float, Path]] = []
-    command = [sys.executable, "-m", "nermo_mjx", "train", spec, "--seed", str(seed), "--out", out / "run", "--quiet"]
+    command = [
+        sys.executable,
+        "-m",
+        "nermo_mjx",
+        "train",
+        spec,
+        "--seed",
+        str(seed),
+        "--out",
+        out / "run",
+        "--quiet",
+    ]
     began = time.time()
     process = subprocess.Popen([*command, *more])
     held = out / "run" / "policy.npz"
@@ -41,7 +52,13 @@ def trained(spec: Path, seed: int, out: Path, *more: str) -> list[tuple[float, f
         ended = process.poll()  # before the file is looked at: what it wrote last is not missed
         written = held.stat().st_mtime - began if held.exists() else 0.0
         if written and (not found or held.read_bytes() != found[-1][2].read_bytes()):
-            found.append((written, cpu_seconds(process.pid), Path(shutil.copy(held, out / f"policy-{len(found)}.npz"))))
+            found.append(
+                (
+                    written,
+                    cpu_seconds(process.pid),
+                    Path(shutil.copy(held, out / f"policy-{len(found)}.npz")),
+                )
+            )
     if ended:
         raise SystemExit(f"the training of seed {seed} failed with exit code {ended}")
     return found
@@ -56,7 +73,9 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / 100.0
 
 
-def judged(evaluator: PolicyEvaluator, path: Path, alone: pd.DataFrame, faster: float) -> dict[str, float]:
+def judged(
+    evaluator: PolicyEvaluator, path: Path, alone: pd.DataFrame, faster: float
+) -> dict[str, float]:
     """Share of walks that count where fewest do, median speed [m/s], and how much faster it is, 5 % and median."""
     policy = load_policy(path)
     walks = evaluator(policy, walkers=(POLICY,)).to_pandas()
@@ -80,7 +99,9 @@ def drawn(rows: pd.DataFrame, file: Path) -> None:
     above, below = figure.subplots(2, sharex=True)
     for seed, one in rows.groupby("seed"):
         for ax, name, factor in ((above, "share", 100.0), (below, "speed", 1e3)):
-            ax.step(one.wall_seconds, factor * one[name], where="post", marker=".", label=f"seed {seed}")
+            ax.step(
+                one.wall_seconds, factor * one[name], where="post", marker=".", label=f"seed {seed}"
+            )
     above.set(ylabel="walks that count [%]", ylim=(-3, 103))
     below.set(ylabel="median speed [mm/s]", xlabel="wall time from the command's first second [s]")
     below.legend(frameon=False, ncols=3)
@@ -88,7 +109,9 @@ def drawn(rows: pd.DataFrame, file: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("spec", type=Path)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first", type=int, default=0, help="first seed")
@@ -105,7 +128,9 @@ def main() -> None:
             about = judged(evaluator, path, alone, given.faster)
             rows.append({"seed": seed, "wall_seconds": wall, "cpu_seconds": cpu, **about})
             print({name: float(np.round(value, 4)) for name, value in rows[-1].items()}, flush=True)
-        tried = pd.read_parquet(given.out / f"seed-{seed}" / "run" / "validation.parquet").drop(columns="steps")
+        tried = pd.read_parquet(given.out / f"seed-{seed}" / "run" / "validation.parquet").drop(
+            columns="steps"
+        )
         until = evaluator.training.until
         reached.append(until is not None and bool(tried.min(axis=1).max() >= until.success))
         # What there is so far stays if a later seed is stopped.

@@ -78,14 +78,27 @@ def profile(engine: str, worlds: int = 64, setup: Setup | None = None) -> dict[s
         raise ParameterError(f"engine is {engine!r}: allowed is 'c' or 'mjx'.")
     simulator = Simulator(setup or Setup(spine="stride_extension"), engine)
     batch = simulator.prepare(
-        {"frequency": 0.8, "spine.amplitude": np.linspace(0.0, 0.4, worlds), "spine.phase": np.linspace(-1, 0, worlds)}
+        {
+            "frequency": 0.8,
+            "spine.amplitude": np.linspace(0.0, 0.4, worlds),
+            "spine.phase": np.linspace(-1, 0, worlds),
+        }
     )
-    walk = CEngine(simulator.robot, simulator.loop).open(batch.params, batch.qpos, batch.fields).record(WARMUP + TICKS)
+    walk = (
+        CEngine(simulator.robot, simulator.loop)
+        .open(batch.params, batch.qpos, batch.fields)
+        .record(WARMUP + TICKS)
+    )
     rows = _c_stages(simulator, walk) if engine == "c" else _mjx_stages(simulator, walk)
     total = sum(row["us"] for row in rows)
     for row in rows:
         row["share"] = row["us"] / total
-    return {"engine": engine, "worlds": 1 if engine == "c" else worlds, "step_us": total, "stages": rows}
+    return {
+        "engine": engine,
+        "worlds": 1 if engine == "c" else worlds,
+        "step_us": total,
+        "stages": rows,
+    }
 
 
 def _c_stages(simulator: Simulator, walk: Any) -> list[dict[str, Any]]:
@@ -99,13 +112,17 @@ def _c_stages(simulator: Simulator, walk: Any) -> list[dict[str, Any]]:
         for tick in range(WARMUP, WARMUP + TICKS):
             data.ctrl[:] = walk.ctrl[world, tick]
             mujoco.mj_step(model, data, steps)
-            rows.append([data.timer[getattr(mujoco.mjtTimer, f"mjTIMER_{name}")].duration for name in names])
+            rows.append(
+                [data.timer[getattr(mujoco.mjtTimer, f"mjTIMER_{name}")].duration for name in names]
+            )
     finally:
         mujoco.set_mjcb_time(None)
     # The median over ticks: a step during which another process ran took a thousand times as long.
     took = dict(zip(names, 1e6 / steps * np.median(np.diff(rows, axis=0), axis=0), strict=True))
     us = {stage: float(took[timer]) for stage, timer in C_TIMERS.items()}
-    kinematics, tendons = (_alone(function, model, data) for function in (mujoco.mj_kinematics, mujoco.mj_tendon))
+    kinematics, tendons = (
+        _alone(function, model, data) for function in (mujoco.mj_kinematics, mujoco.mj_tendon)
+    )
     share = tendons / (tendons + kinematics)
     placed = float(took["POS_KINEMATICS"])
     us = {"kinematics": (1 - share) * placed, "tendons": share * placed} | us
@@ -143,7 +160,9 @@ def _mjx_stages(simulator: Simulator, walk: Any) -> list[dict[str, Any]]:
     return rows
 
 
-def _accelerations(simulator: Simulator, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
+def _accelerations(
+    simulator: Simulator, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray
+) -> np.ndarray:
     """Accelerations (n, nv) of the worlds in these states, from C."""
     data, rows = mujoco.MjData(simulator.robot.physical), []
     for data.qpos[:], data.qvel[:], data.ctrl[:] in zip(qpos, qvel, ctrl, strict=True):
@@ -152,7 +171,9 @@ def _accelerations(simulator: Simulator, qpos: np.ndarray, qvel: np.ndarray, ctr
     return np.array(rows)
 
 
-def profile_stage(model: mjx.Model, stage: Stage, data: mjx.Data) -> tuple[dict[str, Any], mjx.Data]:
+def profile_stage(
+    model: mjx.Model, stage: Stage, data: mjx.Data
+) -> tuple[dict[str, Any], mjx.Data]:
     """The figures of one stage of MJX as a separate program, and the data after it."""
     leaves, shape = jax.tree.flatten(data)
     changed: list[int] = []
@@ -161,7 +182,9 @@ def profile_stage(model: mjx.Model, stage: Stage, data: mjx.Data) -> tuple[dict[
         # Only the stage's own results are returned: copies of the rest would be timed, too.
         def one(leaves: list[jax.Array]) -> list[jax.Array]:
             after = jax.tree.leaves(stage(model, jax.tree.unflatten(shape, leaves)))
-            changed[:] = [i for i, (old, new) in enumerate(zip(leaves, after, strict=True)) if new is not old]
+            changed[:] = [
+                i for i, (old, new) in enumerate(zip(leaves, after, strict=True)) if new is not old
+            ]
             return [after[i] for i in changed]
 
         return jax.vmap(one)(leaves)

@@ -33,15 +33,29 @@ SEARCHED = SERVO | {"damping.knee": (0.002, 0.03), "damping.spine": (0.003, 0.1)
 #: Sampled, but not searched: rubber and printed plastic on a mat.
 UNCERTAIN = {"contact.friction": (1.0, 1.8), "contact.tail_friction": (0.2, 1.0)}
 #: Walks by name: gait, whether the spine extends the strides, frequency [Hz].
-GAITS = {"trot": ("trot", 0), "trot+": ("trot", 1), "walking": ("walking_trot", 0), "walking+": ("walking_trot", 1)}
-WALKS = {f"{n} {f}": (*of, f) for f in (0.5, 0.8) for n, of in (GAITS | {"lateral": ("lateral_walk", 0)}).items()}
+GAITS = {
+    "trot": ("trot", 0),
+    "trot+": ("trot", 1),
+    "walking": ("walking_trot", 0),
+    "walking+": ("walking_trot", 1),
+}
+WALKS = {
+    f"{n} {f}": (*of, f)
+    for f in (0.5, 0.8)
+    for n, of in (GAITS | {"lateral": ("lateral_walk", 0)}).items()
+}
 #: Lowest and highest published ratio of two speeds, tolerance of the ratio's logarithm, and both walks.
 TARGETS = [(0.9, 0.9, 0.1, "trot 0.8", "theory"), (1.22, 1.22, 0.1, "trot+ 0.8", "trot 0.8")]
-TARGETS += [(1.05, 1.22, 0.1, "trot+ 0.5", "trot 0.5"), (1.27, 1.27, 0.1, "trot 0.8", "lateral 0.8")]
+TARGETS += [
+    (1.05, 1.22, 0.1, "trot+ 0.5", "trot 0.5"),
+    (1.27, 1.27, 0.1, "trot 0.8", "lateral 0.8"),
+]
 TARGETS += [(1.48, 1.48, 0.1, "trot+ 0.8", "lateral 0.8")]
 #: An order of two speeds is a ratio of at least 1.
 ORDERS = [("walking+", "walking"), ("trot", "walking"), ("walking", "lateral")]
-TARGETS += [(1.0, math.inf, 0.02, f"{one} {f}", f"{other} {f}") for one, other in ORDERS for f in (0.8, 0.5)]
+TARGETS += [
+    (1.0, math.inf, 0.02, f"{one} {f}", f"{other} {f}") for one, other in ORDERS for f in (0.8, 0.5)
+]
 #: Speed of the trot at 0.8 Hz without slip (5.22) [m/s], and the robot instances that are simulated together.
 THEORY, BATCH = 0.096, 12
 
@@ -51,13 +65,19 @@ class PublishedSpeeds:
 
     def __init__(self, defaults: dict[str, float], profile: str) -> None:
         n = len(TARGETS)
-        self.measured = LoggedSamples(np.zeros(n), np.zeros(n, int), np.arange(n, dtype=float), np.zeros(1))
+        self.measured = LoggedSamples(
+            np.zeros(n), np.zeros(n, int), np.arange(n, dtype=float), np.zeros(1)
+        )
         self.defaults = defaults
         choices = {name: str(chosen) for name, chosen in robot_choices(profile).items()}
         setup = Setup(pilot="straight", spine="stride_extension", **choices)
         no_pilot = {"pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
         cases = [
-            Case({"walk": name}, gait, values={"frequency": f, "spine.amplitude": AMPLITUDE * spine, **no_pilot})
+            Case(
+                {"walk": name},
+                gait,
+                values={"frequency": f, "spine.amplitude": AMPLITUDE * spine, **no_pilot},
+            )
             for name, (gait, spine, f) in WALKS.items()
         ]
         self.simulator = Simulator(setup, "c")
@@ -71,7 +91,9 @@ class PublishedSpeeds:
         for batch in np.array_split(instances, -(-len(instances) // BATCH)):
             each = dict(zip(self.defaults, np.repeat(batch, len(WALKS), axis=0).T, strict=True))
             same = {name: np.tile(column, len(batch)) for name, column in self.walks.items()}
-            result = self.simulator.run(same | each | {"damping.ankle": each["damping.knee"]}, Run(cycles=8.0))
+            result = self.simulator.run(
+                same | each | {"damping.ankle": each["damping.knee"]}, Run(cycles=8.0)
+            )
             speed = result.metrics["speed"] * same.get("tracking.clock_ratio", 1.0)
             speed = np.where(result.status == "ok", speed, np.nan).reshape(len(batch), -1)
             speed[np.isnan(speed).any(axis=1)] = np.nan
@@ -98,22 +120,40 @@ def bounds(profile: str) -> dict[str, tuple[float, float]]:
 def main(out: Path, profile: str, generations: int, samples: int, tolerance: float) -> None:
     known, ranges = all_parameters(), bounds(profile)
     defaults = {name: body_values(profile).get(name, known[name].default) for name in ranges}
-    parameters = [Parameter(n, "", known[n].unit, defaults[n], *ranges[n], "", math.nan) for n in ranges]
+    parameters = [
+        Parameter(n, "", known[n].unit, defaults[n], *ranges[n], "", math.nan) for n in ranges
+    ]
     problem = PublishedSpeeds(defaults, profile)
     problem.predict(np.array([list(defaults.values())]))
-    list(Estimation(ParameterSpace(parameters[: len(SEARCHED)]), problem).sought(generations, generations, seed=0))
+    list(
+        Estimation(ParameterSpace(parameters[: len(SEARCHED)]), problem).sought(
+            generations, generations, seed=0
+        )
+    )
     Estimation(ParameterSpace(parameters), problem).scanned(samples, seed=0)
     objective = np.nan_to_num(np.sqrt(np.mean(problem.deviations**2, axis=1)), nan=math.inf)
     tried = len(objective) - samples
-    chosen = [int(np.argmin(objective[:tried])), *(tried + np.flatnonzero(objective[tried:] <= tolerance))]
+    chosen = [
+        int(np.argmin(objective[:tried])),
+        *(tried + np.flatnonzero(objective[tried:] <= tolerance)),
+    ]
     columns = dict(zip(ranges, problem.instances[chosen].T, strict=True))
     columns["damping.ankle"] = columns["damping.knee"]
     about = f"{len(chosen) - 1} of {samples} robot instances, objective at most {tolerance:g}, profile {profile}"
-    pairs = list(itertools.combinations([shown(p.name, p.unit, columns[p.name], log=True) for p in parameters], 2))
-    cost, title = shown("objective", "1", objective[chosen], side="min"), "Robot instances that walk as published"
+    pairs = list(
+        itertools.combinations(
+            [shown(p.name, p.unit, columns[p.name], log=True) for p in parameters], 2
+        )
+    )
+    cost, title = (
+        shown("objective", "1", objective[chosen], side="min"),
+        "Robot instances that walk as published",
+    )
     write_figures([("ensemble", pair_scatters(pairs, cost, title, f"{about}; "))], out)
     (out / "ensemble.csv").write_bytes(ensemble_text(f"{about}.", columns, objective[chosen]))
-    click.echo(f"{about}. Objective: {objective[0]:.3f} of the profile, {objective[chosen[0]]:.3f} of the best.")
+    click.echo(
+        f"{about}. Objective: {objective[0]:.3f} of the profile, {objective[chosen[0]]:.3f} of the best."
+    )
 
 
 if __name__ == "__main__":

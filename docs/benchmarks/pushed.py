@@ -31,13 +31,18 @@ def fell(driving: Driving, force: float, phase: float) -> bool:
     while driving.time < pushed + 2.0:
         driving.tick()
     qpos = driving.recording().qpos
-    upright = 1.0 - 2.0 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)  # the z component of the torso's vertical axis
+    upright = 1.0 - 2.0 * (
+        qpos[:, 4] ** 2 + qpos[:, 5] ** 2
+    )  # the z component of the torso's vertical axis
     return bool((upright < 0.5).any())
 
 
 def main() -> None:
     policy = load_policy(sys.argv[1])
-    for name, setup in (("policy", Setup(controller=policy)), ("controller alone", Setup(gait="trot"))):
+    for name, setup in (
+        ("policy", Setup(controller=policy)),
+        ("controller alone", Setup(gait="trot")),
+    ):
         driving = Driving(setup, {"frequency": setup.defaults()["frequency"]})
         for force in FORCES:
             cases = itertools.product((-force, force), np.arange(10) / 10)

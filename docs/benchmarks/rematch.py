@@ -22,10 +22,22 @@ from nermo_mjx.optimize.run import verified
 
 SECONDS = 40.0
 SECANTS = {"wide_differences": {"scheme": "forward", "step": 0.02}}
-METHODS = {"exact": "local_gradient", "secants": SECANTS, "secants, L-BFGS": SECANTS, "CMA-ES": SECANTS}
+METHODS = {
+    "exact": "local_gradient",
+    "secants": SECANTS,
+    "secants, L-BFGS": SECANTS,
+    "CMA-ES": SECANTS,
+}
 #: Initial standard deviation of CMA-ES, in unbounded coordinates, and points of a generation.
 SIGMA, POPULATION = 0.5, 16
-FEET = ("foot.front", "foot.rear", "foot.front_left", "foot.front_right", "foot.rear_left", "foot.rear_right")
+FEET = (
+    "foot.front",
+    "foot.rear",
+    "foot.front_left",
+    "foot.front_right",
+    "foot.rear_left",
+    "foot.rear_right",
+)
 #: Parameters in the order in which they are added, and how far each is searched on either side of the published gait.
 REACH = {"spine.harmonics.cos1": 0.4, "spine.harmonics.sin1": 0.4}
 REACH |= {f"limb.lift.{pair}": 0.01 for pair in ("front", "rear")}
@@ -37,7 +49,10 @@ REACH |= {f"{foot}.{axis}{i}": 0.008 for i in range(1, 9) for axis in "yz" for f
 REACH |= {f"{foot}.{axis}{i}": 0.008 for i in (3, 7) for axis in "yz" for foot in FEET[2:]}
 OBJECTIVES = {
     "speed": [{"maximize": "speed", "scale": 0.1}],
-    "transport": [{"minimize": "cost_of_transport"}, {"hold": "speed", "at": 0.08, "scale": 0.01, "weight": 2}],
+    "transport": [
+        {"minimize": "cost_of_transport"},
+        {"hold": "speed", "at": 0.08, "scale": 0.01, "weight": 2},
+    ],
 }
 
 
@@ -49,7 +64,12 @@ def spent():
 
 def tuning_of(aim, parameters, method, seed):
     """A tuning from a seed's start."""
-    walk = {"spine": "harmonics", "trajectory": "free", "run": {"cycles": 3, "warmup_cycles": 1}, "seed": seed}
+    walk = {
+        "spine": "harmonics",
+        "trajectory": "free",
+        "run": {"cycles": 3, "warmup_cycles": 1},
+        "seed": seed,
+    }
     walk |= {"set": {"frequency": 0.8}, "objective": OBJECTIVES[aim], "method": METHODS[method]}
     about = Tuning.from_dict(walk | {"tune": {"stride": None}}).parameters
     aside, tuned = np.random.default_rng([seed, 20]).uniform(-0.1, 0.1, len(REACH)), {}
@@ -59,7 +79,10 @@ def tuning_of(aim, parameters, method, seed):
             min(about[name].high, about[name].default + reach),
         )
         middle = 0.2 if name == "spine.harmonics.cos1" else about[name].default
-        tuned[name] = {"bounds": [low, high], "start": float(np.clip(middle + away * (high - low), low, high))}
+        tuned[name] = {
+            "bounds": [low, high],
+            "start": float(np.clip(middle + away * (high - low), low, high)),
+        }
     return Tuning.from_dict(walk | {"tune": tuned})
 
 
@@ -112,7 +135,12 @@ def search(tuning, method):
 
     if method.endswith("L-BFGS"):
         with contextlib.suppress(StopIteration):
-            minimize(loss, to_unconstrained(tuning.bounds, tuning.start_points()[0]), jac=True, method="L-BFGS-B")
+            minimize(
+                loss,
+                to_unconstrained(tuning.bounds, tuning.start_points()[0]),
+                jac=True,
+                method="L-BFGS-B",
+            )
     else:
         for _ in begun():
             if spent() >= limit:
@@ -125,7 +153,11 @@ if __name__ == "__main__":
     kept = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
     known = [line["of"] for line in kept if line["cpu_s"] == SECONDS]
     cases = [
-        [aim, p, method, seed] for p in (2, 16, 64) for seed in (1, 2, 3) for aim in OBJECTIVES for method in METHODS
+        [aim, p, method, seed]
+        for p in (2, 16, 64)
+        for seed in (1, 2, 3)
+        for aim in OBJECTIVES
+        for method in METHODS
     ]
     for of in (each for each in cases if each not in known):
         tuning = tuning_of(*of)

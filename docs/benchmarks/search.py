@@ -36,7 +36,13 @@ def dense_sweep(simulator, frequency):
     result = simulator.run(values, Run(cycles=6, warmup_cycles=2))
     speeds = np.where(result.status == "ok", result.metrics["speed"], 0.0)
     best = points[speeds.argmax()]
-    return float(best[0]), float(best[1]), float(speeds.max()), len(points), time.perf_counter() - began
+    return (
+        float(best[0]),
+        float(best[1]),
+        float(speeds.max()),
+        len(points),
+        time.perf_counter() - began,
+    )
 
 
 def searched(simulator, frequency, seed, dense):
@@ -46,7 +52,10 @@ def searched(simulator, frequency, seed, dense):
         "set": {"frequency": frequency},
         "objective": {"maximize": "speed"},
         "budget": EVALUATIONS,
-        "vary": {"spine.amplitude": {"uniform": [0.0, 0.4]}, "spine.phase": {"uniform": [-np.pi, np.pi]}},
+        "vary": {
+            "spine.amplitude": {"uniform": [0.0, 0.4]},
+            "spine.phase": {"uniform": [-np.pi, np.pi]},
+        },
         "batch": BATCH,
         "seed": seed,
         "plots": False,
@@ -104,8 +113,12 @@ def tuned(frequency, phase, iterations, dense):
 
 @click.command(help=__doc__)
 @click.option("--frequency", type=float, default=0.8, help="Of the trot [Hz].")
-@click.option("--gradient/--no-gradient", default=False, help="Also tune by gradient; compiles for minutes.")
-@click.option("--into", type=click.Path(path_type=Path), default=Path(__file__).with_suffix(".jsonl"))
+@click.option(
+    "--gradient/--no-gradient", default=False, help="Also tune by gradient; compiles for minutes."
+)
+@click.option(
+    "--into", type=click.Path(path_type=Path), default=Path(__file__).with_suffix(".jsonl")
+)
 def main(frequency, gradient, into):
     simulator = Simulator(Setup(spine="stride_extension"), "c")
     amplitude, phase, speed, runs, seconds = dense_sweep(simulator, frequency)
@@ -124,8 +137,12 @@ def main(frequency, gradient, into):
     line["median_wall_s"] = float(np.median([each["wall_s"] for each in found]))
     line["published_share"] = found[0]["first_share"]
     iterations = int(0.1 * runs / GRADIENT_COST)
-    turned = [float((phase + turn + np.pi) % (2 * np.pi) - np.pi) for turn in (np.pi / 2, -np.pi / 2)]
-    line["searches"] = found + [tuned(frequency, each, iterations, speed) for each in turned if gradient]
+    turned = [
+        float((phase + turn + np.pi) % (2 * np.pi) - np.pi) for turn in (np.pi / 2, -np.pi / 2)
+    ]
+    line["searches"] = found + [
+        tuned(frequency, each, iterations, speed) for each in turned if gradient
+    ]
     append(into, run_of([line]))
     print(json.dumps(line, indent=2))
 

@@ -22,7 +22,14 @@ import numpy as np
 from step_models import installed_models, load, models_below, touching
 
 from nermo_mjx.bench import machine_description
-from nermo_mjx.dynamics.checking import WIDTHS, Trial, compare_gradient, distance, moved_entries, trial
+from nermo_mjx.dynamics.checking import (
+    WIDTHS,
+    Trial,
+    compare_gradient,
+    distance,
+    moved_entries,
+    trial,
+)
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
@@ -34,7 +41,9 @@ ROUNDS: Final = 5
 PLAIN_CODE: Final = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
-def measure(path: Path, part: str, found: dict[str, Any], optimized: bool = False) -> dict[str, Any]:
+def measure(
+    path: Path, part: str, found: dict[str, Any], optimized: bool = False
+) -> dict[str, Any]:
     """The figures of one part of a model's line.
 
     Args:
@@ -50,7 +59,9 @@ def measure(path: Path, part: str, found: dict[str, Any], optimized: bool = Fals
     return figures | {"optimized": optimized, "cpu_s": time.process_time()}
 
 
-def _gradient(model: mujoco.MjModel, data: mujoco.MjData, _: Any, options: dict[str, Any]) -> dict[str, Any]:
+def _gradient(
+    model: mujoco.MjModel, data: mujoco.MjData, _: Any, options: dict[str, Any]
+) -> dict[str, Any]:
     figures = {
         "nv": model.nv,
         "contacts": data.ncon,
@@ -109,7 +120,11 @@ def _plain(
             return {"plain": "refuses: while_loop"}
     one = moved_entries(slopes)
     finite = bool(np.isfinite(one).all())
-    return {"plain": distance(np.array(found["group"]), one, np.array(found["differences"])) if finite else "NaN"}
+    return {
+        "plain": distance(np.array(found["group"]), one, np.array(found["differences"]))
+        if finite
+        else "NaN"
+    }
 
 
 #: The function that measures each part.
@@ -181,11 +196,23 @@ def lines_of(file: Path) -> dict[str, dict[str, Any]]:
     show_default=True,
     help="File that lines are added to.",
 )
-@click.option("--part", "parts", type=click.Choice(list(PARTS)), multiple=True, help="Repeatable; all by default.")
+@click.option(
+    "--part",
+    "parts",
+    type=click.Choice(list(PARTS)),
+    multiple=True,
+    help="Repeatable; all by default.",
+)
 @click.option("--only", multiple=True, help="Part of a model's name; repeatable.")
 @click.option("--prefix", default="", help="What the names of MODELS begin with.")
-@click.option("--limit", type=float, default=900.0, show_default=True, help="Longest time for one part [s].")
-@click.option("--optimized", is_flag=True, help="Compile as for a user, three times as long; for figures of time.")
+@click.option(
+    "--limit", type=float, default=900.0, show_default=True, help="Longest time for one part [s]."
+)
+@click.option(
+    "--optimized",
+    is_flag=True,
+    help="Compile as for a user, three times as long; for figures of time.",
+)
 def main(
     models: tuple[Path, ...],
     into: Path,
@@ -200,7 +227,11 @@ def main(
     Without MODELS: those that come with mujoco-mjx, and with playground if it is installed. Parts with a line in the
     file are skipped; the parts run one after the other, each with small models first.
     """
-    found = [each for root in models for each in models_below(root, prefix)] if models else list(installed_models())
+    found = (
+        [each for root in models for each in models_below(root, prefix)]
+        if models
+        else list(installed_models())
+    )
     chosen = sorted(
         ((name, path) for name, path in found if not only or any(each in name for each in only)),
         key=lambda each: _size(each[1]),
@@ -208,7 +239,11 @@ def main(
     for part in [each for each in PARTS if each in (parts or PARTS)]:
         for name, path in chosen:
             before = lines_of(into).get(name, {"parts": []})
-            if part in before["parts"] or "failed" in before or (part != "gradient" and "gradient" not in before):
+            if (
+                part in before["parts"]
+                or "failed" in before
+                or (part != "gradient" and "gradient" not in before)
+            ):
                 continue
             click.echo(f"{part} {name}", err=True)
             line = {"model": name, "part": part, **_apart(path, part, before, limit, optimized)}
@@ -223,13 +258,19 @@ def _size(path: Path) -> int:
         return 0
 
 
-def _apart(path: Path, part: str, before: dict[str, Any], limit: float, optimized: bool) -> dict[str, Any]:
+def _apart(
+    path: Path, part: str, before: dict[str, Any], limit: float, optimized: bool
+) -> dict[str, Any]:
     """The figures of one part, from a separate process, or `failed`, a sentence."""
-    given = json.dumps([str(path), part, {name: before.get(name) for name in ("group", "gradient", "differences")}])
+    given = json.dumps(
+        [str(path), part, {name: before.get(name) for name in ("group", "gradient", "differences")}]
+    )
     where = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); "
     code = f"{where}from step_matrix import report; report({given!r}, {optimized})"
     try:
-        ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=limit)
+        ended = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, timeout=limit
+        )
     except subprocess.TimeoutExpired:
         return {"failed": f"no end within {limit:g} s"}
     if ended.returncode:
@@ -246,7 +287,9 @@ def report(given: str, optimized: bool) -> None:
             figures |= machine_description()
     except Exception as error:  # whatever MuJoCo or MJX raise for a model
         sentence = " ".join(f"{type(error).__name__}: {error}".split())
-        figures = {"failed": re.sub(r"'[^']*/([^/']+)'", r"'\1'", sentence)[:200]}  # a file's name, not its path
+        figures = {
+            "failed": re.sub(r"'[^']*/([^/']+)'", r"'\1'", sentence)[:200]
+        }  # a file's name, not its path
     print(json.dumps(figures))
 
 

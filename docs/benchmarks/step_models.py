@@ -17,12 +17,19 @@ FIRST: Final = 10
 #: Maximum number of these steps.
 MOST_STEPS: Final = 4000
 #: Warnings after which a state is invalid.
-LOST: Final = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+LOST: Final = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
 
 
 def installed_models() -> Iterator[tuple[str, Path]]:
     """(name, file) of the models that come with `mujoco-mjx`, and with `playground`, if installed."""
-    for package, below, prefix in (("mujoco", "mjx/test_data", "mjx"), ("mujoco_playground", "_src", "playground")):
+    for package, below, prefix in (
+        ("mujoco", "mjx/test_data", "mjx"),
+        ("mujoco_playground", "_src", "playground"),
+    ):
         spec = importlib.util.find_spec(package)
         if spec is None or not spec.submodule_search_locations:
             continue
@@ -37,7 +44,9 @@ def models_below(root: Path, prefix: str = "") -> Iterator[tuple[str, Path]]:
         beside = [other.read_text(errors="replace") for other in path.parent.glob("*.xml")]
         is_part = any(f'file="{path.name}"' in other for other in beside)
         if not is_part and ("<worldbody" in text or "<include" in text):
-            parts = [part for part in path.relative_to(root).parts[:-1] if part not in ("xmls", "assets")]
+            parts = [
+                part for part in path.relative_to(root).parts[:-1] if part not in ("xmls", "assets")
+            ]
             yield "/".join(filter(None, [prefix, *parts, path.stem])), path
 
 
@@ -56,7 +65,11 @@ def load(path: Path) -> mujoco.MjModel:
         field.file = str(beside) if beside.is_file() else field.file
     gone = _meshes_gone(spec, path.parent)
     for geom in [each for each in spec.geoms if each.meshname in gone]:
-        if geom.contype or geom.conaffinity or not (geom.parent.explicitinertial or _is_fixed(geom.parent)):
+        if (
+            geom.contype
+            or geom.conaffinity
+            or not (geom.parent.explicitinertial or _is_fixed(geom.parent))
+        ):
             raise ValueError(f"mesh {geom.meshname!r} is not there, and it collides or has a mass.")
         spec.delete(geom)
     for mesh in [each for each in spec.meshes if each.name in gone]:
@@ -122,7 +135,9 @@ def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
 
 def _control_ranges(model: mujoco.MjModel) -> np.ndarray:
     """Ends of the controls' ranges, (2, nu); -1 and 1 if unlimited."""
-    return np.where(model.actuator_ctrllimited[:, None].astype(bool), model.actuator_ctrlrange, [-1.0, 1.0]).T
+    return np.where(
+        model.actuator_ctrllimited[:, None].astype(bool), model.actuator_ctrlrange, [-1.0, 1.0]
+    ).T
 
 
 def _moved(
@@ -135,7 +150,9 @@ def _moved(
         mujoco.mj_resetDataKeyframe(model, data, 0)
     if model.nu and (share == 1.0 or not model.nkey):
         low, high = _control_ranges(model)
-        data.ctrl[:] = 0.5 * (low + high) + 0.5 * share * (high - low) * random.uniform(-1.0, 1.0, model.nu)
+        data.ctrl[:] = 0.5 * (low + high) + 0.5 * share * (high - low) * random.uniform(
+            -1.0, 1.0, model.nu
+        )
     data.qvel[:] += 0.1 * random.normal(size=model.nv)
     states, rows = [], []
     for _ in range(min(MOST_STEPS, round(SETTLING / model.opt.timestep))):

@@ -87,7 +87,9 @@ def _error(value: float) -> str:
 
 @click.command()
 @click.argument("lines", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("target", metavar="PAGE", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument(
+    "target", metavar="PAGE", type=click.Path(exists=True, dir_okay=False, path_type=Path)
+)
 def main(lines: Path, target: Path) -> None:
     """Put the table of LINES into PAGE, between its two comments."""
     text = target.read_text()

@@ -56,7 +56,10 @@ def table(runs: list[dict[str, Any]]) -> str:
         cells = [f"`{Path(file).name}`", scene, ", ".join(str(case["seed"]) for case in cases)]
         cells.append(spread([100 * case["policy"]["success"] for case in cases], 0))
         for name, (_, factor, digits) in FIGURES.items():
-            cells += [spread([factor * case[who][name] for case in cases], digits) for who in ("policy", "alone")]
+            cells += [
+                spread([factor * case[who][name] for case in cases], digits)
+                for who in ("policy", "alone")
+            ]
         cells += [spread([case["cpu"] / 60 for case in cases], 1), f"`{run['commit'][:7]}`"]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -69,12 +72,16 @@ def spread(values: list[float], digits: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("specs", nargs="*", metavar="FILE")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--out", type=Path, default=Path("runs"))
     args = parser.parse_args()
-    cases = [case for spec in args.specs for seed in args.seeds for case in trained(spec, seed, args.out)]
+    cases = [
+        case for spec in args.specs for seed in args.seeds for case in trained(spec, seed, args.out)
+    ]
     if cases:
         append(KEPT, run_of(cases))
     runs = [json.loads(line) for line in KEPT.read_text().splitlines()]

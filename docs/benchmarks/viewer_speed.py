@@ -73,14 +73,19 @@ def explored(tab: chromium.Tab, begin: float) -> dict[str, float]:
     """Seconds until a directory's page is seen; milliseconds that points and a brush take; seconds until it plays."""
     tab.picture()
     figures = {"seen_s": time.monotonic() - begin}
-    for name, act in (("points_ms", "explorer.chart.draw()"), ("brush_ms", "explorer.brush([0.2, 0.7, 0.2, 0.8])")):
+    for name, act in (
+        ("points_ms", "explorer.chart.draw()"),
+        ("brush_ms", "explorer.brush([0.2, 0.7, 0.2, 0.8])"),
+    ):
         script = f"(() => {{ const begin = performance.now(); {act}; {FLUSH}; return performance.now() - begin; }})()"
         tab.evaluate("explorer.view.cells = false, explorer.show()")
         figures[name] = tab.evaluate(script)
     begin = time.monotonic()
     if tab.evaluate("explorer.recorded.size"):
         tab.evaluate("explorer.filters.release(), explorer.play([...explorer.recorded][0])")
-        tab.wait("document.querySelector('#theatre iframe')?.contentWindow.viewer?.stage.frames > 0")
+        tab.wait(
+            "document.querySelector('#theatre iframe')?.contentWindow.viewer?.stage.frames > 0"
+        )
         figures["plays_s"] = time.monotonic() - begin
     assert tab.complaints() == []
     return {key: round(value, 2) for key, value in figures.items()}
@@ -100,7 +105,10 @@ def of_recordings(out: Path) -> dict[str, str]:
         "one recording": show(free).save(out / "one.html"),
         "two in comparison": show(free, stiff).save(out / "two.html"),
     }
-    lines, ready = ["| page | window | ready | final still | frames/s |", "|---|---|---|---|---|"], list[str]()
+    lines, ready = (
+        ["| page | window | ready | final still | frames/s |", "|---|---|---|---|---|"],
+        list[str](),
+    )
     for name, page in pages.items():
         told = f"{name}, {page.stat().st_size / 1e6:.1f} MB"
         for width, height in ((1280, 720), (640, 360)):
@@ -127,7 +135,10 @@ def of_a_directory(out: Path) -> dict[str, str]:
         ("the page accepts input", f"{found.ready_s:.1f} s"),
         ("it is visible", f"{found.seen_s:.1f} s"),
         ("another choice of axes or colours is drawn, all points", f"{found.points_ms:.0f} ms"),
-        ("a rectangle is brushed: two filters, plot, histograms and lists", f"{found.brush_ms:.0f} ms"),
+        (
+            "a rectangle is brushed: two filters, plot, histograms and lists",
+            f"{found.brush_ms:.0f} ms",
+        ),
         ("a recording plays, from the click to its first frame", f"{found.plays_s:.1f} s"),
     ]
     whole = f"{table.num_rows:,} runs of {table.num_columns} columns, with {MOST_RECORDINGS} recordings of 10 s,"

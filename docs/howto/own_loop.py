@@ -8,7 +8,9 @@ import jax.numpy as jnp
 from nermo_mjx import Environment, Setup, Task, compiler_options
 
 PAIRS, STEPS, GENERATIONS, SPREAD, RATE = 2, 20, 3, 0.05, 0.02
-environment = Environment(Setup(physics="fast"), engine="mjx", worlds=2 * PAIRS, task=Task(episode_length=5.0))
+environment = Environment(
+    Setup(physics="fast"), engine="mjx", worlds=2 * PAIRS, task=Task(episode_length=5.0)
+)
 
 
 def returns(weights, key):
@@ -30,7 +32,9 @@ def generation(weights, key):
     noise = jax.random.normal(drawn, (PAIRS, *weights.shape))
     found = returns(jnp.concatenate([weights + SPREAD * noise, weights - SPREAD * noise]), start)
     plus, minus = jnp.split(found, 2)
-    return weights + RATE * jnp.einsum("p,poa->oa", plus - minus, noise) / (2 * PAIRS * SPREAD), found.mean()
+    return weights + RATE * jnp.einsum("p,poa->oa", plus - minus, noise) / (
+        2 * PAIRS * SPREAD
+    ), found.mean()
 
 
 weights = jnp.zeros((environment.observation_size, environment.action_size))

@@ -19,7 +19,9 @@ First steps:
 """
 
 
-@click.group(cls=CommandGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=CommandGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, package_name="nermo-mjx", message="nermo-mjx %(version)s")
 def main() -> None:
     """Digital twin of Nermo, the tendon-driven robotic mouse.

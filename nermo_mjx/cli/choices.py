@@ -53,7 +53,11 @@ def of_package() -> dict[str, list[str]]:
 
 def text_of(named: dict[str, list[str]]) -> str:
     """names.json: a line for each list."""
-    return "{\n" + ",\n".join(f"{json.dumps(name)}: {json.dumps(values)}" for name, values in named.items()) + "\n}\n"
+    return (
+        "{\n"
+        + ",\n".join(f"{json.dumps(name)}: {json.dumps(values)}" for name, values in named.items())
+        + "\n}\n"
+    )
 
 
 if __name__ == "__main__":

@@ -16,7 +16,17 @@ from nermo_mjx.cli.choices import FORMATS, METRICS
 from nermo_mjx.cli.kinds import RECORDING, Kind, kind_of_directory
 from nermo_mjx.cli.logs import compare_files, log_channels
 from nermo_mjx.cli.options import FileKind, column, flag
-from nermo_mjx.cli.output import Failure, Output, WrongUse, command, in_unit, print_pairs, print_table, room, say
+from nermo_mjx.cli.output import (
+    Failure,
+    Output,
+    WrongUse,
+    command,
+    in_unit,
+    print_pairs,
+    print_table,
+    room,
+    say,
+)
 from nermo_mjx.progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -49,7 +59,9 @@ def status_command(path: Path) -> Output:
         of_all = f" of {status.rows:,}" if status.rows is not None and not status.complete else ""
         amount = f"{status.rows_done:,}{of_all} {status.unit}, {'complete' if status.complete else 'not complete'}"
         click.echo(f"{path}: {kind.called}, {amount}")
-        named = [f"{name}: {code}" for name, code in codes.items()] or [", ".join(status.code) or "not known"]
+        named = [f"{name}: {code}" for name, code in codes.items()] or [
+            ", ".join(status.code) or "not known"
+        ]
         made = [("engine", status.engine or "not known"), *(("code", each) for each in named)]
         how = "figures" if status.complete and " plot " in status.command else "resume"
         notes = [("note", note) for note in status.notes]
@@ -69,10 +81,17 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
         yield "session", f"and {len(sessions) - len(latest)} earlier"
     for each in latest:
         versions, machine = each.get("versions", {}), each.get("machine", {})
-        named = ", ".join(f"{name} {versions[name]}" for name in ("nermo-mjx", "mujoco", "jax") if name in versions)
+        named = ", ".join(
+            f"{name} {versions[name]}"
+            for name in ("nermo-mjx", "mujoco", "jax")
+            if name in versions
+        )
         where = ", ".join(str(machine[name]) for name in ("host", "processor") if name in machine)
         cores = f", {machine['cores']} cores" if "cores" in machine else ""
-        yield "session", f"{local_time(each.get('started', 'some time'))}, {named}, on {where}{cores}"
+        yield (
+            "session",
+            f"{local_time(each.get('started', 'some time'))}, {named}, on {where}{cores}",
+        )
         if each.get("command"):
             yield "", str(each["command"])
 
@@ -111,7 +130,11 @@ def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str |
     if out is None and kind is RECORDING:
         raise WrongUse(f"{path} is a recording: give the directory for its figures with --out DIR.")
     notes: list[str] = []
-    given = {name: each for name, each in {**chosen, "notify": notes.append}.items() if name in kind.options}
+    given = {
+        name: each
+        for name, each in {**chosen, "notify": notes.append}.items()
+        if name in kind.options
+    }
     from nermo_mjx.plotting.files import write_figures
 
     figures, folder = kind.load(kind.figures)(path, **given), path / "plots" if out is None else out
@@ -125,7 +148,9 @@ def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str |
 
 
 @contextlib.contextmanager
-def _drawing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator[Callable[[Path, bytes], None]]:
+def _drawing(
+    kind: Kind, path: Path, folder: Path, notes: list[str]
+) -> Iterator[Callable[[Path, bytes], None]]:
     """How figures are written into a folder, into which no other command draws meanwhile; it is made if it is missing.
 
     In a directory that knows its own files, others are moved aside.
@@ -162,9 +187,18 @@ _report_out = options.text(
 @click.argument("b", metavar="[B]", required=False, type=options.PATH)
 @column("--by", "Compare the values of a column in A.")
 @options.text("--base", "VALUE", "The baseline value; by default none, or the first.")
-@column("--for", "An interval for each value of a column; repeatable: for each combination.", multiple=True)
+@column(
+    "--for",
+    "An interval for each value of a column; repeatable: for each combination.",
+    multiple=True,
+)
 @options.text("--where", "NAME=VALUE", "Only runs with this value of a column.", multiple=True)
-@column("--metric", "Metric to show; by default all, and for groups the speed.", among=METRICS, multiple=True)
+@column(
+    "--metric",
+    "Metric to show; by default all, and for groups the speed.",
+    among=METRICS,
+    multiple=True,
+)
 @flag("--all", "Every row and column, also those that are equal, empty or too wide.")
 @_report_out
 @log_channels
@@ -197,9 +231,12 @@ def compare_command(
       nermo-mjx compare runs/spine_gain --by spine --where gait=trot --json
       nermo-mjx compare robot.csv twin.npz
     """
-    needs = dict.fromkeys(("by", "base", "for", "where", "metric", "all", "out"), "directories of sweeps")
+    needs = dict.fromkeys(
+        ("by", "base", "for", "where", "metric", "all", "out"), "directories of sweeps"
+    )
     options.refuse_without(
-        needs | {"channels": "a robot's log"}, {needs["by"]: not a.is_file(), "a robot's log": a.is_file()}
+        needs | {"channels": "a robot's log"},
+        {needs["by"]: not a.is_file(), "a robot's log": a.is_file()},
     )
     if a.is_file():
         if b is None:
@@ -208,7 +245,9 @@ def compare_command(
     if (b is None) == (by is None):
         raise click.UsageError("Give two directories A and B, or one and --by NAME.")
     if base is not None and by is None:
-        raise click.UsageError("--base is a value of --by; for two directories, the first one is the base.")
+        raise click.UsageError(
+            "--base is a value of --by; for two directories, the first one is the base."
+        )
     wanted = {}
     for text in where:
         name, equals, value = text.partition("=")
@@ -230,7 +269,11 @@ def compare_command(
 
 
 def _report(
-    kind: str, found: Any, figures: Callable[[Any], Figures], out: Path | None, show: Callable[[], None]
+    kind: str,
+    found: Any,
+    figures: Callable[[Any], Figures],
+    out: Path | None,
+    show: Callable[[], None],
 ) -> Output:
     """The end of a command that found a table: it and its figures are written where `out` is given."""
     files = list[Path]()
@@ -264,7 +307,11 @@ def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool)
         """Rows that say something, and among groups the surest."""
 
         def shown(row: Mapping[str, Any]) -> bool:
-            equal = "equal on both sides" if row["difference"] == 0 and row["low"] == row["high"] else ""
+            equal = (
+                "equal on both sides"
+                if row["difference"] == 0 and row["low"] == row["high"]
+                else ""
+            )
             why = equal if row["variants"] else "without a run"
             hidden.update([why] if why else [])
             return not why
@@ -273,14 +320,18 @@ def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool)
         if whole or not kept or kept[0]["group"] < 0 or len(kept) <= _MOST_GROUPS:
             return kept
         hidden["less sure"] += len(kept) - _MOST_GROUPS
-        order = sorted(range(len(kept)), key=lambda i: kept[i]["p"] if math.isfinite(kept[i]["p"]) else 2.0)
+        order = sorted(
+            range(len(kept)), key=lambda i: kept[i]["p"] if math.isfinite(kept[i]["p"]) else 2.0
+        )
         return [kept[i] for i in sorted(order[:_MOST_GROUPS])]
 
     def show(title: str, heads: list[Any], numbers: list[Any], cells: list[list[Any]]) -> None:
         first, unit_too = len(heads), [1] if heads[1:] == ["unit"] else []
         lost = [] if any(line[first + 6] for line in cells) else [first + 6]
         spare = [] if whole else [*lost, first + 5, first, first + 1, first + 4, *unit_too]
-        columns.update(dict.fromkeys(filter(None, print_table(title, [*heads, *numbers], cells, spare))))
+        columns.update(
+            dict.fromkeys(filter(None, print_table(title, [*heads, *numbers], cells, spare)))
+        )
 
     for sentence in found.lost:
         click.echo(f"{sentence}\n")
@@ -288,23 +339,37 @@ def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool)
         numbers: list[Any] = [(found.base, "right"), (other, "right")]
         numbers += ["difference>", "95 % interval", "relative>", "variants>", "lost", ""]
         cells, heading = list[list[Any]](), ""
-        for row in chosen([row for row in found.rows(other) if not metrics or row["metric"] in metrics]):
+        for row in chosen(
+            [row for row in found.rows(other) if not metrics or row["metric"] in metrics]
+        ):
             if (now := headings.get(row["metric"], "Own metrics")) != heading:
                 heading = now
                 cells.append([f"{heading}:", *[""] * (1 + len(numbers))])
             cells.append([row["metric"], unit(row), *_cells(row)])
         show(f"{other} minus {found.base}, {profile}", ["metric", "unit"], numbers, cells)
         for metric in found.drawn if found.groups else ():
-            lines = chosen([row for row in found.rows(other, grouped=True) if row["metric"] == metric])
+            lines = chosen(
+                [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
+            )
             cells = []
             for row in lines:
-                group = [f"{each:.6g}" if isinstance(each, float) else each for each in map(row.get, found.groups)]
+                group = [
+                    f"{each:.6g}" if isinstance(each, float) else each
+                    for each in map(row.get, found.groups)
+                ]
                 cells.append([*group, *_cells(row)])
             heads: list[Any] = [(name, "right") for name in found.groups]
             if lines:
-                show(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}, {profile}", heads, numbers, cells)
+                show(
+                    f"{metric} [{unit(lines[0])}]: {other} minus {found.base}, {profile}",
+                    heads,
+                    numbers,
+                    cells,
+                )
     for side, counts in found.status.items():
-        click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
+        click.echo(
+            f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}"
+        )
     for note in found.notes[len(found.lost) :]:
         click.echo(note)
     left = [f"rows {why} ({many:,})" for why, many in hidden.items() if many]
@@ -316,15 +381,26 @@ def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool)
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
     shares = row["lost_base"], row["lost_other"]
-    lost = ", ".join(f"{float(f'{100 * share:.2g}'):g} %" for share in shares) if any(shares) else ""
+    lost = (
+        ", ".join(f"{float(f'{100 * share:.2g}'):g} %" for share in shares) if any(shares) else ""
+    )
     if not row["variants"]:
         return ["", "", "no run has it", "", "", "0", lost, ""]
     values = (row[name] for name in ("base_mean", "other_mean", "difference", "low", "high"))
     (base, other, difference, low, high), _ = in_unit(row["metric"], row["metric_unit"], *values)
     interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
-    relative = f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
+    relative = (
+        f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
+    )
     means = [f"{base:.4g}", f"{other:.4g}", f"{difference:+.3g}"]
-    return [*means, interval, relative, str(row["variants"]), lost, "*" if row["beyond_noise"] else ""]
+    return [
+        *means,
+        interval,
+        relative,
+        str(row["variants"]),
+        lost,
+        "*" if row["beyond_noise"] else "",
+    ]
 
 
 @command("sensitivity", reads=True)
@@ -358,9 +434,17 @@ def sensitivity_command(path: Path, metric: str, out: Path | None) -> Output:
                 f"{line['index']:.3f}",
                 f"[{line['low']:.3f}, {line['high']:.3f}]",
             ]
-            for line in sorted(found.table.to_pylist(), key=lambda line: (line["order"], -line["index"]))
+            for line in sorted(
+                found.table.to_pylist(), key=lambda line: (line["order"], -line["index"])
+            )
         ]
-        heads: list[Any] = [*((name, "left") for name in structures), "parameter", "order", "index>", "95 % interval"]
+        heads: list[Any] = [
+            *((name, "left") for name in structures),
+            "parameter",
+            "order",
+            "index>",
+            "95 % interval",
+        ]
         print_table(f"{found.metric}: share of the variance", heads, rows)
         for note in found.notes:
             click.echo(note)

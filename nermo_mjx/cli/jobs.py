@@ -104,7 +104,9 @@ def _shard(text: str) -> tuple[int, int]:
 @options.text("--out", "DIR", "Results directory.", type=options.FOLDER)
 @number("--seed", "Seed, overriding the file.", click.IntRange(0))
 @number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
-@options.text("--shard", "I/N", "Run part I of N, from 0; all parts write to the same DIR.", type=_shard)
+@options.text(
+    "--shard", "I/N", "Run part I of N, from 0; all parts write to the same DIR.", type=_shard
+)
 @options.text(
     "--rows",
     "FILE",
@@ -113,8 +115,18 @@ def _shard(text: str) -> tuple[int, int]:
 )
 @flag("--extend", "Add rows to DIR: more values, repeats, structures or Sobol points.")
 @options.best_body
-@options.text("--optimum", "YAML", "What is best, as the field optimum of a file has it; also of a finished DIR.")
-@options.text("--use", "DIR2", "Reuse rows from DIR2 instead of running them.", multiple=True, type=options.PATH)
+@options.text(
+    "--optimum",
+    "YAML",
+    "What is best, as the field optimum of a file has it; also of a finished DIR.",
+)
+@options.text(
+    "--use",
+    "DIR2",
+    "Reuse rows from DIR2 instead of running them.",
+    multiple=True,
+    type=options.PATH,
+)
 @flag("--tensorboard", _tensorboard.format("chunk"))
 @flag("--dry-run", "Estimate the cost in time, disk and memory; write nothing.")
 @flag("--list-parameters", "List what vary, set and randomize can name.")
@@ -151,17 +163,25 @@ def sweep_command(
     if list_parameters:
         return _list_parameters(spec)
     if (spec is None and rows is None) or (out is None and not dry_run):
-        raise click.UsageError("A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters).")
+        raise click.UsageError(
+            "A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters)."
+        )
     if dry_run and how["workers"] != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     from nermo_mjx.sweep import Sweep, run_sweep
     from nermo_mjx.sweep.run import sweep_forecast
 
-    sweep = Sweep.from_rows(rows, spec, body) if rows is not None else Sweep.from_file(str(spec), body)
+    sweep = (
+        Sweep.from_rows(rows, spec, body) if rows is not None else Sweep.from_file(str(spec), body)
+    )
     sweep = dataclasses.replace(sweep, **_fields(how, "seed"))
     sweep = sweep if optimum is None else sweep.seeking(optimum)
     if dry_run or out is None:
-        cost = sweep_forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
+        cost = sweep_forecast(
+            sweep,
+            out,
+            **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")},
+        )
         return Output(cost.content, lambda: _print_forecast(cost))
     for name, places in {} if is_given("quiet") else sweep.partly_read().items():
         read = f"{len(places)} of {len(sweep.structures)} structures"
@@ -177,12 +197,20 @@ def _print_forecast(forecast: Forecast) -> None:
 
 def _forecast_in_short(forecast: Forecast) -> str:
     """What it is made of, and the time it takes."""
-    counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in forecast.counts.items())
+    counts = ", ".join(
+        f"{count:,} {name.replace('_', ' ')}" for name, count in forecast.counts.items()
+    )
     method = f"method {forecast.method}: " if forecast.method else ""
     known = math.isfinite(forecast.wall_seconds)
-    time = f"about {duration(forecast.wall_seconds)} here" if known else "for a time that is not known"
+    time = (
+        f"about {duration(forecast.wall_seconds)} here" if known else "for a time that is not known"
+    )
     disk = "" if forecast.disk_bytes is None else f", {forecast.disk_bytes / 1e6:.3g} MB on disk"
-    compiles = ", and minutes to compile, once per machine" if forecast.method and forecast.engine == "mjx" else ""
+    compiles = (
+        ", and minutes to compile, once per machine"
+        if forecast.method and forecast.engine == "mjx"
+        else ""
+    )
     return (
         f"{method}{counts}; {duration(forecast.simulated_seconds)} simulated, {time} on the engine {forecast.engine}"
         f"{compiles}{disk}"
@@ -203,7 +231,9 @@ def _print_sweep(result: SweepResult) -> None:
     """A directory's contents in readable form."""
     summary = result.summary
     if not result.complete:
-        click.echo(f"{result.rows_done:,} of {result.rows:,} runs are in {result.out}; {result.missing}")
+        click.echo(
+            f"{result.rows_done:,} of {result.rows:,} runs are in {result.out}; {result.missing}"
+        )
         return
     counts = ", ".join(f"{count:,} {status}" for status, count in summary["status"].items())
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
@@ -214,7 +244,9 @@ def _print_sweep(result: SweepResult) -> None:
     from nermo_mjx.sweep.table import LEADING, Results, meta, profile_text
 
     profile = profile_text(summary["profiles"])
-    click.echo(f"{summary['rows']:,} runs, {profile} ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
+    click.echo(
+        f"{summary['rows']:,} runs, {profile} ({counts}) in {duration(summary['wall_seconds'])}, {effort}"
+    )
     if sought := optimum_in(result.out):
         print_table(f"{sought.title}; {profile}", *optimum_cells(sought))
         for sentence in sought.how():
@@ -228,7 +260,10 @@ def _print_sweep(result: SweepResult) -> None:
     def unit(name: str) -> str:
         return meta(schema.field(name))["unit"]
 
-    for name, best in [*summary["best"].items(), *((LEADING, each) for each in summary["best_of_each"])]:
+    for name, best in [
+        *summary["best"].items(),
+        *((LEADING, each) for each in summary["best_of_each"]),
+    ]:
         if best is not None:
             at = [
                 f"{key} {value if isinstance(value, str) else _with_unit(key, unit(key), value)}"
@@ -239,11 +274,25 @@ def _print_sweep(result: SweepResult) -> None:
             lost = f"{best['lost']:.0%}".replace("%", " %") + told(best["why"])
             rows.append([name, best["side"], f"{mean:.4g}{half}", shown, lost, ", ".join(at)])
     if rows:
-        print_table("Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows)
-    places = {name: f"{name}.parquet" for name in ("comparison", "sensitivity", "optimum") if name in summary}
-    print_places(result.out, table="results", summary="summary.json", **places, plots=result.plots and "plots")
+        print_table(
+            "Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows
+        )
+    places = {
+        name: f"{name}.parquet"
+        for name in ("comparison", "sensitivity", "optimum")
+        if name in summary
+    }
+    print_places(
+        result.out,
+        table="results",
+        summary="summary.json",
+        **places,
+        plots=result.plots and "plots",
+    )
     if result.recordings:
-        print_pairs([("kept", f"{len(result.recordings)} recordings in {result.recordings[0].parent}")])
+        print_pairs(
+            [("kept", f"{len(result.recordings)} recordings in {result.recordings[0].parent}")]
+        )
 
 
 def _list_parameters(spec: Path | None) -> Output:
@@ -254,18 +303,31 @@ def _list_parameters(spec: Path | None) -> Output:
 
     parameters = all_parameters(Setup() if spec is None else Sweep.from_file(spec).setup)
     structures = {
-        name: {"default": getattr(Setup, name), "allowed": choices_of(name), "doc": about_structure(name)}
+        name: {
+            "default": getattr(Setup, name),
+            "allowed": choices_of(name),
+            "doc": about_structure(name),
+        }
         for name in STRUCTURES
     }
 
     def show() -> None:
         headings = "name, default>, allowed, meaning"
-        rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in gathered(parameters)]
+        rows = [
+            [name, f"{about.default:.5g}", about.allowed(), about.doc]
+            for name, about in gathered(parameters)
+        ]
         print_table("Parameters of a sweep (SI units, radians)", headings, rows)
-        rows = [[name, each["default"], ", ".join(each["allowed"]), each["doc"]] for name, each in structures.items()]
+        rows = [
+            [name, each["default"], ", ".join(each["allowed"]), each["doc"]]
+            for name, each in structures.items()
+        ]
         print_table("Structures, which vary and rows can name, too", headings, rows)
 
-    listed = {name: _content(about, "default", "unit", "low", "high", "doc") for name, about in parameters.items()}
+    listed = {
+        name: _content(about, "default", "unit", "low", "high", "doc")
+        for name, about in parameters.items()
+    }
     return Output({"parameters": listed, "structures": structures}, show)
 
 
@@ -307,7 +369,13 @@ def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Output:
 @_dry_run
 @_on_engine
 def search_command(
-    spec: Path, out: Path, budget: int | None, seed: int | None, body: str | None, dry_run: bool, **how: Any
+    spec: Path,
+    out: Path,
+    budget: int | None,
+    seed: int | None,
+    body: str | None,
+    dry_run: bool,
+    **how: Any,
 ) -> Output:
     """Search for the best parameters that a search file allows.
 
@@ -364,10 +432,17 @@ def _print_search(result: SearchResult) -> None:
     effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
     click.echo(f"{effort}; {best['failed']:,} fell" if best["failed"] else effort)
     if "front" in best:
-        click.echo(f"{len(best['front']):,} points on the front, hypervolume {best['hypervolume']:.1%}")
+        click.echo(
+            f"{len(best['front']):,} points on the front, hypervolume {best['hypervolume']:.1%}"
+        )
     if "cells" in best:
-        click.echo(f"{best['filled']:,} of {best['cells']:,} cells filled, QD score {best['qd_score']:.4g}")
-    made = {"atlas": search.aim.measures and "atlas.parquet", "records": result.recordings and "recordings"}
+        click.echo(
+            f"{best['filled']:,} of {best['cells']:,} cells filled, QD score {best['qd_score']:.4g}"
+        )
+    made = {
+        "atlas": search.aim.measures and "atlas.parquet",
+        "records": result.recordings and "recordings",
+    }
     places = {"table": "results", "best": "best.json", "sweep": "best.yaml"} | made
     print_places(result.out, **places, plots=result.plots and "plots")
 
@@ -376,7 +451,11 @@ def _print_search(result: SearchResult) -> None:
 @options.out
 @_spec
 @number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000))
-@number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
+@number(
+    "--starts",
+    "Number of points tuned in parallel, overriding the file.",
+    click.IntRange(1, 100_000),
+)
 @options.best_body
 @_seed
 @flag("--dry-run", "Estimate the cost of each method on this machine; write nothing.")
@@ -409,14 +488,19 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
     # A resumed tuning keeps the method with which it started.
     begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
     costs = tuning_forecasts(tuning) if dry_run or begins else []
-    sentences = [f"{'instead of it, ' if i else ''}{_forecast_in_short(each)}" for i, each in enumerate(costs)]
+    sentences = [
+        f"{'instead of it, ' if i else ''}{_forecast_in_short(each)}"
+        for i, each in enumerate(costs)
+    ]
     if dry_run:
         content = {"costs": [each.content for each in costs]}
         return Output(content, lambda: click.echo("\n".join(sentences)))
     for sentence in sentences:
         say(sentence)
     details = functools.partial(_tuning_so_far, tuning)
-    with _working("evaluations", how, compiles=lambda what: what in ("tune", "landscape"), details=details) as given:
+    with _working(
+        "evaluations", how, compiles=lambda what: what in ("tune", "landscape"), details=details
+    ) as given:
         result = run_tuning(tuning, out, **given)
         for note in result.notes:
             given["watch"].warn(note)
@@ -440,16 +524,29 @@ def _print_tuning(result: TuningResult) -> None:
     best, tuning = result.best, result.tuning
     verified = best.get("verified")
     engines = [f"{point}, {verified['engine']}" for point in ("start", "best")] if verified else []
-    headings: list[Any] = ["", "start>", "best>", "change>", *((each, "right") for each in engines), ""]
+    headings: list[Any] = [
+        "",
+        "start>",
+        "best>",
+        "change>",
+        *((each, "right") for each in engines),
+        "",
+    ]
     where = f" of start {best['start']}" if tuning.starts > 1 else ""
     print_table(f"Iteration {best['iteration']}{where} is the best", headings, _tuning_rows(result))
     wall = result.history.column("wall_seconds")[-1].as_py()
     effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
     if verified:  # what the columns of the engine c mean
-        completed = [(verified[point] or {"walks_ok": 0})["walks_ok"] for point in ("start", "best")]
+        completed = [
+            (verified[point] or {"walks_ok": 0})["walks_ok"] for point in ("start", "best")
+        ]
         fell = sum(verified["walks"] - each for each in completed)
         fallen = f", of which {fell} were not completed" if fell else ""
-        many = "1 walk" if verified["walks"] == 1 else f"means of {verified['walks']} walks from unseen starts"
+        many = (
+            "1 walk"
+            if verified["walks"] == 1
+            else f"means of {verified['walks']} walks from unseen starts"
+        )
         ends = verified["best"] if verified["walks"] > 1 else None
         spread = f"; the best gave {ends['lowest']:.4g} to {ends['highest']:.4g}" if ends else ""
         click.echo(f"Engine {verified['engine']}: {many}{fallen}{spread}.")
@@ -465,8 +562,14 @@ def _print_tuning(result: TuningResult) -> None:
 def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
     """Every parameter, every metric of the objective, and the objective itself: before, after, change, and verified."""
     best, tuning = result.best, result.tuning
-    points = [result.start, best, *(best["verified"][point] or {} for point in ("start", "best") if "verified" in best)]
-    kinds = dict.fromkeys(tuning.names, "parameters") | dict.fromkeys(tuning.objective.metrics, "metrics")
+    points = [
+        result.start,
+        best,
+        *(best["verified"][point] or {} for point in ("start", "best") if "verified" in best),
+    ]
+    kinds = dict.fromkeys(tuning.names, "parameters") | dict.fromkeys(
+        tuning.objective.metrics, "metrics"
+    )
     for name, kind in (kinds | {"objective": ""}).items():
         values = [(point.get(kind, {}) if kind else point).get(name) for point in points]
         numbers = [math.nan if value is None else value for value in values]
@@ -475,9 +578,16 @@ def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
         if kind:
             about = tuning.parameters.get(name) or tuning.objective_metrics[name]
             numbers, unit = in_unit(name, about.unit, *numbers)
-        texts = [f"{number + 0.0:{'+.3g' if i == 2 else '.4g'}}" for i, number in enumerate(numbers)]
-        texts = [text if math.isfinite(number) else "-" for number, text in zip(numbers, texts, strict=True)]
-        texts[3:] = ["" if value is None else text for value, text in zip(values[2:], texts[3:], strict=True)]
+        texts = [
+            f"{number + 0.0:{'+.3g' if i == 2 else '.4g'}}" for i, number in enumerate(numbers)
+        ]
+        texts = [
+            text if math.isfinite(number) else "-"
+            for number, text in zip(numbers, texts, strict=True)
+        ]
+        texts[3:] = [
+            "" if value is None else text for value, text in zip(values[2:], texts[3:], strict=True)
+        ]
         yield [name, *texts, unit]
 
 
@@ -502,7 +612,9 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
 @_dry_run
 @options.engine
 @options.accept_new_code
-def train_command(spec: Path, out: Path, body: str | None, onnx: bool, dry_run: bool, **how: Any) -> Output:
+def train_command(
+    spec: Path, out: Path, body: str | None, onnx: bool, dry_run: bool, **how: Any
+) -> Output:
     """Train a policy as described in a training file.
 
     Writes the policy, which walk and sweep files accept as a controller,
@@ -531,7 +643,9 @@ def train_command(spec: Path, out: Path, body: str | None, onnx: bool, dry_run: 
     def details(done: Progress) -> str:
         """The results of the last episodes."""
         numbers = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
-        return ", ".join(f"{name} {value:.3g}" for name, value in numbers.items() if math.isfinite(value))
+        return ", ".join(
+            f"{name} {value:.3g}" for name, value in numbers.items() if math.isfinite(value)
+        )
 
     with _working("steps", how, details=details) as given:
         from nermo_mjx.learn.run import run_training
@@ -553,10 +667,28 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
     for scene, about in summary["scenes"].items():
         for who, name in (("policy", "policy"), ("alone", "controller alone")):
             found = about[who]
-            costs = [f"{found[cost]:.3g}" for cost in ("cost_of_transport", "electrical_cost_of_transport")]
-            rows.append([scene, name, f"{100 * found['success']:.0f}", f"{1e3 * found['speed']:.1f}", *costs])
+            costs = [
+                f"{found[cost]:.3g}"
+                for cost in ("cost_of_transport", "electrical_cost_of_transport")
+            ]
+            rows.append(
+                [
+                    scene,
+                    name,
+                    f"{100 * found['success']:.0f}",
+                    f"{1e3 * found['speed']:.1f}",
+                    *costs,
+                ]
+            )
     if rows:
-        headings = ["scene", "walks", "success [%]>", "speed [mm/s]>", "cost of transport, mechanical>", "electrical>"]
+        headings = [
+            "scene",
+            "walks",
+            "success [%]>",
+            "speed [mm/s]>",
+            "cost of transport, mechanical>",
+            "electrical>",
+        ]
         how = f"physics {summary['judged']['physics']}, profile {result.training.setup.profile}"
         title = f"On {result.training.evaluation.bodies:,} unseen bodies and starts, in {how}"
         print_table(title, headings, rows)
@@ -566,7 +698,9 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
         f"{duration(summary['wall_seconds'])} ({duration(cpu)} of CPU time)"
     )
     if result.training.validation:
-        click.echo(f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks")
+        click.echo(
+            f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks"
+        )
     places = {"policy": result.policy, "onnx": exported, "history": "history.parquet"}
     print_places(result.out, **places, plots=result.plots and "plots")
 
@@ -574,10 +708,16 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
 @command("experiment")
 @options.out
 @click.argument("name", type=click.Choice((*EXPERIMENTS, "all")))
-@options.choice_option("--profile", ("all", *PROFILE), "Set-up: as published, as described, as built.")
+@options.choice_option(
+    "--profile", ("all", *PROFILE), "Set-up: as published, as described, as built."
+)
 @number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
 @number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
-@number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1))
+@number(
+    "--bodies",
+    "Also run this many identified bodies: for what share of them does a line hold?",
+    click.IntRange(1),
+)
 @flag("--quick", "Quick run: fewer cases, no videos; a minute.")
 @flag("--no-video", "Render no videos.")
 @flag("--again", "Rerun, and replace the results in DIR.")
@@ -617,26 +757,43 @@ def experiment_command(
         values = assigned(assignments, dict(quantities(WorldParameters)))
         profiles = PROFILE if profile == "all" else (profile,)
         names = EXPERIMENTS if name == "all" else [name]
-        result = run_experiments(names, out, profiles=profiles, values=values, video=not no_video, **given)
+        result = run_experiments(
+            names, out, profiles=profiles, values=values, video=not no_video, **given
+        )
     run = {each.name: {"kept": each.kept} for each in result.results}
-    return Output({"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result))
+    return Output(
+        {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
+    )
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
     from nermo_mjx.experiments.report import HEADINGS, cells
     from nermo_mjx.experiments.run import EXPERIMENTS as CATALOGUE
 
-    content, widest = result.report, 72  # the longest text of a cell; the names of figures are shorter
+    content, widest = (
+        result.report,
+        72,
+    )  # the longest text of a cell; the names of figures are shorter
     for each in result.results:
         lines = [cells(line) for line in content["lines"] if line["experiment"] == each.name]
-        rows = [[text if len(text) <= widest else f"{text[: widest - 1]}…" for text in line] for line in lines]
+        rows = [
+            [text if len(text) <= widest else f"{text[: widest - 1]}…" for text in line]
+            for line in lines
+        ]
         print_table(CATALOGUE[each.name].title, HEADINGS, rows)
     for each in result.results:
-        about, summary = content["experiments"][each.name], content["summary"]["by_experiment"][each.name]
-        took = f"{about['worlds']} runs in {duration(about['wall_seconds'])}, engine {about['engine']}"
+        about, summary = (
+            content["experiments"][each.name],
+            content["summary"]["by_experiment"][each.name],
+        )
+        took = (
+            f"{about['worlds']} runs in {duration(about['wall_seconds'])}, engine {about['engine']}"
+        )
         click.echo(f"{each.name}: {_counted(summary)} ({took}{', kept' if each.kept else ''})")
     kinds = content["summary"]["by_kind"]
-    click.echo(f"all of {result.out}: {'; '.join(f'{kind}: {_counted(kinds[kind])}' for kind in kinds)}")
+    click.echo(
+        f"all of {result.out}: {'; '.join(f'{kind}: {_counted(kinds[kind])}' for kind in kinds)}"
+    )
     click.echo("Only predicted lines count as evidence.")
     for sentence in content["differences"]:
         click.echo(sentence)
@@ -647,16 +804,27 @@ def _print_experiments(result: ExperimentsResult) -> None:
 
 def _counted(summary: dict[str, Any]) -> str:
     compared = summary["hold"] + summary["do_not_hold"]
-    missing = f", {summary['not_measured']} not judged or measured" if summary["not_measured"] else ""
+    missing = (
+        f", {summary['not_measured']} not judged or measured" if summary["not_measured"] else ""
+    )
     return f"{summary['hold']} of {compared} figures hold{missing}"
 
 
 @command("identify")
 @options.out
 @options.text(
-    "--log", "FILE", "A log of the robot, CSV or Parquet; repeatable.", multiple=True, type=FileKind(".csv", ".parquet")
+    "--log",
+    "FILE",
+    "A log of the robot, CSV or Parquet; repeatable.",
+    multiple=True,
+    type=FileKind(".csv", ".parquet"),
 )
-@options.text("--channels", "FILE.yaml", "What the columns of the logs are; see nermo-mjx log.", type=options.SPEC)
+@options.text(
+    "--channels",
+    "FILE.yaml",
+    "What the columns of the logs are; see nermo-mjx log.",
+    type=options.SPEC,
+)
 @options.text(
     "--check",
     "FILE",
@@ -665,8 +833,12 @@ def _counted(summary: dict[str, Any]) -> str:
     type=FileKind(".csv", ".parquet"),
 )
 @options.text("--model", "FILE.xml", "The MJCF of another robot.", type=FileKind(".xml"))
-@options.text("--free", "KINDS", "Kinds of parameters, separated by commas; by default all but play.")
-@options.text("--range", "NAME=LOW:HIGH", "Range of a parameter or kind; repeatable.", multiple=True)
+@options.text(
+    "--free", "KINDS", "Kinds of parameters, separated by commas; by default all but play."
+)
+@options.text(
+    "--range", "NAME=LOW:HIGH", "Range of a parameter or kind; repeatable.", multiple=True
+)
 @number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
 @options.robot
 def identify_command(
@@ -727,22 +899,41 @@ def identify_command(
     logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
     kinds = tuple(free.split(",")) if free else log_identification.FREE
     of, wanted = robot if model is None else model, repr((kinds, ranges, seed))
-    unread = [each.name for each in logs[0].channels if each.quantity not in (*log_twin.PREDICTED, "command")]
+    unread = [
+        each.name
+        for each in logs[0].channels
+        if each.quantity not in (*log_twin.PREDICTED, "command")
+    ]
     if unread:
         say(f"not compared, since they are not predicted: {', '.join(unread)}.")
     body = log_twin.body_of(of, [*logs, *judges], kinds)
     stamp = code.stamp(fingerprint(body.model), "c", ("experiments", "hardware"))
-    decides = digest_of(stamp.id, wanted, [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)])
-    with RunDirectory(out, "identification from a log") as held, ProgressBar("identify") as shown, resumable(out):
+    decides = digest_of(
+        stamp.id, wanted, [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)]
+    )
+    with (
+        RunDirectory(out, "identification from a log") as held,
+        ProgressBar("identify") as shown,
+        resumable(out),
+    ):
         held.note_session(code.session())
         kept = log_report.kept_in(out, decides)
-        found = log_identification.identify_log(logs, of, kinds, ranges, judges, seed, shown.share, kept)
-        content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
+        found = log_identification.identify_log(
+            logs, of, kinds, ranges, judges, seed, shown.share, kept
+        )
+        content = log_report.write_identification(
+            found, out, shlex.join(["nermo-mjx", *sys.argv[1:]])
+        )
 
     def show() -> None:
         print_table("Parameters", log_report.HEADINGS, log_report.estimate_rows(found))
         for sentence in content["sentences"]:
             click.echo(sentence)
-        print_places(out, report="report.html", body=content["files"][0], next=content["next"]["file"] or None)
+        print_places(
+            out,
+            report="report.html",
+            body=content["files"][0],
+            next=content["next"]["file"] or None,
+        )
 
     return Output({"out": out, **content}, show)

@@ -42,16 +42,51 @@ class Kind:
 _COLUMNS: Final = ("x", "y", "color")
 _IDENTIFIED: Final = "experiments.log_report"
 _KINDS: Final = (
-    Kind("sweep", "a sweep", "sweep.plots:sweep_figures", "sweep.table:sweep_status", False, (*_COLUMNS, "notify")),
-    Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status", False, _COLUMNS),
-    Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
-    Kind("training", "a training", "learn.plots:training_figures", "learn.directory:training_status"),
-    Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:experiments_status", True),
+    Kind(
+        "sweep",
+        "a sweep",
+        "sweep.plots:sweep_figures",
+        "sweep.table:sweep_status",
+        False,
+        (*_COLUMNS, "notify"),
+    ),
+    Kind(
+        "search",
+        "a search",
+        "optimize.figures:search_figures",
+        "optimize.directory:search_status",
+        False,
+        _COLUMNS,
+    ),
+    Kind(
+        "tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"
+    ),
+    Kind(
+        "training", "a training", "learn.plots:training_figures", "learn.directory:training_status"
+    ),
+    Kind(
+        "experiments",
+        "published experiments",
+        "experiments.run:images",
+        "experiments.run:experiments_status",
+        True,
+    ),
     *(
-        Kind(name, f"an {name}", f"{_IDENTIFIED}:kept_figures", f"{_IDENTIFIED}:identification_status")
+        Kind(
+            name,
+            f"an {name}",
+            f"{_IDENTIFIED}:kept_figures",
+            f"{_IDENTIFIED}:identification_status",
+        )
         for name in ("identification", "identification from a log")
     ),
-    Kind("comparison", "a comparison", "sweep.comparing:comparison_figures", "sweep.table:report_status", True),
+    Kind(
+        "comparison",
+        "a comparison",
+        "sweep.comparing:comparison_figures",
+        "sweep.table:report_status",
+        True,
+    ),
     Kind(
         "sensitivity",
         "a sensitivity analysis",
@@ -79,7 +114,9 @@ def kind_of_directory(path: Path) -> Kind:
     name = kind_of(path) if path.is_dir() else None
     if name is None:
         *most, last = (kind.called for kind in KINDS.values())
-        raise WrongUse(f"{path} is not a results directory: it contains neither {', '.join(most)} nor {last}.")
+        raise WrongUse(
+            f"{path} is not a results directory: it contains neither {', '.join(most)} nor {last}."
+        )
     if name not in KINDS:
         raise WrongUse(
             f"{path} holds a {name}, which this release does not open: use the release that made it, named in run.json."

@@ -23,7 +23,10 @@ LOGS = (".csv", ".parquet")
 _ROWS, _WIDE = 3, 6
 
 log_channels = options.text(
-    "--channels", "FILE.yaml", "The log's columns; by default the YAML file beside it.", type=options.SPEC
+    "--channels",
+    "FILE.yaml",
+    "The log's columns; by default the YAML file beside it.",
+    type=options.SPEC,
 )
 
 
@@ -38,7 +41,9 @@ def log_of(file: Path, channels: Path | None) -> Log:
 
     beside = file.with_suffix(".yaml")
     if channels is None and not beside.exists():
-        raise WrongUse(f"{file}: give the file of its channels, --channels FILE.yaml; by default it is {beside}.")
+        raise WrongUse(
+            f"{file}: give the file of its channels, --channels FILE.yaml; by default it is {beside}."
+        )
     return read_log(file, channels or beside)
 
 
@@ -79,8 +84,16 @@ def log_command(file: Path, channels: Path | None) -> Output:
         other = commands.get(each.of) if each.quantity == "angle" else None
         lag = None if other is None or np.ptp(other.values) <= MOVED else lag_of(each, other)[0]
         low, high = float(each.values.min()), float(each.values.max())
-        about = {"channel": each.name, "quantity": each.quantity, "of": each.of, "rate": 1.0 / each.interval}
-        rows.append(about | {"samples": len(each.times), "low": low, "high": high, "unit": each.unit, "lag": lag})
+        about = {
+            "channel": each.name,
+            "quantity": each.quantity,
+            "of": each.of,
+            "rate": 1.0 / each.interval,
+        }
+        rows.append(
+            about
+            | {"samples": len(each.times), "low": low, "high": high, "unit": each.unit, "lag": lag}
+        )
     content = {"file": file, "seconds": log.duration, "channels": rows, "findings": findings}
 
     def show() -> None:
@@ -88,7 +101,9 @@ def log_command(file: Path, channels: Path | None) -> Output:
         more = f" and {len(names) - _WIDE} more" if len(names) > _WIDE else ""
         shown = table.iloc[:_ROWS, :_WIDE].astype(str).values.tolist()
         print_table(
-            f"{file}: {len(table):,} rows of {len(names)} columns{more and ', the first ones'}", names[:_WIDE], shown
+            f"{file}: {len(table):,} rows of {len(names)} columns{more and ', the first ones'}",
+            names[:_WIDE],
+            shown,
         )
         print_table(f"{log.duration:.4g} s", _HEADINGS, [_shown_row(row) for row in rows])
         for sentence in findings or ["Nothing looks wrong."]:
@@ -97,7 +112,9 @@ def log_command(file: Path, channels: Path | None) -> Output:
     return Output(content, show)
 
 
-_HEADINGS = "channel, quantity, of, rate [Hz]>, samples>, from>, to>, unit, behind its command [ms]>"
+_HEADINGS = (
+    "channel, quantity, of, rate [Hz]>, samples>, from>, to>, unit, behind its command [ms]>"
+)
 
 
 def _shown_row(row: dict[str, Any]) -> list[str]:
@@ -119,7 +136,9 @@ def compare_files(a: Path, b: Path, channels: Path | None) -> Output:
     one, two = (twins.get(path) or log_of(path, channels) for path in (a, b))
     one, two = (beside(two, one) if a in twins else one, beside(one, two) if b in twins else two)
     if not (found := channel_differences(two, one)):
-        raise WrongUse(f"{a} and {b} have no channel of the same quantity and thing at the same time.")
+        raise WrongUse(
+            f"{a} and {b} have no channel of the same quantity and thing at the same time."
+        )
     content = {"a": a, "b": b, "channels": [*map(dataclasses.asdict, found)]}
     return Output(content, lambda: print_differences(f"{b} minus {a}", found))
 

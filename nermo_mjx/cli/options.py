@@ -25,11 +25,16 @@ Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]
 def names(*known: str, end: str = "", joined: str = "") -> Completer:
     """Completes one of these names, and what follows each of them; or the last of several that are joined."""
 
-    def complete(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    def complete(
+        context: click.Context, parameter: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
         before, mark, last = incomplete.rpartition(joined) if joined else ("", "", incomplete)
         found = [before + mark + name + end for name in known if name.startswith(last)]
         # A shell adds a space after a single offer; a second one prevents that before the value.
-        return [CompletionItem(each) for each in (found if len(found) != 1 or not end else [*found, f"{found[0]}X"])]
+        return [
+            CompletionItem(each)
+            for each in (found if len(found) != 1 or not end else [*found, f"{found[0]}X"])
+        ]
 
     return complete
 
@@ -41,7 +46,9 @@ class FileKind(click.Path):
         super().__init__(path_type=Path, **settings)
         self.endings = endings
 
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
         found = offered(incomplete, self.endings)
         # If nothing matches, the shell offers its own completions.
         return [CompletionItem(each) for each in found] or [CompletionItem(incomplete, type="file")]
@@ -59,7 +66,11 @@ def offered(incomplete: str, endings: tuple[str, ...]) -> list[str]:
         entries = sorted(where.iterdir())
     except OSError:
         return []
-    fitting = [e for e in entries if e.name.startswith(begin) and (begin.startswith(".") or e.name[0] != ".")]
+    fitting = [
+        e
+        for e in entries
+        if e.name.startswith(begin) and (begin.startswith(".") or e.name[0] != ".")
+    ]
     folders = [f"{prefix}{e.name}/" for e in fitting if e.is_dir()]
     files = [f"{prefix}{e.name}" for e in fitting if not e.is_dir() and e.name.endswith(endings)]
     if len(folders) == 1 and not files:
@@ -81,13 +92,19 @@ def assigned(texts: Iterable[str], parameters: Mapping[str, Quantity]) -> dict[s
         name, equals, number = (part.strip() for part in text.partition("="))
         if not equals:
             example, about = next(iter(parameters.items()))
-            raise WrongUse(f"--set {text}: expected NAME=VALUE, such as {example}={about.default:g}.")
+            raise WrongUse(
+                f"--set {text}: expected NAME=VALUE, such as {example}={about.default:g}."
+            )
         pattern = is_pattern(name)
         found = matches(name, parameters) if pattern else [name] if name in parameters else []
         if not found:
             near = None if pattern else nearest(name, parameters)
             what = "matches no parameter" if pattern else "is not a parameter"
-            hint = f"did you mean {near}?" if near else "`nermo-mjx sweep --list-parameters` prints all."
+            hint = (
+                f"did you mean {near}?"
+                if near
+                else "`nermo-mjx sweep --list-parameters` prints all."
+            )
             raise WrongUse(f"--set {text}: {name} {what}; {hint}")
         try:
             values |= {each: parameters[each].numbers(each, number) for each in found}
@@ -141,7 +158,9 @@ def flag(name: str, about: str, **more: Any) -> Callable[[F], F]:
     return click.option(name, is_flag=True, help=about, **more)
 
 
-def choice_option(name: str, names: tuple[str, ...], about: str | None = None, **more: Any) -> Callable[[F], F]:
+def choice_option(
+    name: str, names: tuple[str, ...], about: str | None = None, **more: Any
+) -> Callable[[F], F]:
     """An option that allows some names; the first is the default unless `default` is given."""
     settings: dict[str, Any] = {"default": names[0], "show_default": True} | more
     return click.option(name, type=click.Choice(names), help=about, **settings)
@@ -158,13 +177,18 @@ class _Gait(click.Choice):
 def number(name: str, about: str, kind: Any = float, **more: Any) -> Callable[[F], F]:
     """An option that takes a number."""
     whole = isinstance(kind, click.IntRange)
-    settings: dict[str, Any] = {"metavar": "N" if whole else "X", "show_default": "default" in more} | more
+    settings: dict[str, Any] = {
+        "metavar": "N" if whole else "X",
+        "show_default": "default" in more,
+    } | more
     return click.option(name, type=kind, help=about, **settings)
 
 
 def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
     """An option that names a file to write."""
-    return click.option(name, metavar=f"FILE{suffix}", type=FileKind(suffix, dir_okay=False), help=about, **more)
+    return click.option(
+        name, metavar=f"FILE{suffix}", type=FileKind(suffix, dir_okay=False), help=about, **more
+    )
 
 
 def column(name: str, about: str, *, among: tuple[str, ...] = (), **more: Any) -> Callable[[F], F]:
@@ -195,7 +219,9 @@ def _best_body(ctx: click.Context, parameter: click.Parameter, source: str | Non
     if source is not None:
         from nermo_mjx.robot import identified
 
-        ctx.meta[_BODY] = tuple(f"{name}={value:.12g}" for name, value in identified.best(source).items())
+        ctx.meta[_BODY] = tuple(
+            f"{name}={value:.12g}" for name, value in identified.best(source).items()
+        )
 
 
 def _with_body(ctx: click.Context, given: tuple[str, ...]) -> tuple[str, ...]:
@@ -242,15 +268,23 @@ engine = grouped(
 )
 #: See `jobs.working`.
 workers = grouped(
-    choice_option("--workers", ("local", "ray"), "Where to simulate: on this machine, or on a Ray cluster."),
-    text("--ray-address", "ADDR", "ADDRESS:PORT of a Ray cluster, or auto; by default one is started here."),
+    choice_option(
+        "--workers", ("local", "ray"), "Where to simulate: on this machine, or on a Ray cluster."
+    ),
+    text(
+        "--ray-address",
+        "ADDR",
+        "ADDRESS:PORT of a Ray cluster, or auto; by default one is started here.",
+    ),
 )
 accept_new_code = flag(
     "--accept-new-code",
     "Resume a directory made by other code or another engine; the column code distinguishes its rows.",
 )
 robot = choice_option("--robot", choices.ROBOT)
-tail = choice_option("--tail", choices.TAIL, "Default: rigid; in as_published articulated.", default=None)
+tail = choice_option(
+    "--tail", choices.TAIL, "Default: rigid; in as_published articulated.", default=None
+)
 scene = text(
     "--scene",
     "NAME",
@@ -259,7 +293,9 @@ scene = text(
     show_default=True,
     shell_complete=names(*choices.SCENES),
 )
-physics = choice_option("--physics", choices.PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")
+physics = choice_option(
+    "--physics", choices.PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %."
+)
 #: What decides the model.
 body = grouped(robot, scene, tail, physics)
 camera = text(
@@ -272,20 +308,33 @@ camera = text(
 )
 #: What a run is saved as.
 produced = grouped(
-    file("--record", ".npz", "Save the whole run."), file("--video", ".mp4", "Render it; MP4, GIF or WebP."), camera
+    file("--record", ".npz", "Save the whole run."),
+    file("--video", ".mp4", "Render it; MP4, GIF or WebP."),
+    camera,
 )
 _BEST = "The best body of an identification's directory; {} goes before it."
 controller = text("--controller", "FILE", "Custom controller: FILE.py:NAME, or a policy FILE.npz.")
 set_any = grouped(
     set_option("Any parameter that `sweep --list-parameters` prints; repeatable."),
-    text("--body", "DIR", _BEST.format("--set"), is_eager=True, expose_value=False, callback=_best_body),
+    text(
+        "--body",
+        "DIR",
+        _BEST.format("--set"),
+        is_eager=True,
+        expose_value=False,
+        callback=_best_body,
+    ),
 )
 #: The same of a job's file, see `Described.from_file`.
 best_body = text("--body", "DIR", _BEST.format("what the file names"))
 #: What decides how the robot steps.
 gait = grouped(
     click.option(
-        "--gait", type=_Gait(choices.GAIT), default=choices.GAIT[0], show_default=True, help="Order of the feet."
+        "--gait",
+        type=_Gait(choices.GAIT),
+        default=choices.GAIT[0],
+        show_default=True,
+        help="Order of the feet.",
     ),
     number("--frequency", "Gait cycles per second [Hz].", str),
     number("--stride", "Stride length, as a fraction of the maximum.", str),
@@ -302,7 +351,10 @@ gait = grouped(
     number("--spine-phase", 'Phase of the stride extension [rad], or such as "-45 deg".', str),
     number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left.", str),
     choice_option(
-        "--steering", choices.STEERING, "What turns the robot. Default: leg; in as_published spine.", default=None
+        "--steering",
+        choices.STEERING,
+        "What turns the robot. Default: leg; in as_published spine.",
+        default=None,
     ),
     number(
         "--offset-compensation",
@@ -312,8 +364,14 @@ gait = grouped(
         flag_value="1",
         metavar="[X]",
     ),
-    choice_option("--trajectory", choices.TRAJECTORY, "Shape of the foot path; free: with movable points."),
-    choice_option("--head", choices.HEAD, "gaze: the neck keeps the image still while the torso sways."),
+    choice_option(
+        "--trajectory", choices.TRAJECTORY, "Shape of the foot path; free: with movable points."
+    ),
+    choice_option(
+        "--head", choices.HEAD, "gaze: the neck keeps the image still while the torso sways."
+    ),
     choice_option("--tail-motion", choices.TAIL_MOTION, "Motion of the articulated tail."),
-    choice_option("--profile", choices.PROFILE, "For design; the published simulation; the robot as built."),
+    choice_option(
+        "--profile", choices.PROFILE, "For design; the published simulation; the robot as built."
+    ),
 )

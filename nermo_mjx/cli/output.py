@@ -35,7 +35,21 @@ COLLECTIONS: Final = (100_000, 50, 100)
 #: What ends a process, but for Ctrl-C, unless it is caught: a batch system, a terminal that closes, a limit of time.
 ENDING: Final = tuple(
     getattr(signal, f"SIG{end}")
-    for end in ["TERM", "HUP", "QUIT", "BREAK", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU", "IO", "PWR", "STKFLT"]
+    for end in [
+        "TERM",
+        "HUP",
+        "QUIT",
+        "BREAK",
+        "USR1",
+        "USR2",
+        "ALRM",
+        "VTALRM",
+        "PROF",
+        "XCPU",
+        "IO",
+        "PWR",
+        "STKFLT",
+    ]
     if hasattr(signal, f"SIG{end}")
 )
 
@@ -74,7 +88,10 @@ class CommandGroup(click.Group):
                 out.flush()
                 if out.lost is None or ending.code:
                     raise
-                click.echo(f"nermo-mjx: done, but standard output cannot be written: {out.lost.strerror}.", err=True)
+                click.echo(
+                    f"nermo-mjx: done, but standard output cannot be written: {out.lost.strerror}.",
+                    err=True,
+                )
                 raise SystemExit(1) from None
             finally:
                 out.flush()
@@ -86,7 +103,9 @@ class CommandGroup(click.Group):
             try:
                 arg.encode()
             except UnicodeEncodeError:
-                raise click.UsageError(f"{arg!a} is not UTF-8: rename the file or folder.", ctx) from None
+                raise click.UsageError(
+                    f"{arg!a} is not UTF-8: rename the file or folder.", ctx
+                ) from None
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -94,7 +113,9 @@ class CommandGroup(click.Group):
         gc.set_threshold(*COLLECTIONS)
         in_main = threading.current_thread() is threading.main_thread()
         found = {each: signal.getsignal(each) for each in ENDING if in_main}
-        before = {each: signal.signal(each, _as_ctrl_c) for each in found if found[each] is signal.SIG_DFL}
+        before = {
+            each: signal.signal(each, _as_ctrl_c) for each in found if found[each] is signal.SIG_DFL
+        }
         warned = set[str]()
 
         def warn(message: Warning | str, *_: Any) -> None:
@@ -103,7 +124,9 @@ class CommandGroup(click.Group):
                 warned.add(str(message))
                 TELL.get()(one_line(str(message)))
 
-        compiles = logging.getLogger("nermo_mjx.rollout.simulator")  # commands say themselves what compiles
+        compiles = logging.getLogger(
+            "nermo_mjx.rollout.simulator"
+        )  # commands say themselves what compiles
         level = compiles.level
         compiles.setLevel(logging.ERROR)
         try:
@@ -112,13 +135,19 @@ class CommandGroup(click.Group):
                 return super().invoke(ctx)
         except KeyboardInterrupt as error:
             # Sweeps and tunings say themselves how to resume; commands without state simply stop.
-            raise Failure(str(error) or "stopped; nothing was kept, run the same command again.") from None
+            raise Failure(
+                str(error) or "stopped; nothing was kept, run the same command again."
+            ) from None
         except (click.ClickException, click.Abort, click.exceptions.Exit):
             raise
         except MemoryError:
-            raise Failure("this does not fit into memory: ask for less at once; what is finished is kept.") from None
+            raise Failure(
+                "this does not fit into memory: ask for less at once; what is finished is kept."
+            ) from None
         except RecursionError:
-            raise Failure("lists or mappings of a file, or calls of code that it names, are nested too deep.") from None
+            raise Failure(
+                "lists or mappings of a file, or calls of code that it names, are nested too deep."
+            ) from None
         except Exception as error:
             _translate(error)
         finally:
@@ -133,7 +162,11 @@ class CommandGroup(click.Group):
         name = args[0]
         if not name.startswith("-") and name not in self.commands:
             near = difflib.get_close_matches(name, self.commands, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else f" There are: {', '.join(self.commands)}."
+            hint = (
+                f" Did you mean {near[0]!r}?"
+                if near
+                else f" There are: {', '.join(self.commands)}."
+            )
             raise click.UsageError(f"No such command {name!r}.{hint}", ctx)
         return super().resolve_command(ctx, args)
 
@@ -172,7 +205,9 @@ class _Lossy:
 
 def _translate(error: Exception) -> NoReturn:
     """Turn one of the package's errors into a user error; anything else is a bug and keeps its traceback."""
-    if isinstance(error, RuntimeError) and "invalid value for environment variable MUJOCO_GL" in str(error):
+    if isinstance(
+        error, RuntimeError
+    ) and "invalid value for environment variable MUJOCO_GL" in str(error):
         # MuJoCo raises it on import.
         given = os.environ.get("MUJOCO_GL")
         sentence = f"MUJOCO_GL is {given!r}: allowed is egl, osmesa or glfw; unset it for automatic selection."
@@ -243,7 +278,11 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]],
             if as_json:
                 from nermo_mjx.runs.files import plain_json
 
-                click.echo(json.dumps(plain_json(outcome.content), indent=2, allow_nan=False, ensure_ascii=False))
+                click.echo(
+                    json.dumps(
+                        plain_json(outcome.content), indent=2, allow_nan=False, ensure_ascii=False
+                    )
+                )
             elif not quiet or outcome.always:
                 outcome.show()
                 for file in outcome.files:
@@ -252,10 +291,20 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]],
                 raise Failure(outcome.failure)
 
         decorated: Any = only_reading()(run) if reads else run
-        quietly = click.Option(["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary.")
+        quietly = click.Option(
+            ["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary."
+        )
         about = "Print one JSON object on standard output, nothing else."
-        decorated.__click_params__ = [quietly, click.Option(["--json", "as_json"], is_flag=True, help=about), *declared]
-        COMMANDS.append(click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(decorated))
+        decorated.__click_params__ = [
+            quietly,
+            click.Option(["--json", "as_json"], is_flag=True, help=about),
+            *declared,
+        ]
+        COMMANDS.append(
+            click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(
+                decorated
+            )
+        )
         return COMMANDS[-1]
 
     return make
@@ -315,21 +364,33 @@ def print_table(
     from rich.text import Text
 
     columns = [
-        (each.removesuffix(">"), "right" if each.endswith(">") else "left") if isinstance(each, str) else each
+        (each.removesuffix(">"), "right" if each.endswith(">") else "left")
+        if isinstance(each, str)
+        else each
         for each in (headings.split(", ") if isinstance(headings, str) else headings)
     ]
     width = room() if spare else None
     texts, kept = [[one_line(str(cell)) for cell in row] for row in rows], list(range(len(columns)))
-    wide = [3 + max([len(heading), *(len(row[i]) for row in texts)]) for i, (heading, _) in enumerate(columns)]
+    wide = [
+        3 + max([len(heading), *(len(row[i]) for row in texts)])
+        for i, (heading, _) in enumerate(columns)
+    ]
     for i in spare:
         if width is not None and sum(wide[k] for k in kept) > width + 3:
             kept.remove(i)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, show_header=any(columns[i][0] for i in kept))
+    table = Table(
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        show_edge=False,
+        show_header=any(columns[i][0] for i in kept),
+    )
     for heading, side in (columns[i] for i in kept):
         table.add_column(Text(one_line(heading)), justify="right" if side == "right" else "left")
     for row in texts:
         table.add_row(*(Text(row[i]) for i in kept))
-    console = Console(file=sys.stdout, width=width or (None if sys.stdout.isatty() else 200), highlight=False)
+    console = Console(
+        file=sys.stdout, width=width or (None if sys.stdout.isatty() else 200), highlight=False
+    )
     with console.capture() as capture:
         console.print(Text(one_line(title), style="bold"))
         console.print(table)

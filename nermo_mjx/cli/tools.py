@@ -45,11 +45,20 @@ def model_command(xml: Path | None, **config: Any) -> Output:
         what = f"{summary['robot']} with {summary['tail']} tail in scene {summary['scene']}"
         click.echo(f"{what}, time step {summary['timestep']:g} s")
         counts = [("degrees of freedom", summary["degrees_of_freedom"])]
-        counts += [(part, len(summary[part])) for part in ("bodies", "joints", "actuators", "tendons", "sensors")]
+        counts += [
+            (part, len(summary[part]))
+            for part in ("bodies", "joints", "actuators", "tendons", "sensors")
+        ]
         print_table("Parts", ", number>", [*counts, ("contact pairs", summary["contact_pairs"])])
-        print_table("Names", ", ", [[part, ", ".join(summary[part])] for part in ("actuators", "tendons")])
-        rows = [[row["body"], row["group"], f"{1e3 * row['mass']:.2f}"] for row in summary["masses"]]
-        rows += [["", "", ""]] + [["all", group, f"{1e3 * mass:.2f}"] for group, mass in summary["mass"].items()]
+        print_table(
+            "Names", ", ", [[part, ", ".join(summary[part])] for part in ("actuators", "tendons")]
+        )
+        rows = [
+            [row["body"], row["group"], f"{1e3 * row['mass']:.2f}"] for row in summary["masses"]
+        ]
+        rows += [["", "", ""]] + [
+            ["all", group, f"{1e3 * mass:.2f}"] for group, mass in summary["mass"].items()
+        ]
         print_table("Masses", "body, counts to, mass [g]>", rows)
 
     return Output(summary, show, [] if xml is None else [xml])
@@ -60,7 +69,10 @@ def robot_summary(robot: Robot) -> dict[str, Any]:
     from nermo_mjx.robot.scene import scene_name
 
     model, config, masses = robot.model, robot.config, robot.mass_table()
-    groups = {group: sum(float(row["mass"]) for row in masses if row["group"] == group) for group in ("front", "rear")}
+    groups = {
+        group: sum(float(row["mass"]) for row in masses if row["group"] == group)
+        for group in ("front", "rear")
+    }
     return {
         "robot": config.robot,
         "scene": scene_name(str(config.scene)),
@@ -122,9 +134,15 @@ def schema_command(kind: str, out: Path | None) -> Output:
 
 @command("bench")
 @click.argument("cases", nargs=-1, type=click.Choice(BENCH_CASES), metavar="[CASE]...")
-@options.choice_option("--engine", ENGINES[1:], "Repeatable; c and mjx by default.", default=None, multiple=True)
-@number("--worlds", "Size of the batch; repeatable; by default 64.", click.IntRange(1), multiple=True)
-def bench_command(cases: tuple[str, ...], engine: tuple[str, ...], worlds: tuple[int, ...]) -> Output:
+@options.choice_option(
+    "--engine", ENGINES[1:], "Repeatable; c and mjx by default.", default=None, multiple=True
+)
+@number(
+    "--worlds", "Size of the batch; repeatable; by default 64.", click.IntRange(1), multiple=True
+)
+def bench_command(
+    cases: tuple[str, ...], engine: tuple[str, ...], worlds: tuple[int, ...]
+) -> Output:
     """Measure throughput, start-up and memory on this machine.
 
     The default CASE is throughput.
@@ -141,15 +159,23 @@ def bench_command(cases: tuple[str, ...], engine: tuple[str, ...], worlds: tuple
     from nermo_mjx.bench import measurement_table, run_bench
 
     with ProgressBar("bench", "measurements", compiles=True) as progress:
-        result = run_bench(cases or BENCH_CASES[:1], engine or ("c", "mjx"), worlds or (64,), progress.count)
+        result = run_bench(
+            cases or BENCH_CASES[:1], engine or ("c", "mjx"), worlds or (64,), progress.count
+        )
 
     def show() -> None:
-        click.echo("hardware: " + ", ".join(f"{key} {value}" for key, value in result["hardware"].items()))
+        click.echo(
+            "hardware: " + ", ".join(f"{key} {value}" for key, value in result["hardware"].items())
+        )
         for line in result["cases"]:
             if "error" in line:
-                click.echo(f"{line['case']} (engine {line['engine']}, worlds {line['worlds']}) failed: {line['error']}")
+                click.echo(
+                    f"{line['case']} (engine {line['engine']}, worlds {line['worlds']}) failed: {line['error']}"
+                )
         for case in dict.fromkeys(line["case"] for line in result["cases"]):
-            headings, rows = measurement_table([line for line in result["cases"] if line["case"] == case])
+            headings, rows = measurement_table(
+                [line for line in result["cases"] if line["case"] == case]
+            )
             if rows:
                 print_table(case.capitalize(), headings, rows)
 

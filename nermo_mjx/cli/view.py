@@ -56,7 +56,9 @@ def figures_of_file(path: Path, *, notify: Callable[[str], None]) -> Figures:
 
 
 @command("render", reads=True)
-@click.argument("recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING)
+@click.argument(
+    "recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING
+)
 @options.file("--out", ".mp4", "MP4 (H.264), GIF or WebP.", required=True)
 @options.camera
 @click.option(
@@ -82,7 +84,11 @@ def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Out
     loaded = [load_recording(path) for path in recordings]
     render_with_progress(loaded, out, [path.stem for path in recordings], **drawn)
     seconds = min(each.duration for each in loaded) / drawn["speed"]
-    content = {"video": out, "seconds": seconds, **{name: drawn[name] for name in ("width", "height", "fps")}}
+    content = {
+        "video": out,
+        "seconds": seconds,
+        **{name: drawn[name] for name in ("width", "height", "fps")},
+    }
     return Output(content, files=[out])
 
 
@@ -133,17 +139,27 @@ PLAY_NEEDS |= dict.fromkeys(("speed", "xml", "rate"), _RECORDED)
 
 
 @command("play")
-@click.argument("path", metavar="FILE.npz|TRAINING.yaml|DIR", type=FileKind(".npz", ".yaml", ".yml"))
+@click.argument(
+    "path", metavar="FILE.npz|TRAINING.yaml|DIR", type=FileKind(".npz", ".yaml", ".yml")
+)
 @number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
 @options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
 @number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
-@options.text("--policy", "zero|random|FILE.npz", "Of a training: what acts; by default the policy in DIR, or zero.")
-@options.text("--scene", "NAME", "Of a training: where; by default the first scene of its evaluation.")
+@options.text(
+    "--policy",
+    "zero|random|FILE.npz",
+    "Of a training: what acts; by default the policy in DIR, or zero.",
+)
+@options.text(
+    "--scene", "NAME", "Of a training: where; by default the first scene of its evaluation."
+)
 @options.set_option("Of a training: a parameter or a command of its task; repeatable.")
 @number("--seconds", "Of a training: how long; by default as in its evaluation.", options.POSITIVE)
 @options.file("--video", ".mp4", "Of a training: an MP4, GIF or WebP instead of a page.")
 @options.camera
-def play_command(path: Path, speed: float, xml: Path | None, rate: float, policy: str | None, **task: Any) -> Output:
+def play_command(
+    path: Path, speed: float, xml: Path | None, rate: float, policy: str | None, **task: Any
+) -> Output:
     """Play a recording in MuJoCo's viewer, or a policy in a training's task.
 
     A recording needs a display. With --xml, no window is opened: the file
@@ -183,7 +199,9 @@ def play_command(path: Path, speed: float, xml: Path | None, rate: float, policy
     else:
         keys = write_keyframes(loaded, xml, rate=rate)
     content = {"recording": path, "seconds": loaded.duration, "xml": xml, "keyframes": keys}
-    return Output(content, lambda: None if xml is None else click.echo(f"wrote {xml}, with {keys} keyframes"))
+    return Output(
+        content, lambda: None if xml is None else click.echo(f"wrote {xml}, with {keys} keyframes")
+    )
 
 
 def _play_task(
@@ -212,11 +230,23 @@ def _play_task(
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
 @options.file("--out", ".html", "Write the page to this file.")
-@number("--recordings", "For a directory: maximum number of recordings in the page; by default 50.", click.IntRange(0))
+@number(
+    "--recordings",
+    "For a directory: maximum number of recordings in the page; by default 50.",
+    click.IntRange(0),
+)
 @flag("--no-open", "Do not open a browser.")
-@flag("--follow", "For a training at work: a page that shows each checkpoint, until it ends or Ctrl-C.")
+@flag(
+    "--follow",
+    "For a training at work: a page that shows each checkpoint, until it ends or Ctrl-C.",
+)
 def view_command(
-    path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool, follow: bool
+    path: Path,
+    other: Path | None,
+    out: Path | None,
+    recordings: int | None,
+    no_open: bool,
+    follow: bool,
 ) -> Output:
     """View a recording, a sweep, a search or a training in the browser.
 
@@ -251,11 +281,15 @@ def view_command(
     return _shown(page, out, path.resolve().stem, no_open, amounts)
 
 
-def _shown(page: Page, out: Path | None, name: str, no_open: bool, amounts: dict[str, Any]) -> Output:
+def _shown(
+    page: Page, out: Path | None, name: str, no_open: bool, amounts: dict[str, Any]
+) -> Output:
     """Save a page, in a new folder unless a file is given, and open it."""
     file = page.save(out or Path(tempfile.mkdtemp(prefix="nermo-mjx-")) / f"{name}.html")
     opened = not no_open and _has_browser() and webbrowser.open(file.resolve().as_uri())
-    sentence = f"wrote {file}" + ("" if opened or no_open else "; no browser was found, open it in one")
+    sentence = f"wrote {file}" + (
+        "" if opened or no_open else "; no browser was found, open it in one"
+    )
     content = {"page": str(file), "bytes": file.stat().st_size, **amounts, "opened": opened}
     # Nobody else knows where it is.
     return Output(content, lambda: click.echo(sentence), always=out is None and not opened)
@@ -282,8 +316,13 @@ def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
                 page = trained(path, reload=None if status.complete else _RELOAD)
                 file = None if shown is None else Path(shown.content["page"])
                 amounts = {"iterations": status.rows_done, "complete": status.complete}
-                shown, seen = _shown(page, out or file, path.resolve().stem, no_open or seen != 0, amounts), written
-                say(f"{shown.content['page']} shows {status.rows_done:,} of {status.rows:,} iterations")
+                shown, seen = (
+                    _shown(page, out or file, path.resolve().stem, no_open or seen != 0, amounts),
+                    written,
+                )
+                say(
+                    f"{shown.content['page']} shows {status.rows_done:,} of {status.rows:,} iterations"
+                )
             elif not status.complete:
                 time.sleep(1.0)
     if shown is None:
@@ -291,7 +330,9 @@ def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
     return shown
 
 
-def _page(path: Path, other: Path | None, recordings: int | None, notes: list[str]) -> tuple[Page, dict[str, Any]]:
+def _page(
+    path: Path, other: Path | None, recordings: int | None, notes: list[str]
+) -> tuple[Page, dict[str, Any]]:
     """The page of a recording or a directory, and how much it shows."""
     from nermo_mjx.runs import kind_of
     from nermo_mjx.view import show
@@ -301,13 +342,17 @@ def _page(path: Path, other: Path | None, recordings: int | None, notes: list[st
     page: Page
     if not path.is_dir():
         if recordings is not None:
-            raise WrongUse(f"--recordings is for the page of a directory, but {path} is a recording.")
+            raise WrongUse(
+                f"--recordings is for the page of a directory, but {path} is a recording."
+            )
         for each in (path, *([] if other is None else [other])):
             load_recording(each)  # refuses what cannot be shown, and says which file that is
         page = show(path, other)
         return page, {"samples": page.samples}
     if other is not None:
-        raise WrongUse(f"{path} is a directory: it has its own page; show {other} with a separate command.")
+        raise WrongUse(
+            f"{path} is a directory: it has its own page; show {other} with a separate command."
+        )
     if kind_of(path) == "training":
         page = trained(path)
         return page, {"samples": page.samples}
@@ -316,7 +361,9 @@ def _page(path: Path, other: Path | None, recordings: int | None, notes: list[st
             f"{path} is the directory of {kind_of_directory(path).called}: the page of a directory shows the runs of a "
             "sweep or a search, or a training, and nermo-mjx plot draws the others."
         )
-    page = explore(path, recordings=MOST_RECORDINGS if recordings is None else recordings, notify=notes.append)
+    page = explore(
+        path, recordings=MOST_RECORDINGS if recordings is None else recordings, notify=notes.append
+    )
     return page, {"rows": page.rows, "recordings": page.recordings}
 
 

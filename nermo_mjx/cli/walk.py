@@ -66,7 +66,9 @@ def planned_walk(
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
     fields = {field.name for field in dataclasses.fields(Setup)}
-    chosen = {name: value for name, value in options.items() if name in fields and value is not None}
+    chosen = {
+        name: value for name, value in options.items() if name in fields and value is not None
+    }
     chosen["spine"] = "+".join(mode_names(chosen["spine"])) or "none"
     setup = Setup(pilot=pilot, schedule=tuple(map(_switch, switches)), **chosen)
     parameters = all_parameters(setup)
@@ -79,7 +81,9 @@ def planned_walk(
             raise WrongUse(f"{flag} sets {name}, which is not a parameter of {setup.controller}.")
         if needed := unread(setup, name):
             choice, wanted = needed
-            raise WrongUse(f"{flag} has no effect with --{choice} {getattr(setup, choice)}: add --{choice} {wanted}.")
+            raise WrongUse(
+                f"{flag} has no effect with --{choice} {getattr(setup, choice)}: add --{choice} {wanted}."
+            )
         values[name] = parameters[name].numbers(flag, options[option])
     values |= assigned(assignments, parameters)
     for name, value in values.items():
@@ -94,7 +98,11 @@ def _switch(text: str) -> Switch:
 
     at, *parts = text.split(",")
     pairs = dict(part.partition("=")[::2] for part in parts)
-    words = {name: pairs.pop(name) for name in ("gait", "steering", "spine", "head", "tail_motion") if name in pairs}
+    words = {
+        name: pairs.pop(name)
+        for name in ("gait", "steering", "spine", "head", "tail_motion")
+        if name in pairs
+    }
     try:
         blend = float(pairs.pop("blend", 1.0))
         return Switch(float(at), blend, **words, values=pairs)  # type: ignore[arg-type]
@@ -114,7 +122,11 @@ def _length(cycles: float | None, duration: float | None, warmup: float | None) 
     before = min(DEFAULT_WARMUP, total / 4) if warmup is None else warmup
     if before >= total:
         raise WrongUse(f"--warmup is {before:g}: it must be shorter than the run, {total:g}.")
-    return Run(cycles=total, warmup_cycles=before) if duration is None else Run(duration=total, warmup=before)
+    return (
+        Run(cycles=total, warmup_cycles=before)
+        if duration is None
+        else Run(duration=total, warmup=before)
+    )
 
 
 def _shifted_start(seed: int) -> dict[str, float]:
@@ -158,19 +170,32 @@ def print_walk(report: dict[str, Any]) -> None:
         # moment when the diagonal pairs switch.
         values = {name: np.asarray(value) for name, value in parameters.items()}
         extends = "stride_extension" in setup["spine"].split("+")
-        values["spine.amplitude"] = values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
+        values["spine.amplitude"] = (
+            values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
+        )
         lines.append(("speed in theory", float(theory.speed(values)), "mm/s", 1e3))
-    lines += [(title, metrics[name], unit, factor) for name, title, unit, factor in LINES if name in metrics]
+    lines += [
+        (title, metrics[name], unit, factor)
+        for name, title, unit, factor in LINES
+        if name in metrics
+    ]
     rows = [[title, _number(value, factor), unit] for title, value, unit, factor in lines]
     rows += [[name, f"{metrics[name]:.4g}", unit] for name, unit in report.get("units", {}).items()]
     headings = ", >, "
     if (ratio := parameters.get("tracking.clock_ratio", 1.0)) != 1.0:
         # Seconds of the controller's clock, in which frequencies are given, before simulated ones.
         scaled = {"mm/s": ratio, "s": 1.0 / ratio}
-        of_clock = [_number(value, factor * scaled.get(unit, 1.0)) for _, value, unit, factor in lines]
-        rows = [[row[0], first, *row[1:]] for row, first in itertools.zip_longest(rows, of_clock, fillvalue="")]
+        of_clock = [
+            _number(value, factor * scaled.get(unit, 1.0)) for _, value, unit, factor in lines
+        ]
+        rows = [
+            [row[0], first, *row[1:]]
+            for row, first in itertools.zip_longest(rows, of_clock, fillvalue="")
+        ]
         headings = ", controller's clock>, simulated>, "
-    print_table(f"Nermo walked: {how}, {setup['tail']} tail, engine {report['engine']}", headings, rows)
+    print_table(
+        f"Nermo walked: {how}, {setup['tail']} tail, engine {report['engine']}", headings, rows
+    )
     parts, degrees = ("mean", "std", "min", "max"), math.degrees(1.0)
     angles = [
         [angle, *(_number(metrics.get(f"{angle}_{part}"), degrees) for part in parts)]
@@ -209,7 +234,9 @@ def _switch_option(about: str) -> Any:
 @options.gait
 @options.controller
 @text("--metrics", "FILE.py[:NAME]", "Custom metrics; repeatable.", multiple=True)
-@options.choice_option("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
+@options.choice_option(
+    "--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None
+)
 @number("--cycles", "Duration in gait cycles, by default 8.", options.POSITIVE)
 @number("--duration", "Duration in seconds, instead of --cycles.", options.POSITIVE)
 @number("--warmup", "Unmeasured start, in the same unit; by default 2.", click.FloatRange(0))
@@ -221,7 +248,9 @@ def _switch_option(about: str) -> Any:
 @number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.produced
-def walk_command(engine: str, record: Path | None, video: Path | None, camera: str, **chosen: Any) -> Output:
+def walk_command(
+    engine: str, record: Path | None, video: Path | None, camera: str, **chosen: Any
+) -> Output:
     """Simulate one walk, and summarize it.
 
     Examples:
@@ -263,7 +292,9 @@ DRIVE_NEEDS = {
 @command("drive")
 @options.gait
 @options.controller
-@options.choice_option("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
+@options.choice_option(
+    "--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None
+)
 @options.body
 @options.set_any
 @text(
@@ -275,7 +306,9 @@ DRIVE_NEEDS = {
 )
 @number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
 @number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
-@click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
+@click.option(
+    "--browser/--no-browser", default=True, help="Open the page, or only print its address."
+)
 @text(
     "--connect",
     "URL",
@@ -291,7 +324,11 @@ DRIVE_NEEDS = {
     show_default=True,
     type=options.SPEC,
 )
-@number("--rate", "Commands per second; by default that of the channels, or of the controller.", options.POSITIVE)
+@number(
+    "--rate",
+    "Commands per second; by default that of the channels, or of the controller.",
+    options.POSITIVE,
+)
 @number(
     "--watchdog",
     "Seconds without messages after which the robot holds still.",
@@ -306,7 +343,12 @@ DRIVE_NEEDS = {
     click.FloatRange(0, 10_000),
     default=0.0,
 )
-@number("--loss", "With --serve: share of messages that get lost, each way.", click.FloatRange(0, 1), default=0.0)
+@number(
+    "--loss",
+    "With --serve: share of messages that get lost, each way.",
+    click.FloatRange(0, 1),
+    default=0.0,
+)
 def drive_command(
     connect: str | None,
     serve: str | None,
@@ -342,7 +384,11 @@ def drive_command(
       nermo-mjx drive --serve mqtt://localhost --delay 20 --loss 0.01
     """
     logs = record is not None and record.suffix == ".csv"
-    there = {"--connect URL": bool(connect), "--serve URL": bool(serve), "a page": not (headless or serve)}
+    there = {
+        "--connect URL": bool(connect),
+        "--serve URL": bool(serve),
+        "a page": not (headless or serve),
+    }
     there["--connect URL or --serve URL"] = bool(connect or serve)
     if connect and serve:
         raise WrongUse("Give --connect URL or --serve URL, not both.")
@@ -359,7 +405,8 @@ def drive_command(
 
         require("drive", "websockets", "drive")
     port, browser, channels, rate, watchdog, delay, loss = (
-        chosen.pop(name) for name in ("port", "browser", "channels", "rate", "watchdog", "delay", "loss")
+        chosen.pop(name)
+        for name in ("port", "browser", "channels", "rate", "watchdog", "delay", "loss")
     )
     chosen["pilot"] = chosen["pilot"] or ("open_loop" if chosen["controller"] is None else None)
     setup, _, values = planned_walk(**chosen)
@@ -382,7 +429,9 @@ def drive_command(
             with ProgressBar("drive", quiet=headless or is_given("quiet"), compiles=True):
                 recorded = page_record is not None
                 if connect is not None:
-                    robots = RobotDriving(setup, values, connect, channels, rate, watchdog, record=recorded, log=log)
+                    robots = RobotDriving(
+                        setup, values, connect, channels, rate, watchdog, record=recorded, log=log
+                    )
                 driving = robots or Driving(setup, values, record=recorded)
             with robots.reach() if robots else contextlib.nullcontext():
                 if robots and headless:
@@ -403,12 +452,20 @@ def drive_command(
                     failures = [drive.failure] if drive.failure else failures
         if robots:
             about |= dataclasses.asdict(robots.driven)
-            sentences, failures = robots.driven.sentences(), failures + robots.failures(about.get("factor", 1.0))
+            sentences, failures = (
+                robots.driven.sentences(),
+                failures + robots.failures(about.get("factor", 1.0)),
+            )
             files += [log, log.with_suffix(".yaml")] if log else []
     except SendError as error:
         raise Failure(f"{str(error).rstrip('.')}.") from None
     content = about | ({"verdict": failures} if connect or serve else {})
-    return Output(content, lambda: click.echo("\n".join(sentences), nl=bool(sentences)), files, " ".join(failures))
+    return Output(
+        content,
+        lambda: click.echo("\n".join(sentences), nl=bool(sentences)),
+        files,
+        " ".join(failures),
+    )
 
 
 @contextlib.contextmanager
@@ -427,22 +484,38 @@ REPLAY_NEEDS = {
     "row": "a directory",
     "engine": "a directory or --commands LOG",
     **dict.fromkeys(("sweep", "controller"), "a recorded drive"),
-    **dict.fromkeys(("channels", "model", "robot", "scene", "tail", "physics", "assignments"), "--commands LOG"),
+    **dict.fromkeys(
+        ("channels", "model", "robot", "scene", "tail", "physics", "assignments"), "--commands LOG"
+    ),
 }
 
 
 @command("replay")
 @click.argument("out", metavar="[DIR|FILE]", required=False, type=options.PATH)
-@text("--commands", "LOG", "Drive the twin by the commands of a robot's log.", type=options.FileKind(*LOGS))
+@text(
+    "--commands",
+    "LOG",
+    "Drive the twin by the commands of a robot's log.",
+    type=options.FileKind(*LOGS),
+)
 @log_channels
-@text("--model", "FILE.xml", "With --commands: drive the MJCF of another robot.", type=options.FileKind(".xml"))
+@text(
+    "--model",
+    "FILE.xml",
+    "With --commands: drive the MJCF of another robot.",
+    type=options.FileKind(".xml"),
+)
 @options.body
 @options.set_any
 @number("--row", "Row of the table, from 0; not with a FILE.", int, metavar="N")
 @options.choice_option("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.produced
 @options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.")
-@text("--controller", "FILE", "Your copy of the controller of a drive, FILE.py:NAME or a policy FILE.npz; of a FILE.")
+@text(
+    "--controller",
+    "FILE",
+    "Your copy of the controller of a drive, FILE.py:NAME or a policy FILE.npz; of a FILE.",
+)
 def replay_command(
     out: Path | None,
     commands: Path | None,
@@ -488,7 +561,11 @@ def replay_command(
         raise WrongUse("Give a directory, a recorded drive, or --commands LOG.")
     saved: dict[str, Any] = {"record": record, "video": video, "camera": camera}
     of_drive = out is not None and out.suffix in (".npz", ".jsonl")
-    there = {"a directory": out and not of_drive, "a recorded drive": of_drive, "--commands LOG": commands}
+    there = {
+        "a directory": out and not of_drive,
+        "a recorded drive": of_drive,
+        "--commands LOG": commands,
+    }
     options.refuse_without(REPLAY_NEEDS, there | {"a directory or --commands LOG": not of_drive})
     if commands is not None and model is not None:
         return _replay_on_model(commands, channels, model)
@@ -513,24 +590,34 @@ def replay_command(
     report = report_of(found, replay)
     if files:
         if not len(replay.history.time):
-            raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
+            raise Failure(
+                f"row {row} diverged in its first tick: there is nothing to record or to show."
+            )
         save_run(dataclasses.replace(replay.recording(), metadata=plain_json(report)), **saved)
 
     def show() -> None:
         values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
         values += "".join(f", {name} {value:.4g}" for name, value in found.values.items())
-        click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
+        click.echo(
+            f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n"
+        )
         print_walk(report)
         for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
             if report["metrics"][flag]:
-                click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.span[1]:.2f} s.")
+                click.echo(
+                    f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.span[1]:.2f} s."
+                )
         click.echo(report["compared"])
 
     return Output(report, show, files)
 
 
 def _replay_log(
-    file: Path, channels: Path | None, engine: str | None, body: dict[str, Any], saved: dict[str, Any]
+    file: Path,
+    channels: Path | None,
+    engine: str | None,
+    body: dict[str, Any],
+    saved: dict[str, Any],
 ) -> Output:
     """Drive the twin by a log's commands, and lay what was measured beside it."""
     from nermo_mjx.hardware.signals import findings_of
@@ -541,14 +628,23 @@ def _replay_log(
     setup = Setup(**{name: value for name, value in body.items() if value is not None})
     refuse_video(setup, saved["video"], saved["camera"])
     with ProgressBar("replay", compiles=True) as progress:
-        made = replay_log(log, setup, assigned(named, all_parameters(setup)), engine or "c", progress.share)
+        made = replay_log(
+            log, setup, assigned(named, all_parameters(setup)), engine or "c", progress.share
+        )
     recording, found = with_log(made, log, setup.load())
     save_run(recording, **saved)
     for sentence in findings_of(log):
         say(sentence)
     shown = recording.metadata["log"]["shown"]
-    missing = [each.name for each in log.channels if each.name not in shown and each.quantity != "command"]
-    content = {**made.metadata, "log": file, "channels": [*map(dataclasses.asdict, found)], "not_simulated": missing}
+    missing = [
+        each.name for each in log.channels if each.name not in shown and each.quantity != "command"
+    ]
+    content = {
+        **made.metadata,
+        "log": file,
+        "channels": [*map(dataclasses.asdict, found)],
+        "not_simulated": missing,
+    }
 
     def show() -> None:
         title = f"{file}, {log.duration:.4g} s: measured minus simulated, engine {made.metadata['engine']}"
@@ -571,12 +667,26 @@ def _replay_on_model(file: Path, channels: Path | None, model: Path) -> Output:
     for sentence in (*findings_of(log), *notes):
         say(sentence)
     found, simulated = channel_differences(log, twin), [each.name for each in twin.channels]
-    missing = [each.name for each in log.channels if each.name not in simulated and each.quantity != "command"]
-    content = {"log": file, "model": model, "channels": [*map(dataclasses.asdict, found)], "not_simulated": missing}
-    return Output(content, lambda: print_differences(f"{file} minus {model}, {log.duration:.4g} s", found, missing))
+    missing = [
+        each.name
+        for each in log.channels
+        if each.name not in simulated and each.quantity != "command"
+    ]
+    content = {
+        "log": file,
+        "model": model,
+        "channels": [*map(dataclasses.asdict, found)],
+        "not_simulated": missing,
+    }
+    return Output(
+        content,
+        lambda: print_differences(f"{file} minus {model}, {log.duration:.4g} s", found, missing),
+    )
 
 
-def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]) -> Output:
+def _replay_drive(
+    path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]
+) -> Output:
     """Drive a recording or a journal again, and compare; no Python runs that the person has not named."""
     from nermo_mjx.live.driving import as_sweep, difference, replayed
     from nermo_mjx.recording import RecordingError, write_whole
@@ -585,7 +695,10 @@ def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved:
 
     recording = load_recording(path) if path.suffix == ".npz" else None
     try:
-        with contextlib.nullcontext() if controller else only_reading(), ProgressBar("replay", compiles=True):
+        with (
+            contextlib.nullcontext() if controller else only_reading(),
+            ProgressBar("replay", compiles=True),
+        ):
             driven = recording or replayed(path, controller)
             if sweep is not None:
                 text = Sweep.from_dict(as_sweep(driven, controller)).to_yaml(sweep.parent)
@@ -598,11 +711,18 @@ def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved:
     samples = f"{len(again.time):,} samples"
     sentence = f"All {samples} equal the recording's, to the last bit."
     if recording is None:
-        sentence = f"{samples} were made again, up to {again.time[-1]:.2f} s, the end of the journal."
+        sentence = (
+            f"{samples} were made again, up to {again.time[-1]:.2f} s, the end of the journal."
+        )
     elif differs is not None:
         sentence = f"Of {samples} those from {differs:.2f} s on differ from the recording's."
     equal = None if recording is None else differs is None
-    content = {"recording": path, "samples": len(again.time), "equal": equal, "differs_from": differs}
+    content = {
+        "recording": path,
+        "samples": len(again.time),
+        "equal": equal,
+        "differs_from": differs,
+    }
     return Output(content, lambda: click.echo(sentence))
 
 
@@ -675,17 +795,33 @@ def servos_command(
     topic, how = chosen.pop("topic"), {name: chosen.pop(name) for name in ("rate", "channels")}
     if recording is None:
         cycles = chosen.pop("cycles") or 1
-        setup, _, values = planned_walk(pilot="open_loop", scene="flat", physics="reference", **chosen)
+        setup, _, values = planned_walk(
+            pilot="open_loop", scene="flat", physics="reference", **chosen
+        )
         table = servo_table(setup, values, cycles=cycles, **how)
         words = [f"{name} {getattr(setup, name)}" for name in ("gait", "spine", "steering")]
-        words += [f"{name} {value:g}" for name, value in {"frequency": table.frequency, **values}.items()]
+        words += [
+            f"{name} {value:g}" for name, value in {"frequency": table.frequency, **values}.items()
+        ]
     else:
         from nermo_mjx.view import robot_of
 
-        used = ("recording", "rate", "channels", "out", "send", "topic", "seconds", "as_json", "quiet")
+        used = (
+            "recording",
+            "rate",
+            "channels",
+            "out",
+            "send",
+            "topic",
+            "seconds",
+            "as_json",
+            "quiet",
+        )
         for name, flag in options.given().items():
             if name not in used:
-                raise WrongUse(f"{flag} has no effect with --recording, whose walk is over: leave one of them out.")
+                raise WrongUse(
+                    f"{flag} has no effect with --recording, whose walk is over: leave one of them out."
+                )
         loaded, words = load_recording(recording), [f"walk {recording.name}"]
         table = recorded_table(loaded, robot_of(loaded), **how)
     if out is not None:
@@ -702,7 +838,14 @@ def servos_command(
         except SendError as error:  # nobody there is a failure, and not wrong use
             raise Failure(str(error)) from None
     numbers = [channel.number for channel in table.channels]
-    columns = zip(table.names, numbers, table.angles.min(axis=0), table.angles.max(axis=0), table.speed, strict=True)
+    columns = zip(
+        table.names,
+        numbers,
+        table.angles.min(axis=0),
+        table.angles.max(axis=0),
+        table.speed,
+        strict=True,
+    )
     keys = ("servo", "channel", "low_deg", "high_deg", "speed_deg_per_s")
     servos = [dict(zip(keys, column, strict=True)) for column in columns]
     content: dict[str, Any] = {"out": out, "rows": len(table.time)}
@@ -721,7 +864,9 @@ def servos_command(
             click.echo(f"wrote {out}")
         if sent is not None:
             latest = f"the latest was {1e3 * sent.latest:.1f} ms late"
-            click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; {latest}")
+            click.echo(
+                f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; {latest}"
+            )
 
     late = "" if sent is None else lateness(sent.skipped, sent.messages + sent.skipped)
     return Output(content, show, failure=late)

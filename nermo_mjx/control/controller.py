@@ -24,10 +24,31 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control import pilot, spine_modes, trajectory
-from nermo_mjx.control.head_and_tail import HeadAngles, HeadLike, Pace, TailLike, named_head, named_tail
-from nermo_mjx.control.parameters import ControlParameters, Stance, published_values, with_gait_factor
+from nermo_mjx.control.head_and_tail import (
+    HeadAngles,
+    HeadLike,
+    Pace,
+    TailLike,
+    named_head,
+    named_tail,
+)
+from nermo_mjx.control.parameters import (
+    ControlParameters,
+    Stance,
+    published_values,
+    with_gait_factor,
+)
 from nermo_mjx.control.path import PATHS, PathPoint, course_through
-from nermo_mjx.control.pilot import WAYPOINTS, Command, Drive, External, Follow, OpenLoop, PilotLike, Walk
+from nermo_mjx.control.pilot import (
+    WAYPOINTS,
+    Command,
+    Drive,
+    External,
+    Follow,
+    OpenLoop,
+    PilotLike,
+    Walk,
+)
 from nermo_mjx.control.protocol import leg_servos
 from nermo_mjx.control.spine_modes import SagittalLike, SagittalModes, SpineLike, SpineModes
 from nermo_mjx.control.stepping import FREE, FreeStepping, GaitLike, Stepping
@@ -37,7 +58,14 @@ from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot.geometry import Geometry, geometry_of, names_geometry
 from nermo_mjx.robot.masses import MassModel
 from nermo_mjx.robot.parameters import LIMBS, ROUTINGS, Sensors, ServoAngles
-from nermo_mjx.robot.quantity import ParameterError, check_quantities, choice, quantities, replace_quantities, values_of
+from nermo_mjx.robot.quantity import (
+    ParameterError,
+    check_quantities,
+    choice,
+    quantities,
+    replace_quantities,
+    values_of,
+)
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar, Scalars
 
@@ -136,7 +164,9 @@ class Controller:
     routing: str = "type3"
     control_rate: float = 100.0
     pilot_rate: float = 50.0
-    parameters: Any = dataclasses.field(default_factory=ControlParameters, compare=False, repr=False)
+    parameters: Any = dataclasses.field(
+        default_factory=ControlParameters, compare=False, repr=False
+    )
     head: HeadLike = dataclasses.field(default_factory=named_head)
     tail: TailLike = dataclasses.field(default_factory=named_tail)
     sagittal: SagittalLike | None = None
@@ -157,7 +187,9 @@ class Controller:
         """Simulated duration of a control tick [s]."""
         return 1.0 / self.control_rate
 
-    def init(self, params: ControlParameters, sensors: Sensors, phase: Scalar | float = 0.0) -> ControllerState:
+    def init(
+        self, params: ControlParameters, sensors: Sensors, phase: Scalar | float = 0.0
+    ) -> ControllerState:
         """State at the start, from the readings at rest: every leg is on its nominal path at `phase` of the gait cycle,
         taken modulo 1, so that the robot starts in its gait's posture."""
         state = self._start(params, phase)
@@ -178,8 +210,13 @@ class Controller:
     ) -> tuple[ControllerState, ServoAngles]:
         """One control tick: the state and the servo angles `dt` later."""
         walk = self._walk(params, state)
-        decided, held = self.pilot.update(params, state.pilot, sensors, walk), (state.pilot, state.drive)
-        memory, drive = jax.tree.map(lambda now, before: jnp.where(walk.due, now, before), decided, held)
+        decided, held = (
+            self.pilot.update(params, state.pilot, sensors, walk),
+            (state.pilot, state.drive),
+        )
+        memory, drive = jax.tree.map(
+            lambda now, before: jnp.where(walk.due, now, before), decided, held
+        )
         gait, path = self.gait.update(params, state.gait, state.drive, drive, self.dt)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
         vertical = None
@@ -187,14 +224,27 @@ class Controller:
             pitch = attitude(sensors.orientation)[1]
             vertical = self.sagittal(params, gait.phase, drive.turn_rate, pitch, sensors.gyro[0])
         closed = trajectory.share_closed(params.tracking, self.dt)
-        foot = state.foot + closed * (path + self._compensation(params, spine, vertical, path, state.foot) - state.foot)
+        foot = state.foot + closed * (
+            path + self._compensation(params, spine, vertical, path, state.foot) - state.foot
+        )
         pace = self._pace(params, gait.phase, drive)
         head, head_angles = self.head.update(params, state.head, sensors, pace, self.dt)
         tail, tail_angle = self.tail.update(params, state.tail, sensors, pace, self.dt)
 
         tick = state.tick + 1
         after = ControllerState(
-            tick, tick * self.dt, memory, drive, gait, foot, spine, head, head_angles, tail, tail_angle, vertical
+            tick,
+            tick * self.dt,
+            memory,
+            drive,
+            gait,
+            foot,
+            spine,
+            head,
+            head_angles,
+            tail,
+            tail_angle,
+            vertical,
         )
         after = with_dtypes_of(state, after)
         return after, self.servo_angles(params, after)
@@ -213,7 +263,9 @@ class Controller:
         """Gait cycles per simulated second [1/s]."""
         return params.gait.frequency / params.tracking.clock_ratio
 
-    def path(self, params: ControlParameters, state: ControllerState, position: Float[Array, " 3"]) -> PathPoint | None:
+    def path(
+        self, params: ControlParameters, state: ControllerState, position: Float[Array, " 3"]
+    ) -> PathPoint | None:
         """The point of the pilot's path closest to a position [m]; None for a pilot without a path."""
         follow = getattr(self.pilot, "path", None)
         return None if follow is None else follow(params, state.pilot, position)
@@ -235,7 +287,9 @@ class Controller:
 
     def _start(self, params: ControlParameters, phase: Scalar | float) -> ControllerState:
         memory, drive = self.pilot.start(params)
-        gait, path = self.gait.start(params, trajectory.wrap(jnp.asarray(phase, dtype=float)), drive)
+        gait, path = self.gait.start(
+            params, trajectory.wrap(jnp.asarray(phase, dtype=float)), drive
+        )
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
         # Neutral at first: an arched back would start with its tail in the ground.
         vertical = None if self.sagittal is None else jnp.zeros_like(gait.phase)
@@ -245,7 +299,20 @@ class Controller:
         tail, tail_angle = self.tail.start(params, pace)
         tick, time = jnp.zeros((), dtype=jnp.int32), jnp.zeros(())
         return canonical(
-            ControllerState(tick, time, memory, drive, gait, foot, spine, head, head_angles, tail, tail_angle, vertical)
+            ControllerState(
+                tick,
+                time,
+                memory,
+                drive,
+                gait,
+                foot,
+                spine,
+                head,
+                head_angles,
+                tail,
+                tail_angle,
+                vertical,
+            )
         )
 
     def _pace(self, params: ControlParameters, phase: Scalar, drive: Drive) -> Pace:
@@ -315,7 +382,9 @@ def published_controller(
     )
 
 
-def named_pilot(name: str, waypoints: Sequence[Sequence[float]] | None, command: Command | None) -> PilotLike:
+def named_pilot(
+    name: str, waypoints: Sequence[Sequence[float]] | None, command: Command | None
+) -> PilotLike:
     """A pilot by its name; the arguments are those of `published_controller`."""
     choice("pilot", name, get_args(pilot.PilotName))
     owned = ("command", command, "external", "one"), ("waypoints", waypoints, WAYPOINTS, "them")
@@ -344,7 +413,12 @@ _PATH_POINTS, _STRIDE_STEPS = 9, 41
 
 
 def control_parameters(
-    gait: str = "trot", *, steering: str | None = None, profile: str = "exact", routing: str = "type3", **values: Any
+    gait: str = "trot",
+    *,
+    steering: str | None = None,
+    profile: str = "exact",
+    routing: str = "type3",
+    **values: Any,
 ) -> ControlParameters:
     """Checked parameters of a published gait with some values changed.
 
@@ -373,7 +447,9 @@ def control_parameters(
     named = published_values(gait, steering=steering, profile=profile) | with_gait_factor(
         {name: np.asarray(value, float) for name, value in values.items()}
     )
-    params = replace_quantities(start, {name: np.asarray(value, float) for name, value in named.items()})
+    params = replace_quantities(
+        start, {name: np.asarray(value, float) for name, value in named.items()}
+    )
     check_workspace(params, routing=routing)
     return params
 
@@ -396,7 +472,9 @@ def check_workspace(params: ControlParameters, *, routing: str = "type3") -> Non
     """Reject strides, heights and amplitudes whose nominal foot path leaves a leg's workspace; see `check`."""
     stride = np.asarray(params.gait.stride, float) * np.asarray(params.stance.max_stride, float)
     leaves, structure = jax.tree.flatten(_Paths(params.stance, geometry_of(params), stride))
-    columns = [leaf.ravel() for leaf in np.broadcast_arrays(*(np.asarray(leaf, float) for leaf in leaves))]
+    columns = [
+        leaf.ravel() for leaf in np.broadcast_arrays(*(np.asarray(leaf, float) for leaf in leaves))
+    ]
     # The distinct combinations of a batch: usually one, because most sweeps vary other things.
     paths: _Paths = jax.tree.unflatten(structure, np.unique(np.stack(columns), axis=1))
     start_jax()
@@ -435,7 +513,9 @@ def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str)
     strides = np.linspace(0.0, stride, _STRIDE_STEPS)
     batch = jax.tree.map(lambda leaf: np.full(_STRIDE_STEPS, leaf), paths)._replace(stride=strides)
     reached = np.asarray(_reachable(batch, routing))[:, limb]
-    own, published = (dict(values_of(getattr(each, f"{axle}_leg"))) for each in (paths.geometry, Geometry()))
+    own, published = (
+        dict(values_of(getattr(each, f"{axle}_leg"))) for each in (paths.geometry, Geometry())
+    )
     changed = [
         f"geometry.{axle}_leg.{link} {float(length):g} m"
         for link, length in own.items()
@@ -443,7 +523,11 @@ def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str)
     ]
     links = f", with {' and '.join(changed)}" if changed else ""
     if not reached[0]:
-        behind, up, down = getattr(stance, f"{axle}_y"), stance.swing_amplitude, stance.stance_amplitude
+        behind, up, down = (
+            getattr(stance, f"{axle}_y"),
+            stance.swing_amplitude,
+            stance.stance_amplitude,
+        )
         return (
             f"stance.{axle}_z is {height:g} m: with stance.{axle}_y {behind:g} m, raised by {up:g} m and lowered by "
             f"{down:g} m, the {axle} foot leaves its leg's workspace even without a stride{links}."
@@ -452,7 +536,9 @@ def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str)
     scale = float(stance.max_stride)
     varied = np.any(np.asarray(params.gait.stride) != 1.0) and scale > 0.0
     name, value, most, unit = (
-        ("stride", stride / scale, longest / scale, "") if varied else ("stance.max_stride", stride, longest, " m")
+        ("stride", stride / scale, longest / scale, "")
+        if varied
+        else ("stance.max_stride", stride, longest, " m")
     )
     return (
         f"{name} is {value:g}{unit}: with stance.{axle}_z {height:g} m the {axle} feet reach a stride of "

@@ -77,7 +77,9 @@ def observe_course(
     expected = course.heading + dt * course.rate
     surprise = wrapped(body_heading(sensors, geometry) - expected)
     gain = dt * bandwidth
-    return CourseEstimate(expected + 2.0 * gain * surprise, course.rate + gain * bandwidth * surprise)
+    return CourseEstimate(
+        expected + 2.0 * gain * surprise, course.rate + gain * bandwidth * surprise
+    )
 
 
 def wrapped(angle: Array) -> Array:
@@ -103,7 +105,9 @@ class AppendageLike(Protocol[Angles_co]):
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
         """The memory of `start` updated with the first readings."""
 
-    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles_co]:
+    def update(
+        self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float
+    ) -> tuple[Any, Angles_co]:
         """Memory and angles one control tick of `dt` seconds later."""
 
 
@@ -133,11 +137,17 @@ class Appendage(AppendageLike[Angles]):
         heading = body_heading(sensors, geometry_of(params))
         return CourseEstimate(heading, jnp.zeros_like(heading))
 
-    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles]:
+    def update(
+        self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float
+    ) -> tuple[Any, Angles]:
         own = getattr(params, self.group)
         if self.on_course:
-            memory = observe_course(memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params))
-        return memory, self.held(own, pace) if self.moving is None else self.moving(own, pace, sensors, memory)
+            memory = observe_course(
+                memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params)
+            )
+        return memory, self.held(own, pace) if self.moving is None else self.moving(
+            own, pace, sensors, memory
+        )
 
 
 GAZE: Final = "gaze"
@@ -151,8 +161,12 @@ class Head:
     tilt: Any = quantity(0.0, "rad", -1.0, 1.0, "head from level, positive down")
     into_turn: Any = quantity(0.0, "rad", -1.0, 1.0, "how far the neck looks into a full turn")
     gain: Any = quantity(1.0, "1", 0.0, 2.0, "share of the torso's sway that the gaze takes out")
-    bandwidth: Any = quantity(0.5, "rad", 0.01, 10.0, "bandwidth of the course that the gaze holds, per gait cycle")
-    lead: Any = quantity(0.0, "s", 0.0, 0.2, "how far ahead the gyro carries the torso's rotation, for slow servos")
+    bandwidth: Any = quantity(
+        0.5, "rad", 0.01, 10.0, "bandwidth of the course that the gaze holds, per gait cycle"
+    )
+    lead: Any = quantity(
+        0.0, "s", 0.0, 0.2, "how far ahead the gyro carries the torso's rotation, for slow servos"
+    )
 
 
 class HeadAngles(NamedTuple):
@@ -181,7 +195,9 @@ def gaze(head: Head, pace: Pace, sensors: Sensors, course: CourseEstimate) -> He
     seen = seen + head.lead * jnp.cross(seen, sensors.gyro)
     level = jnp.sqrt(seen[0] ** 2 + seen[1] ** 2 + 1e-12)
     wanted = HeadAngles(jnp.arctan2(seen[0], -seen[1]), jnp.arctan2(-seen[2], level))
-    return HeadAngles(*(own + head.gain * (to - own) for own, to in zip(offset, wanted, strict=True)))
+    return HeadAngles(
+        *(own + head.gain * (to - own) for own, to in zip(offset, wanted, strict=True))
+    )
 
 
 _HEADS: Final[dict[str, HeadLike]] = {
@@ -218,14 +234,20 @@ class Tail:
     angle: Any = quantity(0.0, "rad", -1.0, 1.0, "servo angle about which it moves")
     swing_amplitude: Any = quantity(0.5, "rad", 0.0, 1.0, "largest servo amplitude of the swing")
     swing_gain: Any = quantity(
-        4.5, "rad s^2/m^2", 0.0, 1e4, "servo amplitude of the swing over the square of commanded_speed"
+        4.5,
+        "rad s^2/m^2",
+        0.0,
+        1e4,
+        "servo amplitude of the swing over the square of commanded_speed",
     )
     swing_phase: Any = quantity(
         np.pi, "rad", -2 * np.pi, 2 * np.pi, "of the swing A cos(2 pi phase + tail.swing_phase)"
     )
     # Both were chosen by sweeps of the trot at 0.8 Hz (docs/control.md): with higher values the robot rolls or slows
     # down.
-    yaw_gain: Any = quantity(2.0, "1", -10.0, 10.0, "servo angle against the torso's yaw off course")
+    yaw_gain: Any = quantity(
+        2.0, "1", -10.0, 10.0, "servo angle against the torso's yaw off course"
+    )
     roll_gain: Any = quantity(2.0, "1", -10.0, 10.0, "servo angle over the torso's roll")
     bandwidth: Any = quantity(
         0.5, "rad", 0.01, 10.0, "bandwidth of the course that yaw is counted from, per gait cycle"
@@ -267,13 +289,21 @@ class SeveralTails(AppendageLike[Scalars]):
         return self._sum(params, pace, [part.start(params, pace) for part in self.parts])
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
-        return tuple(part.init(params, own, sensors) for part, own in zip(self.parts, memory, strict=True))
+        return tuple(
+            part.init(params, own, sensors) for part, own in zip(self.parts, memory, strict=True)
+        )
 
-    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Scalars]:
+    def update(
+        self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float
+    ) -> tuple[Any, Scalars]:
         parts = zip(self.parts, memory, strict=True)
-        return self._sum(params, pace, [part.update(params, own, sensors, pace, dt) for part, own in parts])
+        return self._sum(
+            params, pace, [part.update(params, own, sensors, pace, dt) for part, own in parts]
+        )
 
-    def _sum(self, params: Any, pace: Pace, parts: list[tuple[Any, Scalars]]) -> tuple[Any, Scalars]:
+    def _sum(
+        self, params: Any, pace: Pace, parts: list[tuple[Any, Scalars]]
+    ) -> tuple[Any, Scalars]:
         memories, angles = zip(*parts, strict=True)
         still = tail_held(params.tail, pace)
         return memories, sum((angle - still for angle in angles), still)

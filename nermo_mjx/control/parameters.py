@@ -13,7 +13,14 @@ import numpy as np
 
 from nermo_mjx.control.head_and_tail import Head, Tail
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_CODES, GAIT_PATTERNS, LIMBS, REAR_LEG, ProfileChoice
+from nermo_mjx.robot.parameters import (
+    FRONT_LEG,
+    GAIT_CODES,
+    GAIT_PATTERNS,
+    LIMBS,
+    REAR_LEG,
+    ProfileChoice,
+)
 from nermo_mjx.robot.quantity import choice, flat, group, of_type, parameter_tree, quantity
 
 # ---
@@ -92,7 +99,12 @@ class Gait:
         1.0, "m/s", 0.0, 10.0, "commanded speed on the controller's clock; the stride saturates"
     )
     offset: Any = quantity(
-        (0.5, 0.0, 0.0, 0.5), "1", 0.0, 1.0, "cycle share at which the limb's stance starts", labels=LIMBS
+        (0.5, 0.0, 0.0, 0.5),
+        "1",
+        0.0,
+        1.0,
+        "cycle share at which the limb's stance starts",
+        labels=LIMBS,
     )
 
 
@@ -100,10 +112,18 @@ class Gait:
 class Stance:
     """Neutral positions and lift of the feet, in the leg's frame (Table A.7)."""
 
-    front_y: Any = quantity(FRONT_LEG.neutral_foot[0], "m", -0.03, 0.03, "neutral foot behind the shoulder axis")
-    front_z: Any = quantity(FRONT_LEG.neutral_foot[1], "m", -0.062, -0.025, "neutral front foot height")
-    rear_y: Any = quantity(REAR_LEG.neutral_foot[0], "m", -0.03, 0.03, "neutral foot behind the hip axis")
-    rear_z: Any = quantity(REAR_LEG.neutral_foot[1], "m", -0.072, -0.030, "neutral rear foot height")
+    front_y: Any = quantity(
+        FRONT_LEG.neutral_foot[0], "m", -0.03, 0.03, "neutral foot behind the shoulder axis"
+    )
+    front_z: Any = quantity(
+        FRONT_LEG.neutral_foot[1], "m", -0.062, -0.025, "neutral front foot height"
+    )
+    rear_y: Any = quantity(
+        REAR_LEG.neutral_foot[0], "m", -0.03, 0.03, "neutral foot behind the hip axis"
+    )
+    rear_z: Any = quantity(
+        REAR_LEG.neutral_foot[1], "m", -0.072, -0.030, "neutral rear foot height"
+    )
     swing_amplitude: Any = quantity(0.010, "m", 0.0, 0.03, "foot lift at mid-swing")
     stance_amplitude: Any = quantity(0.005, "m", 0.0, 0.02, "foot push-down at mid-stance")
     max_stride: Any = quantity(0.060, "m", 0.0, 0.08, "stride length at stride = 1")
@@ -115,16 +135,32 @@ class Spine:
 
     amplitude: Any = quantity(0.4, "rad", 0.0, 0.6, "servo amplitude of the stride extension")
     phase: Any = quantity(
-        0.0, "rad", -2 * np.pi, 2 * np.pi, "psi of q_sp = A cos(2 pi phase + psi), the stride extension"
+        0.0,
+        "rad",
+        -2 * np.pi,
+        2 * np.pi,
+        "psi of q_sp = A cos(2 pi phase + psi), the stride extension",
     )
-    max_servo_angle: Any = quantity(0.4, "rad", 0.01, 0.6, "q_max, servo limit of the fusion (5.45)")
-    fusion_exponent: Any = quantity(1.0, "1", 0.1, 10.0, "s, how turning fades the other mode (5.46)")
-    offset_compensation: Any = quantity(0.0, "1", 0.0, 1.0, "share of the hip's rise taken by the rear legs (5.31)")
+    max_servo_angle: Any = quantity(
+        0.4, "rad", 0.01, 0.6, "q_max, servo limit of the fusion (5.45)"
+    )
+    fusion_exponent: Any = quantity(
+        1.0, "1", 0.1, 10.0, "s, how turning fades the other mode (5.46)"
+    )
+    offset_compensation: Any = quantity(
+        0.0, "1", 0.0, 1.0, "share of the hip's rise taken by the rear legs (5.31)"
+    )
     offset_at_feet: Any = quantity(
-        0.0, "1", 0.0, 1.0, "what rises: 0 the hips, as in (5.31), 1 the rear feet, as in the author's code"
+        0.0,
+        "1",
+        0.0,
+        1.0,
+        "what rises: 0 the hips, as in (5.31), 1 the rear feet, as in the author's code",
     )
     balance_share: Any = quantity(1.0, "1", 0.0, 1.0, "share of the angle of the mode 'balance'")
-    balance_lift: Any = quantity(0.009, "m", 0.0, 0.03, "d_lift, wanted distance of the COM inside the triangle")
+    balance_lift: Any = quantity(
+        0.009, "m", 0.0, 0.03, "d_lift, wanted distance of the COM inside the triangle"
+    )
     sagittal_amplitude: Any = quantity(
         0.3, "rad", 0.0, 0.6, "vertical servo's amplitude, spine mode 'sagittal_extension'"
     )
@@ -135,7 +171,9 @@ class Spine:
         2 * np.pi,
         "psi of -A cos(2 pi phase + psi), vertical servo; at 0 it is most flexed as the cycle begins",
     )
-    pitch_gain: Any = quantity(2.0, "1", -10.0, 10.0, "vertical servo's angle per pitch, spine mode 'pitch_balance'")
+    pitch_gain: Any = quantity(
+        2.0, "1", -10.0, 10.0, "vertical servo's angle per pitch, spine mode 'pitch_balance'"
+    )
     pitch_damping: Any = quantity(
         0.0, "s", -1.0, 1.0, "vertical servo's angle per pitch rate, spine mode 'pitch_balance'"
     )
@@ -145,7 +183,9 @@ class Spine:
         -0.6,
         0.6,
         "servo amplitude of cos or sin(k 2 pi phase), spine mode 'harmonics'",
-        labels=tuple(f"{part}{order}" for order in range(1, HARMONICS + 1) for part in ("cos", "sin")),
+        labels=tuple(
+            f"{part}{order}" for order in range(1, HARMONICS + 1) for part in ("cos", "sin")
+        ),
     )
 
 
@@ -153,7 +193,9 @@ class Spine:
 class Turning:
     """How a turn rate is shared between legs and spine (5.38, 5.39). lb = (1, 0), sb = (0, 1), mb = (1, 1)."""
 
-    exponent: Any = quantity(5.0, "1", 0.0, 20.0, "t of c(a) = sign(a)|a|^t; 0 turns leg modulation off")
+    exponent: Any = quantity(
+        5.0, "1", 0.0, 20.0, "t of c(a) = sign(a)|a|^t; 0 turns leg modulation off"
+    )
     leg: Any = quantity(1.0, "1", 0.0, 1.0, "share of the turn rate given to the legs")
     spine: Any = quantity(0.0, "1", 0.0, 1.0, "share of the turn rate given to the spine")
 
@@ -162,7 +204,9 @@ class Turning:
 class Pilot:
     """The high-level controller: guidance by curvature, the published PD, and the path to follow."""
 
-    guidance: Any = quantity(1.0, "1", 0.0, 1.0, "share of the turn rate for the curvature that leads back to the path")
+    guidance: Any = quantity(
+        1.0, "1", 0.0, 1.0, "share of the turn rate for the curvature that leads back to the path"
+    )
     look_ahead: Any = quantity(
         0.9,
         "m",
@@ -171,11 +215,21 @@ class Pilot:
         "way on which the guidance takes back most of a cross-track error, on a line; shorter on a bend",
     )
     damping: Any = quantity(1.0, "1", 0.0, 10.0, "damping ratio of the way back to the path")
-    bandwidth: Any = quantity(1.6, "rad", 0.0, 5.0, "bandwidth of the guidance's observer, per gait cycle")
-    grip: Any = quantity(0.525, "1", 0.1, 2.0, "turn that the guidance expects of the robot, over that without slip")
-    error_gain: Any = quantity(0.0, "1/m", 0.0, 1000.0, "PD: turn rate per metre of cross-track error")
+    bandwidth: Any = quantity(
+        1.6, "rad", 0.0, 5.0, "bandwidth of the guidance's observer, per gait cycle"
+    )
+    grip: Any = quantity(
+        0.525, "1", 0.1, 2.0, "turn that the guidance expects of the robot, over that without slip"
+    )
+    error_gain: Any = quantity(
+        0.0, "1/m", 0.0, 1000.0, "PD: turn rate per metre of cross-track error"
+    )
     change_gain: Any = quantity(
-        0.0, "1/m", 0.0, 10000.0, "PD: turn rate per metre of its change per 1/100 s of the controller's clock"
+        0.0,
+        "1/m",
+        0.0,
+        10000.0,
+        "PD: turn rate per metre of its change per 1/100 s of the controller's clock",
     )
     output_limit: Any = quantity(1.0, "1", 0.0, 1.0, "largest turn rate")
     turn_rate: Any = quantity(0.0, "1", -1.0, 1.0, "turn rate held by the pilot 'open_loop'")
@@ -195,7 +249,9 @@ class Tracking:
         "share of the foot error closed per 1/100 s of the controller's clock; 1 is exact",
         open_low=True,
     )
-    clock_ratio: Any = quantity(1.0, "1", 0.05, 2.0, "simulated seconds per second of the controller's clock")
+    clock_ratio: Any = quantity(
+        1.0, "1", 0.05, 2.0, "simulated seconds per second of the controller's clock"
+    )
 
 
 @parameter_tree
@@ -228,7 +284,9 @@ def with_geometry(params: Any) -> Any:
     if not dataclasses.is_dataclass(params) or isinstance(params, type):
         return params
     own = {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
-    changed = {name: new for name, value in own.items() if (new := with_geometry(value)) is not value}
+    changed = {
+        name: new for name, value in own.items() if (new := with_geometry(value)) is not value
+    }
     return dataclasses.replace(params, **changed) if changed else params
 
 
@@ -327,7 +385,11 @@ AS_PUBLISHED_BODY: Final = {
 }
 SteeringName = Literal["leg", "spine", "mix"]
 #: Weights (leg, spine) of the three published turning strategies.
-STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
+STEERING: dict[str, tuple[float, float]] = {
+    "leg": (1.0, 0.0),
+    "spine": (0.0, 1.0),
+    "mix": (1.0, 1.0),
+}
 
 
 def steering_of(profile: str) -> ProfileChoice:
@@ -362,7 +424,9 @@ ProfileName = Literal["exact", "as_published", "as_built"]
 PROFILES: tuple[str, ...] = get_args(ProfileName)
 
 
-def published_values(gait: str, *, steering: str | None = None, profile: str = "exact") -> dict[str, float]:
+def published_values(
+    gait: str, *, steering: str | None = None, profile: str = "exact"
+) -> dict[str, float]:
     """Named parameter values of a published gait, turning strategy and profile (one of `PROFILES`).
 
     >>> published_values("walking_trot") == published_values("trt1")
@@ -374,13 +438,17 @@ def published_values(gait: str, *, steering: str | None = None, profile: str = "
     Raises:
         ParameterError: an unknown gait, steering or profile.
     """
-    pattern = GAIT_PATTERNS[choice("gait", GAIT_CODES.get(of_type("gait", gait, str, "a name"), gait), GAIT_PATTERNS)]
+    pattern = GAIT_PATTERNS[
+        choice("gait", GAIT_CODES.get(of_type("gait", gait, str, "a name"), gait), GAIT_PATTERNS)
+    ]
     choice("profile", profile, PROFILES)
     steering = steering_of(profile) if steering is None else choice("steering", steering, STEERING)
     leg, spine = STEERING[steering]
     values = {"duty": pattern.duty, "gait_factor": pattern.gait_factor}
     values |= {"turning.leg": leg, "turning.spine": spine, "pilot.grip": GRIP[steering]}
-    values |= {f"offset.{limb}": offset for limb, offset in zip(LIMBS, pattern.offsets, strict=True)}
+    values |= {
+        f"offset.{limb}": offset for limb, offset in zip(LIMBS, pattern.offsets, strict=True)
+    }
     return values | {"exact": {}, "as_published": AS_PUBLISHED, "as_built": AS_BUILT}[profile]
 
 
@@ -390,7 +458,9 @@ def body_values(profile: str) -> dict[str, float]:
     >>> body_values("exact"), body_values("as_published")["servo.kp"]
     ({}, 60.0)
     """
-    return dict({"exact": {}, "as_published": AS_PUBLISHED_BODY, "as_built": AS_BUILT_BODY}[profile])
+    return dict(
+        {"exact": {}, "as_published": AS_PUBLISHED_BODY, "as_built": AS_BUILT_BODY}[profile]
+    )
 
 
 def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -400,5 +470,9 @@ def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:
     (erratum 20).
     """
     duty = values.get("duty", 0.0)
-    zero = isinstance(duty, int | float | np.ndarray) and not np.all(duty)  # it has none, and is refused elsewhere
-    return dict(values) if zero or "gait_factor" in values else {**values, "gait_factor": 1.0 / duty}
+    zero = isinstance(duty, int | float | np.ndarray) and not np.all(
+        duty
+    )  # it has none, and is refused elsewhere
+    return (
+        dict(values) if zero or "gait_factor" in values else {**values, "gait_factor": 1.0 / duty}
+    )

@@ -61,7 +61,9 @@ def arc(pilot: Pilot, position: Spatial) -> PathPoint:
     distance = jnp.sqrt(jnp.maximum(across**2 + y**2, 1e-12))
     error = side * (2.0 * side * pilot.radius * x - x**2 - y**2) / (pilot.radius + distance)
     tangent = jnp.stack([-side * y, side * across], axis=-1) / distance[..., None]
-    return PathPoint(error, jnp.broadcast_to(side / pilot.radius, x.shape), tangent, jnp.zeros_like(x))
+    return PathPoint(
+        error, jnp.broadcast_to(side / pilot.radius, x.shape), tangent, jnp.zeros_like(x)
+    )
 
 
 def _near(position: Spatial) -> Spatial:
@@ -136,12 +138,16 @@ def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: floa
     Raises:
         ParameterError: the points do not give a smooth course.
     """
-    from scipy.interpolate import CubicSpline  # the import takes a second, which only walks with a course need
+    from scipy.interpolate import (
+        CubicSpline,
+    )  # the import takes a second, which only walks with a course need
 
     way = _checked(points, spacing)
     chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     if chords[-1] > MOST_SAMPLES * spacing:
-        raise ParameterError(f"The course is {chords[-1]:g} m long: allowed are {MOST_SAMPLES * spacing:g} m.")
+        raise ParameterError(
+            f"The course is {chords[-1]:g} m long: allowed are {MOST_SAMPLES * spacing:g} m."
+        )
     curve = CubicSpline(chords, way, bc_type="natural")
 
     # Arc length on a grid whose polygon is shorter than the curve by less than a micrometre per metre.
@@ -203,13 +209,17 @@ def locate(course: Course, progress: Scalars, position: Spatial) -> PathPoint:
     return PathPoint(error, point[..., 3], tangent, jnp.maximum(progress, reached))
 
 
-def _checked(points: Sequence[Sequence[float]] | np.ndarray, spacing: float) -> Float[np.ndarray, "points 2"]:
+def _checked(
+    points: Sequence[Sequence[float]] | np.ndarray, spacing: float
+) -> Float[np.ndarray, "points 2"]:
     try:
         way = np.asarray(points, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise ParameterError("The way points are not numbers in rows of (x, y).") from None
     if way.ndim != 2 or way.shape[1:] != (2,) or len(way) < 3:
-        raise ParameterError(f"The way points have shape {way.shape}: expected at least three rows of (x, y).")
+        raise ParameterError(
+            f"The way points have shape {way.shape}: expected at least three rows of (x, y)."
+        )
     if len(far := np.flatnonzero(~(np.abs(way) <= FARTHEST_POINT).all(axis=1))):
         x, y = way[far[0]]
         allowed = f"expected finite numbers, allowed up to {FARTHEST_POINT:g} m"

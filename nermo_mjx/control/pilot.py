@@ -89,7 +89,9 @@ class OpenLoop(PilotLike):
     def start(self, params: ControlParameters) -> tuple[Any, Drive]:
         return (), limited(params.gait.commanded_speed, params.pilot.turn_rate)
 
-    def update(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
+    def update(
+        self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk
+    ) -> tuple[Any, Drive]:
         return self.start(params)
 
 
@@ -102,7 +104,9 @@ class External(PilotLike):
     def start(self, params: ControlParameters) -> tuple[Any, Drive]:
         return (), limited(*self.command(jnp.zeros(())))
 
-    def update(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
+    def update(
+        self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk
+    ) -> tuple[Any, Drive]:
         return memory, limited(*self.command(walk.time))
 
 
@@ -123,14 +127,18 @@ class Follow(PilotLike):
 
     along: Callable[[Pilot, Array], PathPoint] | Course = straight
 
-    def locate(self, params: ControlParameters, position: Float[Array, " 3"], progress: Scalar) -> PathPoint:
+    def locate(
+        self, params: ControlParameters, position: Float[Array, " 3"], progress: Scalar
+    ) -> PathPoint:
         """The point of the path closest to a position [m]; `progress` of the last one tells a path that approaches
         itself where to look [m]."""
         if isinstance(self.along, Course):
             return locate(self.along, progress, position)
         return self.along(params.pilot, position)
 
-    def path(self, params: ControlParameters, memory: Beside, position: Float[Array, " 3"]) -> PathPoint:
+    def path(
+        self, params: ControlParameters, memory: Beside, position: Float[Array, " 3"]
+    ) -> PathPoint:
         """The point of the path closest to a position, for metrics."""
         return self.locate(params, position, memory.point.progress)
 
@@ -139,11 +147,17 @@ class Follow(PilotLike):
         point = self.locate(params, jnp.zeros(3), zero)
         return Beside(point, start(zero, zero, zero)), self._guided(params, point.curvature)
 
-    def init(self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk) -> Beside:
+    def init(
+        self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk
+    ) -> Beside:
         point = self.locate(params, sensors.position, memory.point.progress)
-        return Beside(point, start(point.error, heading(point, sensors, geometry_of(params)), walk.speed))
+        return Beside(
+            point, start(point.error, heading(point, sensors, geometry_of(params)), walk.speed)
+        )
 
-    def update(self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk) -> tuple[Beside, Drive]:
+    def update(
+        self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk
+    ) -> tuple[Beside, Drive]:
         point = self.locate(params, sensors.position, memory.point.progress)
         seen = jnp.stack([point.error, heading(point, sensors, geometry_of(params))])
         estimate = observe(
@@ -156,16 +170,22 @@ class Follow(PilotLike):
             params.gait.frequency / params.tracking.clock_ratio,
             1.0 / walk.rate,
         )
-        curvature = point.curvature + correction(params.pilot, estimate, walk.speed, point.curvature)
+        curvature = point.curvature + correction(
+            params.pilot, estimate, walk.speed, point.curvature
+        )
         # Avoids Newton steps for a turn rate that is not used.
         speed, turn_rate = self._guided(params, jnp.where(walk.due, curvature, 0.0))
         published_ticks = PUBLISHED_RATE / (walk.rate * params.tracking.clock_ratio)
         change = (point.error - memory.point.error) / published_ticks
-        return Beside(point, estimate), Drive(speed, steer(params.pilot, point.error, change, turn_rate))
+        return Beside(point, estimate), Drive(
+            speed, steer(params.pilot, point.error, change, turn_rate)
+        )
 
     def _guided(self, params: ControlParameters, curvature: Scalar) -> Drive:
         """The gait's speed, and the turn rate for a curvature [1/m]."""
-        turn_rate = params.pilot.guidance * turning.turn_rate_for(params, curvature / params.pilot.grip)
+        turn_rate = params.pilot.guidance * turning.turn_rate_for(
+            params, curvature / params.pilot.grip
+        )
         return limited(params.gait.commanded_speed, turn_rate)
 
 
@@ -203,14 +223,18 @@ class Tabulated:
 
     def __call__(self, time: Scalar) -> tuple[Scalar, Scalar]:
         """(speed, turn rate) at `time`; before the first and after the last row, that row's."""
-        times, speed, turn = (jnp.asarray(column) for column in (self.time, self.speed, self.turn_rate))
+        times, speed, turn = (
+            jnp.asarray(column) for column in (self.time, self.speed, self.turn_rate)
+        )
         if self.hold:
             row = jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, len(self.time) - 1)
             return speed[row], turn[row]
         return jnp.interp(time, times, speed), jnp.interp(time, times, turn)
 
 
-def tabulated(time: ArrayLike, speed: ArrayLike, turn_rate: ArrayLike, *, hold: bool = False) -> Tabulated:
+def tabulated(
+    time: ArrayLike, speed: ArrayLike, turn_rate: ArrayLike, *, hold: bool = False
+) -> Tabulated:
     """A command for the pilot `external` from arrays over time.
 
     Args:
@@ -224,17 +248,28 @@ def tabulated(time: ArrayLike, speed: ArrayLike, turn_rate: ArrayLike, *, hold: 
     """
     times = _column("time", time)
     if times.ndim != 1 or times.size == 0:
-        raise ParameterError(f"command.time has shape {times.shape}: expected one dimension and at least one entry.")
+        raise ParameterError(
+            f"command.time has shape {times.shape}: expected one dimension and at least one entry."
+        )
     if (np.diff(times) <= 0).any():
-        raise ParameterError(f"command.time is not increasing at {times[1:][np.diff(times) <= 0][0]:g} s.")
+        raise ParameterError(
+            f"command.time is not increasing at {times[1:][np.diff(times) <= 0][0]:g} s."
+        )
     columns = []
-    for name, given, low, high in (("speed", speed, 0.0, np.inf), ("turn_rate", turn_rate, -1.0, 1.0)):
+    for name, given, low, high in (
+        ("speed", speed, 0.0, np.inf),
+        ("turn_rate", turn_rate, -1.0, 1.0),
+    ):
         column = _column(name, given)
         if column.shape not in ((), times.shape):
-            raise ParameterError(f"command.{name} has shape {column.shape}: expected {times.shape}, as command.time.")
+            raise ParameterError(
+                f"command.{name} has shape {column.shape}: expected {times.shape}, as command.time."
+            )
         bad = (column < low) | (column > high)
         if bad.any():
-            raise ParameterError(f"command.{name} is {column[bad].flat[0]:g}: allowed is [{low:g}, {high:g}].")
+            raise ParameterError(
+                f"command.{name} is {column[bad].flat[0]:g}: allowed is [{low:g}, {high:g}]."
+            )
         columns.append(tuple(np.broadcast_to(column, times.shape).tolist()))
     return Tabulated(tuple(times.tolist()), columns[0], columns[1], hold)
 
@@ -245,7 +280,9 @@ def _column(name: str, values: Any) -> np.ndarray:
     except (TypeError, ValueError):
         raise ParameterError(f"command.{name} is {values!r}: expected numbers.") from None
     if not np.isfinite(column).all():
-        raise ParameterError(f"command.{name} is {column[~np.isfinite(column)].flat[0]:g}: expected finite numbers.")
+        raise ParameterError(
+            f"command.{name} is {column[~np.isfinite(column)].flat[0]:g}: expected finite numbers."
+        )
     return column
 
 

@@ -136,7 +136,10 @@ class CompletesValues(Protocol):
 
 
 def leg_servos(
-    feet: Float[Array, "4 2"], spine: Any = 0.0, routing: str = "type3", geometry: Geometry | None = None
+    feet: Float[Array, "4 2"],
+    spine: Any = 0.0,
+    routing: str = "type3",
+    geometry: Geometry | None = None,
 ) -> ServoAngles:
     """Servo angles for feet (y, z) in their legs' frames [m] and the spine's servo [rad]; neck and tail are straight.
 
@@ -203,16 +206,22 @@ class Source:
             except (ImportError, ValueError):
                 spec = None
             if spec is None or spec.origin is None:
-                raise ParameterError(f"{self.subject}: there is no module {self.place!r} here; expected {self.form}.")
+                raise ParameterError(
+                    f"{self.subject}: there is no module {self.place!r} here; expected {self.form}."
+                )
             path = Path(spec.origin)
         try:
             return str(path.resolve()), read_bytes(path, MOST_JSON)
         except OSError as error:
-            raise ParameterError(f"{self.subject}: {path} cannot be read ({error.strerror}).") from None
+            raise ParameterError(
+                f"{self.subject}: {path} cannot be read ({error.strerror})."
+            ) from None
 
     def digest(self, *names: str) -> str:
         """A hash of names and of the file, not of what it imports; the errors are those of `content`."""
-        return hashlib.sha256("".join(f"{name}\0" for name in names).encode() + self.content()[1]).hexdigest()[:16]
+        return hashlib.sha256(
+            "".join(f"{name}\0" for name in names).encode() + self.content()[1]
+        ).hexdigest()[:16]
 
     def module(self) -> ModuleType:
         """The module; a file is executed once for each version of its content.
@@ -232,7 +241,9 @@ class Source:
 
     def _check_may_run(self) -> None:
         if not RUNS_CODE.get():
-            raise ParameterError(f"{self.subject}: it is code, which a command that only reads does not run.")
+            raise ParameterError(
+                f"{self.subject}: it is code, which a command that only reads does not run."
+            )
 
 
 #: Errors of functions that cannot be traced.
@@ -270,11 +281,19 @@ def user_code(subject: str) -> Iterator[None]:
                 "NumPy's numbers of them; use jax.numpy, and jnp.where instead of if."
             ) from None
         hint, wrong = "", (str(error).strip().splitlines() or [""])[0].rstrip(".")[:200]
-        if isinstance(error, AttributeError) and (isinstance(error.obj, Sensors) or hasattr(error.obj, "_fields")):
+        if isinstance(error, AttributeError) and (
+            isinstance(error.obj, Sensors) or hasattr(error.obj, "_fields")
+        ):
             given: Any = type(error.obj)
-            known = [each.name for each in dataclasses.fields(given)] if given is Sensors else list(given._fields)
+            known = (
+                [each.name for each in dataclasses.fields(given)]
+                if given is Sensors
+                else list(given._fields)
+            )
             verb = "are" if given is Sensors else "has"
-            hint = f"{did_you_mean(str(error.name), known)} {given.__name__} {verb} {', '.join(known)}"
+            hint = (
+                f"{did_you_mean(str(error.name), known)} {given.__name__} {verb} {', '.join(known)}"
+            )
         raise ParameterError(f"{subject}{place}: {type(error).__name__}: {wrong}{hint}.") from None
 
 
@@ -381,7 +400,9 @@ def check_form(controller: Any) -> None:
             )
         dt, leaves = controller.dt, jax.tree.leaves(controller.parameters)
     if not isinstance(dt, (int, float, np.number)) or not 0.0 < dt < np.inf:
-        raise ParameterError(f"controller has dt {dt!r}: expected the seconds of a tick, a finite number above 0.")
+        raise ParameterError(
+            f"controller has dt {dt!r}: expected the seconds of a tick, a finite number above 0."
+        )
     for leaf in leaves:
         if np.asarray(leaf).dtype.kind not in "fiub":
             raise ParameterError(

@@ -20,8 +20,22 @@ from typing import Any, Final, TypeVar
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, SWING, HeadName, TailMotionName
-from nermo_mjx.control.parameters import GRIP, HARMONICS, STEERING, ControlParameters, SteeringName, with_gait_factor
+from nermo_mjx.control.head_and_tail import (
+    COUNTER_ROLL,
+    COUNTER_YAW,
+    GAZE,
+    SWING,
+    HeadName,
+    TailMotionName,
+)
+from nermo_mjx.control.parameters import (
+    GRIP,
+    HARMONICS,
+    STEERING,
+    ControlParameters,
+    SteeringName,
+    with_gait_factor,
+)
 from nermo_mjx.control.spine_modes import mode_names
 from nermo_mjx.robot.parameters import GAIT_CODES, GAIT_PATTERNS, LIMBS, GaitName
 from nermo_mjx.robot.quantity import (
@@ -44,7 +58,9 @@ MOST: Final = 8
 GAINS: Final[Mapping[str, tuple[str, ...]]] = {
     "stride_extension": ("spine.amplitude",),
     "balance": ("spine.balance_share",),
-    "harmonics": tuple(f"spine.harmonics.{part}{k}" for k in range(1, HARMONICS + 1) for part in ("cos", "sin")),
+    "harmonics": tuple(
+        f"spine.harmonics.{part}{k}" for k in range(1, HARMONICS + 1) for part in ("cos", "sin")
+    ),
     "sagittal_extension": ("spine.sagittal_amplitude",),
     "pitch_balance": ("spine.pitch_gain", "spine.pitch_damping"),
     GAZE: ("head.gain",),
@@ -85,7 +101,10 @@ class Switch:
     def __post_init__(self) -> None:
         given = self.values.items() if isinstance(self.values, Mapping) else self.values
         known = dict(quantities(ControlParameters))
-        given = ((str(name), known[name].numbers(name, value) if name in known else value) for name, value in given)
+        given = (
+            (str(name), known[name].numbers(name, value) if name in known else value)
+            for name, value in given
+        )
         object.__setattr__(self, "values", tuple((name, float(value)) for name, value in given))
         object.__setattr__(self, "gait", GAIT_CODES.get(self.gait or "", self.gait))
         for field, names in allowed_names(Switch).items():
@@ -93,13 +112,17 @@ class Switch:
                 choice(field, name, names)
         modes = self.modes
         if not (self.values or modes or self.gait or self.steering):
-            raise ParameterError("switch changes nothing: give a gait, steering, spine, head, tail_motion or set.")
+            raise ParameterError(
+                "switch changes nothing: give a gait, steering, spine, head, tail_motion or set."
+            )
 
     @property
     def modes(self) -> dict[str, tuple[str, ...]]:
         """The modes that act afterwards, by the choice that it makes."""
         found = {"head": self.head, "tail_motion": self.tail_motion}
-        chosen = {field: tuple({name} - {"none"}) for field, name in found.items() if name is not None}
+        chosen = {
+            field: tuple({name} - {"none"}) for field, name in found.items() if name is not None
+        }
         return chosen | ({} if self.spine is None else {"spine": mode_names(self.spine)})
 
     def absolute(self) -> dict[str, float]:
@@ -108,7 +131,10 @@ class Switch:
         if self.gait is not None:
             pattern = GAIT_PATTERNS[self.gait]
             found |= {"duty": pattern.duty, "gait_factor": pattern.gait_factor}
-            found |= {f"offset.{limb}": offset for limb, offset in zip(LIMBS, pattern.offsets, strict=True)}
+            found |= {
+                f"offset.{limb}": offset
+                for limb, offset in zip(LIMBS, pattern.offsets, strict=True)
+            }
         if self.steering is not None:
             leg, spine = STEERING[self.steering]
             found |= {"turning.leg": leg, "turning.spine": spine, "pilot.grip": GRIP[self.steering]}
@@ -116,13 +142,19 @@ class Switch:
 
     def written(self) -> dict[str, Any]:
         """As in a file."""
-        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "values"}
+        own = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)
+            if field.name != "values"
+        }
         own["set"] = dict(self.values) or None
         return {name: value for name, value in own.items() if value is not None}
 
 
 def _of_switches(default: float, unit: str, low: float, high: float, doc: str) -> Any:
-    return quantity((default,) * MOST, unit, low, high, doc, labels=tuple(map(str, range(1, MOST + 1))))
+    return quantity(
+        (default,) * MOST, unit, low, high, doc, labels=tuple(map(str, range(1, MOST + 1)))
+    )
 
 
 @parameter_tree
@@ -141,7 +173,9 @@ class Schedule:
     value: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def schedule_of(start: Switch, switches: Sequence[Switch], known: Mapping[str, Quantity]) -> Schedule:
+def schedule_of(
+    start: Switch, switches: Sequence[Switch], known: Mapping[str, Quantity]
+) -> Schedule:
     """The schedule of switches.
 
     Args:
@@ -155,13 +189,19 @@ def schedule_of(start: Switch, switches: Sequence[Switch], known: Mapping[str, Q
     if len(switches) > MOST:
         raise ParameterError(f"schedule has {len(switches)} switches: allowed are {MOST}.")
     acting: dict[str, set[str]] = {}
-    ever = {field: {name for each in (start, *switches) for name in each.modes.get(field, ())} for field in MODES}
+    ever = {
+        field: {name for each in (start, *switches) for name in each.modes.get(field, ())}
+        for field in MODES
+    }
     given: dict[str, float] = {}
     course: list[dict[str, tuple[float, float]]] = []
     for number, switch in enumerate((start, *switches)):
         values, modes = switch.absolute(), switch.modes
         try:
-            for name in [*values, *(gain for names in modes.values() for mode in names for gain in GAINS[mode])]:
+            for name in [
+                *values,
+                *(gain for names in modes.values() for mode in names for gain in GAINS[mode]),
+            ]:
                 about = known[choice("parameter", name, known)]
                 if name in values:
                     about.check(name, values[name])
@@ -169,8 +209,15 @@ def schedule_of(start: Switch, switches: Sequence[Switch], known: Mapping[str, Q
             raise ParameterError(f"schedule.{number} is refused: {error}") from None
         given |= values
         acting |= {field: set(names) for field, names in modes.items()}
-        off = {gain for field, names in ever.items() for name in names - acting[field] for gain in GAINS[name]}
-        course.append({name: (0.0, value) for name, value in given.items()} | dict.fromkeys(off, (0.0, 0.0)))
+        off = {
+            gain
+            for field, names in ever.items()
+            for name in names - acting[field]
+            for gain in GAINS[name]
+        }
+        course.append(
+            {name: (0.0, value) for name, value in given.items()} | dict.fromkeys(off, (0.0, 0.0))
+        )
     course += course[-1:] * (MOST - len(switches))
     names = sorted({name for values in course for name in values})
     steps = {name: np.array([values.get(name, (1.0, 0.0)) for values in course]) for name in names}
@@ -183,7 +230,9 @@ def schedule_of(start: Switch, switches: Sequence[Switch], known: Mapping[str, Q
     )
 
 
-def scheduled(control: Tree, schedule: Schedule | None, time: Scalars | float, cycle_rate: Any) -> Tree:
+def scheduled(
+    control: Tree, schedule: Schedule | None, time: Scalars | float, cycle_rate: Any
+) -> Tree:
     """The controller's parameters at a time.
 
     Args:
@@ -243,7 +292,9 @@ def check_schedule(control: Any, schedule: Schedule, switches: int, cycle_rate: 
             raise ParameterError(
                 f"schedule.at.{k + 1} is {value:g}: allowed is at least {end:g} s, when switch {k} ends."
             )
-    courses = {name: np.asarray(course, float) for name, course in _courses(control, schedule).items()}
+    courses = {
+        name: np.asarray(course, float) for name, course in _courses(control, schedule).items()
+    }
     moves = {name: np.abs(np.diff(course)) for name, course in courses.items()}
     backward = np.zeros_like(blend) + turned(moves)
     if "frequency" in courses:

@@ -35,7 +35,10 @@ SAGITTAL_MODES: Final = ("sagittal_extension", "pitch_balance")
 MODES: Final = LATERAL_MODES + SAGITTAL_MODES
 NO_MODE: Final = "none"
 #: Every choice of modes, by its name.
-SPINES: Final = (NO_MODE, *("+".join(some) for n in range(1, 6) for some in itertools.combinations(MODES, n)))
+SPINES: Final = (
+    NO_MODE,
+    *("+".join(some) for n in range(1, 6) for some in itertools.combinations(MODES, n)),
+)
 
 #: Share left by steering below which the power law is linear (see `signed_power`).
 _FADE_LINEAR_BELOW = 1e-3
@@ -71,11 +74,18 @@ class SpineModes:
                 f"masses is None: the spine mode {'+'.join(self.modes)!r} needs the robot's mass model."
             )
         if self.masses is not None:  # as plain numbers: hashable and comparable
-            plain = {name: np.asarray(value, float).tolist() for name, value in vars(self.masses).items()}
-            plain = {name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()}
+            plain = {
+                name: np.asarray(value, float).tolist() for name, value in vars(self.masses).items()
+            }
+            plain = {
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in plain.items()
+            }
             object.__setattr__(self, "masses", MassModel(**plain))
 
-    def __call__(self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array) -> Scalar:
+    def __call__(
+        self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array
+    ) -> Scalar:
         auxiliary = jnp.zeros_like(phase)
         if "stride_extension" in self.modes:
             auxiliary += stride_extension(params.spine, phase)
@@ -85,7 +95,9 @@ class SpineModes:
             if self.robot is not None and getattr(params, "geometry", None) is not None:
                 masses = mass_model_of(self.robot, geometry)
             masses = jax.tree.map(jnp.asarray, masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
-            auxiliary += params.spine.balance_share * balance(params.spine, masses, feet, stance, geometry)
+            auxiliary += params.spine.balance_share * balance(
+                params.spine, masses, feet, stance, geometry
+            )
         if "harmonics" in self.modes:
             auxiliary += harmonics(params.spine, phase)
         return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
@@ -97,9 +109,14 @@ def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> 
     Raises:
         ParameterError: an unknown name.
     """
-    names = spine.split("+") if isinstance(spine, str) else of_type("spine", spine, (tuple, list), "names of modes")
+    names = (
+        spine.split("+")
+        if isinstance(spine, str)
+        else of_type("spine", spine, (tuple, list), "names of modes")
+    )
     chosen = {
-        choice("spine", of_type("spine", name, str, "names of modes").strip(), (NO_MODE, *modes)) for name in names
+        choice("spine", of_type("spine", name, str, "names of modes").strip(), (NO_MODE, *modes))
+        for name in names
     } - {NO_MODE}
     return tuple(name for name in modes if name in chosen)
 
@@ -121,7 +138,11 @@ def harmonics(spine: Spine, phase: Scalars) -> Scalars:
 
 
 def balance(
-    spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"], geometry: Geometry
+    spine: Spine,
+    masses: MassModel,
+    feet: Float[Array, "4 2"],
+    stance: Bool[Array, " 4"],
+    geometry: Geometry,
 ) -> Scalar:
     """Servo angle [rad] that brings the centre of mass over the stability diagonal, or inside the triangle (5.35).
 
@@ -138,13 +159,17 @@ def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
     other mode. `steering` is alpha_tr in [-1, 1], positive left; f_sp is the servo angle wanted by the auxiliary modes
     [rad] over q_max, clipped to [-1, 1].
     """
-    return spine.max_servo_angle * jnp.clip(steering + shared_with_steering(spine, steering, auxiliary), -1.0, 1.0)
+    return spine.max_servo_angle * jnp.clip(
+        steering + shared_with_steering(spine, steering, auxiliary), -1.0, 1.0
+    )
 
 
 def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
     """(1 - |alpha_tr|)^s f_sp, the auxiliary modes as reduced by steering, in [-1, 1]; see `fuse`."""
     wanted = jnp.clip(auxiliary / spine.max_servo_angle, -1.0, 1.0)
-    left_over = signed_power(1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _FADE_LINEAR_BELOW)
+    left_over = signed_power(
+        1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _FADE_LINEAR_BELOW
+    )
     return left_over * wanted
 
 
@@ -205,7 +230,12 @@ class SagittalModes:
         object.__setattr__(self, "modes", mode_names(self.modes, SAGITTAL_MODES))
 
     def __call__(
-        self, params: ControlParameters, phase: Scalar, turn_rate: Scalar, pitch: Scalar, pitch_rate: Scalar
+        self,
+        params: ControlParameters,
+        phase: Scalar,
+        turn_rate: Scalar,
+        pitch: Scalar,
+        pitch_rate: Scalar,
     ) -> Scalar:
         wanted = jnp.zeros_like(phase)
         if "sagittal_extension" in self.modes:

@@ -30,7 +30,9 @@ class GaitLike(Protocol):
         The controller reads the state's `phase` of the gait cycle, in [0, 1), and `stance`, the planned contact (4,).
         """
 
-    def update(self, params: Any, state: Any, before: Drive, now: Drive, dt: float) -> tuple[Any, Float[Array, "4 2"]]:
+    def update(
+        self, params: Any, state: Any, before: Drive, now: Drive, dt: float
+    ) -> tuple[Any, Float[Array, "4 2"]]:
         """State and feet `dt` simulated seconds later, with the drive `before` until now and `now` from now on."""
 
     def walked(self, params: Any, state: Any, drive: Drive) -> tuple[Scalar, Scalar]:
@@ -72,7 +74,9 @@ class Stepping(GaitLike):
     def __post_init__(self) -> None:
         choice("trajectory", self.form, trajectory.FORMS)
 
-    def start(self, params: ControlParameters, phase: Scalar, drive: Drive) -> tuple[Steps, Float[Array, "4 2"]]:
+    def start(
+        self, params: ControlParameters, phase: Scalar, drive: Drive
+    ) -> tuple[Steps, Float[Array, "4 2"]]:
         limbs = self.limbs(params, phase)
         share = turning.stride_shares(params.turning, drive.turn_rate)
         points = trajectory.nominal_points(
@@ -83,12 +87,16 @@ class Stepping(GaitLike):
     def update(
         self, params: ControlParameters, state: Steps, before: Drive, now: Drive, dt: float
     ) -> tuple[Steps, Float[Array, "4 2"]]:
-        phase = trajectory.advance(state.phase, params.gait.frequency, dt / params.tracking.clock_ratio)
+        phase = trajectory.advance(
+            state.phase, params.gait.frequency, dt / params.tracking.clock_ratio
+        )
         limbs = self.limbs(params, phase)
         points, share = self._half_cycles(params, state, limbs, before, now, dt)
         return Steps(phase, limbs.stance, points, share), self._feet(params, points, share, limbs)
 
-    def walked(self, params: ControlParameters, state: Steps, drive: Drive) -> tuple[Scalar, Scalar]:
+    def walked(
+        self, params: ControlParameters, state: Steps, drive: Drive
+    ) -> tuple[Scalar, Scalar]:
         speed, yaw_rate = turning.walked(params, state.points, state.stance, drive.turn_rate)
         return speed / params.tracking.clock_ratio, yaw_rate / params.tracking.clock_ratio
 
@@ -109,7 +117,11 @@ class Stepping(GaitLike):
         return None
 
     def _feet(
-        self, params: ControlParameters, points: Float[Array, "4 3 2"], share: PerLimb, limbs: trajectory.LimbStates
+        self,
+        params: ControlParameters,
+        points: Float[Array, "4 3 2"],
+        share: PerLimb,
+        limbs: trajectory.LimbStates,
     ) -> Float[Array, "4 2"]:
         return trajectory.foot_position(points, limbs.progress, self.form)
 
@@ -129,7 +141,10 @@ class Stepping(GaitLike):
         frequency, duty and offsets, which determine the tick of a switch.
         """
         duty = self._duty(params)
-        length, other = jnp.where(limbs.stance, duty, 1.0 - duty), jnp.where(limbs.stance, 1.0 - duty, duty)
+        length, other = (
+            jnp.where(limbs.stance, duty, 1.0 - duty),
+            jnp.where(limbs.stance, 1.0 - duty, duty),
+        )
         # Time since the leg's last switch, and length of a tick, as shares of the gait cycle.
         since = limbs.progress * length
         in_tick = jnp.maximum(params.gait.frequency * dt / params.tracking.clock_ratio, 1e-9)
@@ -145,12 +160,18 @@ class Stepping(GaitLike):
         # A half-cycle shorter than a tick may go unnoticed; the foot has still moved along its path.
         skipped = ~switched & (since < in_tick - 0.5 * trajectory.SHORTEST_HALF)
         moved = self._moved(params, commanded(shares, since + other))
-        passed = trajectory.end_points(params.stance, ~limbs.stance, commanded(strides, since + other), moved)
+        passed = trajectory.end_points(
+            params.stance, ~limbs.stance, commanded(strides, since + other), moved
+        )
         start = jnp.where(skipped[:, None], passed, state.points[:, 2])
         moved = self._moved(params, share)
-        planned = trajectory.plan(params.stance, start, limbs.stance, commanded(strides, since), moved)
+        planned = trajectory.plan(
+            params.stance, start, limbs.stance, commanded(strides, since), moved
+        )
         begins = switched | skipped
-        return jnp.where(begins[:, None, None], planned, state.points), jnp.where(begins, share, state.share)
+        return jnp.where(begins[:, None, None], planned, state.points), jnp.where(
+            begins, share, state.share
+        )
 
 
 # ---
@@ -221,7 +242,11 @@ class FreeStepping(Stepping):
         """Reject limbs that would always or never be in stance; `params` are not traced, and may have leading batch
         axes."""
         added = np.asarray(params.limb.duty, float)
-        duty = np.asarray(params.gait.duty, float)[..., None] + np.repeat(added[..., :2], 2, axis=-1) + added[..., 2:]
+        duty = (
+            np.asarray(params.gait.duty, float)[..., None]
+            + np.repeat(added[..., :2], 2, axis=-1)
+            + added[..., 2:]
+        )
         for place, name in enumerate(LIMBS):
             wrong = ~((duty[..., place] > 0.0) & (duty[..., place] < 1.0))
             if wrong.any():
@@ -236,7 +261,9 @@ class FreeStepping(Stepping):
 
     def limbs(self, params: ControlParameters, phase: Scalars) -> trajectory.LimbStates:
         """See `Stepping.limbs`."""
-        gait = dataclasses.replace(params.gait, offset=params.gait.offset + _added(params.limb.phase))
+        gait = dataclasses.replace(
+            params.gait, offset=params.gait.offset + _added(params.limb.phase)
+        )
         return trajectory.limb_states(gait, phase, _added(params.limb.duty))
 
     def _strides(self, params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
@@ -245,14 +272,22 @@ class FreeStepping(Stepping):
 
     def _moved(self, params: ControlParameters, share: PerLimb) -> trajectory.Moved:
         points = _points(params, share)
-        return trajectory.Moved(points[..., 0, :], points[..., FOOT_POINTS // 2, :], _added(params.limb.lift))
+        return trajectory.Moved(
+            points[..., 0, :], points[..., FOOT_POINTS // 2, :], _added(params.limb.lift)
+        )
 
     def _feet(
-        self, params: ControlParameters, points: Float[Array, "4 3 2"], share: PerLimb, limbs: trajectory.LimbStates
+        self,
+        params: ControlParameters,
+        points: Float[Array, "4 3 2"],
+        share: PerLimb,
+        limbs: trajectory.LimbStates,
     ) -> Float[Array, "4 2"]:
         own, half = _points(params, share), FOOT_POINTS // 2
         inner = jnp.where(limbs.stance[:, None, None], own[:, 1:half], own[:, half + 1 :])
-        path = super()._feet(params, points, share, limbs) + jnp.sum(bumps(limbs.progress)[..., None] * inner, axis=-2)
+        path = super()._feet(params, points, share, limbs) + jnp.sum(
+            bumps(limbs.progress)[..., None] * inner, axis=-2
+        )
         return within(*four_reaches(geometry_of(params), self.routing), path)
 
 
@@ -303,6 +338,14 @@ def _points(params: ControlParameters, share: PerLimb) -> Float[Array, "*batch 4
     foot = params.foot
     front, rear = jnp.asarray(foot.front), jnp.asarray(foot.rear)
     moved = jnp.stack(
-        [front + foot.front_left, front + foot.front_right, rear + foot.rear_left, rear + foot.rear_right], axis=-2
+        [
+            front + foot.front_left,
+            front + foot.front_right,
+            rear + foot.rear_left,
+            rear + foot.rear_right,
+        ],
+        axis=-2,
     )
-    return jnp.stack([share[..., None] * moved[..., :FOOT_POINTS], moved[..., FOOT_POINTS:]], axis=-1)
+    return jnp.stack(
+        [share[..., None] * moved[..., :FOOT_POINTS], moved[..., FOOT_POINTS:]], axis=-1
+    )

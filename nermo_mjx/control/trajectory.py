@@ -29,7 +29,9 @@ from nermo_mjx.shapes import Array, Broadcastable, PerLimb, PlanarPerLimb, Scala
 # x^t with a finite slope everywhere, which the published curves need at their ends.
 
 
-def signed_power(base: Broadcastable, exponent: Broadcastable, linear_below: float) -> Broadcastable:
+def signed_power(
+    base: Broadcastable, exponent: Broadcastable, linear_below: float
+) -> Broadcastable:
     """sign(x)|x|^t for |x| >= linear_below, and the line through the origin to that point below it.
 
     Continuous in x and t > 0. With t < 1 the plain power has an infinite slope at 0, and a gradient through it is NaN;
@@ -137,23 +139,33 @@ def plan(
 
 
 def nominal_points(
-    stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"], moved: Moved | None = None
+    stance: Stance,
+    down: Bool[Array, "*#batch 4"],
+    stride: Float[Array, "*#batch 4"],
+    moved: Moved | None = None,
 ) -> Float[Array, "*#batch 4 3 2"]:
     """Control points of a half-cycle in a steady gait: each starts where the opposite half-cycle ends."""
     return plan(stance, end_points(stance, ~down, stride, moved), down, stride, moved)
 
 
 def end_points(
-    stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"], moved: Moved | None = None
+    stance: Stance,
+    down: Bool[Array, "*#batch 4"],
+    stride: Float[Array, "*#batch 4"],
+    moved: Moved | None = None,
 ) -> Float[Array, "*#batch 4 2"]:
     """End of a half-cycle: half a stride behind the neutral position in stance, in front of it in swing [m]."""
     ends = neutral_feet(stance) + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
-    return ends if moved is None else ends + jnp.where(down[..., None], moved.liftoff, moved.touchdown)
+    return (
+        ends if moved is None else ends + jnp.where(down[..., None], moved.liftoff, moved.touchdown)
+    )
 
 
 def _column(value: Array, axis: int) -> Array:
     """(..., 4) as the y (axis 0) or z (axis 1) component of (..., 4, 2)."""
-    return value[..., None] * jnp.asarray([1.0, 0.0] if axis == 0 else [0.0, 1.0], dtype=value.dtype)
+    return value[..., None] * jnp.asarray(
+        [1.0, 0.0] if axis == 0 else [0.0, 1.0], dtype=value.dtype
+    )
 
 
 def share_closed(tracking: Tracking, dt: float) -> Scalars:
@@ -163,7 +175,9 @@ def share_closed(tracking: Tracking, dt: float) -> Scalars:
     simulated seconds corresponds to 100 dt / clock_ratio such ticks.
     """
     ticks = dt * PUBLISHED_RATE / tracking.clock_ratio
-    return 1.0 - signed_power(jnp.clip(1.0 - tracking.foot_gain, 0.0, 1.0), ticks, _LAG_LINEAR_BELOW)
+    return 1.0 - signed_power(
+        jnp.clip(1.0 - tracking.foot_gain, 0.0, 1.0), ticks, _LAG_LINEAR_BELOW
+    )
 
 
 # ---
@@ -205,7 +219,9 @@ def stance_share(duty: Broadcastable) -> Broadcastable:
     return jnp.clip(jnp.asarray(duty), SHORTEST_HALF, 1.0 - SHORTEST_HALF)
 
 
-def limb_states(gait: Gait, phase: Scalars, longer: Float[Array, "*#batch 4"] | None = None) -> LimbStates:
+def limb_states(
+    gait: Gait, phase: Scalars, longer: Float[Array, "*#batch 4"] | None = None
+) -> LimbStates:
     """A leg is in stance while (phase - offset) mod 1 < duty (Tables A.2, A.6).
 
     Erratum: the duty factor is the stance share of the cycle; appendix A.4.1 words it as swing to stance. `longer` is

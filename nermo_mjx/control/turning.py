@@ -46,7 +46,9 @@ def stride_length(gait: Gait, stance: Stance, speed: Scalars) -> Scalars:
 def turning_curve(turn_rate: Broadcastable, exponent: Broadcastable) -> Broadcastable:
     """c(a) = sign(a)|a|^t of (5.38, 5.39). Errata: the sign is kept, and t = 0 means leg modulation off."""
     on = exponent > 0.0
-    return jnp.where(on, signed_power(turn_rate, jnp.where(on, exponent, 1.0), CURVE_LINEAR_BELOW), 0.0)
+    return jnp.where(
+        on, signed_power(turn_rate, jnp.where(on, exponent, 1.0), CURVE_LINEAR_BELOW), 0.0
+    )
 
 
 def stride_shares(turning: Turning, turn_rate: Scalars) -> PerLimb:
@@ -54,7 +56,9 @@ def stride_shares(turning: Turning, turn_rate: Scalars) -> PerLimb:
 
     Full input stops the inner legs' stride. Both are in [0, 1].
     """
-    curve = turning_curve(jnp.clip(turn_rate * turning.leg, -1.0, 1.0), jnp.asarray(turning.exponent))
+    curve = turning_curve(
+        jnp.clip(turn_rate * turning.leg, -1.0, 1.0), jnp.asarray(turning.exponent)
+    )
     return jnp.minimum(1.0 - jnp.asarray(_SIDE, dtype=curve.dtype) * curve[..., None], 1.0)
 
 
@@ -69,7 +73,9 @@ def leg_curvature(stride: Scalars, share_difference: Scalars, diagonal: Scalars)
     return share_difference / diagonal * jnp.sinc(half / jnp.pi)
 
 
-def leg_radius(stride: Broadcastable, share_difference: Broadcastable, diagonal: Broadcastable) -> Broadcastable:
+def leg_radius(
+    stride: Broadcastable, share_difference: Broadcastable, diagonal: Broadcastable
+) -> Broadcastable:
     """Radius of leg-based turning without slip (5.40-5.42) [m]; infinite when the strides of both sides are equal.
 
     r = l_s sin((pi - th)/2) / sin(th) with th = l_s |alpha_left - alpha_right| / d_diag. It equals
@@ -116,12 +122,16 @@ def foot_diagonals(stance: Stance, theta_v: Scalars, geometry: Geometry) -> Plan
     return jnp.linalg.norm(feet[..., :2, :] - feet[..., 3:1:-1, :], axis=-1)
 
 
-def smallest_radius(stride: Scalars, stance: Stance, theta_v: Scalars, geometry: Geometry) -> Scalars:
+def smallest_radius(
+    stride: Scalars, stance: Stance, theta_v: Scalars, geometry: Geometry
+) -> Scalars:
     """Theoretical radius at full lock, leg-based at theta_v = 0 and mix-based otherwise (5.40-5.42) [m].
 
     The mix-based robot turns about the pair that the bent spine brings closer together, the shorter diagonal.
     """
-    return leg_radius(stride, jnp.asarray(1.0), jnp.min(foot_diagonals(stance, theta_v, geometry), axis=-1))
+    return leg_radius(
+        stride, jnp.asarray(1.0), jnp.min(foot_diagonals(stance, theta_v, geometry), axis=-1)
+    )
 
 
 def path_curvature(params: ControlParameters, turn_rate: Scalars) -> Scalars:
@@ -139,7 +149,10 @@ def path_curvature(params: ControlParameters, turn_rate: Scalars) -> Scalars:
 
 
 def walked(
-    params: ControlParameters, points: Float[Array, "4 3 2"], stance: Bool[Array, " 4"], turn_rate: Scalar
+    params: ControlParameters,
+    points: Float[Array, "4 3 2"],
+    stance: Bool[Array, " 4"],
+    turn_rate: Scalar,
 ) -> tuple[Scalar, Scalar]:
     """(speed [m/s], yaw rate [rad/s, positive left]) expected from the legs' current strides.
 
@@ -163,7 +176,9 @@ def walked(
     )
     per_stride = params.gait.frequency * params.gait.gait_factor
     speed = 0.5 * (left + right) * per_stride
-    return speed, (right - left) * feet.across * per_stride + speed * _spine_part(params, feet, turn_rate)
+    return speed, (right - left) * feet.across * per_stride + speed * _spine_part(
+        params, feet, turn_rate
+    )
 
 
 @jax.jit  # traced once for its four uses in a walk, which saves 0.4 s at every start
@@ -214,7 +229,10 @@ def _path_curvature(params: ControlParameters, feet: _TwoFeet, turn_rate: Scalar
 def _spine_part(params: ControlParameters, feet: _TwoFeet, turn_rate: Scalars) -> Scalars:
     """The spine's part of `path_curvature` [1/m]."""
     return feet.along * yaw(
-        joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate), geometry_of(params))
+        joint_angle(
+            params.spine.max_servo_angle * spine_share(params.turning, turn_rate),
+            geometry_of(params),
+        )
     )
 
 

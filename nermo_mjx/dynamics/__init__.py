@@ -19,17 +19,30 @@ from typing import TYPE_CHECKING
 from nermo_mjx.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from nermo_mjx.dynamics.checking import GradientCheck as GradientCheck, check_gradient as check_gradient
+    from nermo_mjx.dynamics.checking import (
+        GradientCheck as GradientCheck,
+        check_gradient as check_gradient,
+    )
     from nermo_mjx.dynamics.checkpointing import checkpointed_scan as checkpointed_scan
-    from nermo_mjx.dynamics.constants import MassConstants as MassConstants, PlaceConstants as PlaceConstants
-    from nermo_mjx.dynamics.coverage import approximated as approximated, not_simulated as not_simulated
+    from nermo_mjx.dynamics.constants import (
+        MassConstants as MassConstants,
+        PlaceConstants as PlaceConstants,
+    )
+    from nermo_mjx.dynamics.coverage import (
+        approximated as approximated,
+        not_simulated as not_simulated,
+    )
     from nermo_mjx.dynamics.differentiable import (
         Verdict as Verdict,
         forward as forward,
         step as step,
         step_with_verdict as step_with_verdict,
     )
-    from nermo_mjx.dynamics.mjx_copy import make_data as make_data, put_data as put_data, put_model as put_model
+    from nermo_mjx.dynamics.mjx_copy import (
+        make_data as make_data,
+        put_data as put_data,
+        put_model as put_model,
+    )
     from nermo_mjx.dynamics.preparing import fitted as fitted
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -141,7 +141,9 @@ def check_gradient(
     with jax.enable_x64(True):
         run = trial(model, data, steps)
         value = jax.jit(run.value, compiler_options=options)
-        slopes = jax.jit(jax.grad(lambda point: run.value(point)[0]), compiler_options=options)(run.zero)
+        slopes = jax.jit(jax.grad(lambda point: run.value(point)[0]), compiler_options=options)(
+            run.zero
+        )
         return compare_gradient(run, slopes, value)
 
 
@@ -173,13 +175,17 @@ def trial(
     device = library.put_model(model)
     blank = library.make_data(device)
     if model.nmocap:
-        blank = blank.replace(mocap_pos=jnp.asarray(start.mocap_pos), mocap_quat=jnp.asarray(start.mocap_quat))
+        blank = blank.replace(
+            mocap_pos=jnp.asarray(start.mocap_pos), mocap_quat=jnp.asarray(start.mocap_quat)
+        )
     state = [jnp.asarray(each, float) for each in (start.qpos, start.qvel, start.act, start.ctrl)]
     width = jnp.zeros(0).dtype
     zero = Point(*(jnp.zeros(size, width) for size in (model.nv, model.nv, model.na, model.nu, 2)))
 
     def value(point: Point) -> tuple[Array, Array]:
-        heavier, rougher = 1.0 + point.factors  # constants that MuJoCo derives from masses are not updated
+        heavier, rougher = (
+            1.0 + point.factors
+        )  # constants that MuJoCo derives from masses are not updated
         changed = device.replace(
             body_mass=device.body_mass * heavier,
             body_inertia=device.body_inertia * heavier,
@@ -188,15 +194,24 @@ def trial(
             pair_friction=device.pair_friction * rougher,
         )
         qpos, qvel, act, ctrl = state
-        first = positions(device, qpos, point.position), qvel + point.velocity, act + point.activation
+        first = (
+            positions(device, qpos, point.position),
+            qvel + point.velocity,
+            act + point.activation,
+        )
         ctrl = ctrl + point.control
 
         def advance(carried: Any, _: None) -> tuple[Any, None]:
             qpos, qvel, act, warm = carried
-            after = library.step(changed, blank.replace(qpos=qpos, qvel=qvel, act=act, ctrl=ctrl, qacc_warmstart=warm))
+            after = library.step(
+                changed,
+                blank.replace(qpos=qpos, qvel=qvel, act=act, ctrl=ctrl, qacc_warmstart=warm),
+            )
             return (after.qpos, after.qvel, after.act, after.qacc_warmstart), None
 
-        (qpos, qvel, act, _), _ = jax.lax.scan(advance, (*first, jnp.zeros_like(qvel)), None, length=steps)
+        (qpos, qvel, act, _), _ = jax.lax.scan(
+            advance, (*first, jnp.zeros_like(qvel)), None, length=steps
+        )
         # Weights without a regular pattern.
         ends = jnp.concatenate([qpos, qvel, act])
         return ends @ jnp.cos(1.0 + jnp.arange(ends.size)), ends[: model.nq + model.nv]
@@ -204,7 +219,9 @@ def trial(
     return Trial(value, zero)
 
 
-def compare_gradient(run: Trial, slopes: Point, value: Callable[[Point], tuple[Array, Array]]) -> GradientCheck:
+def compare_gradient(
+    run: Trial, slopes: Point, value: Callable[[Point], tuple[Array, Array]]
+) -> GradientCheck:
     """A gradient compared with differences.
 
     Args:
@@ -218,15 +235,23 @@ def compare_gradient(run: Trial, slopes: Point, value: Callable[[Point], tuple[A
     def at(entry: np.integer, change: float) -> float:
         return float(value(point_of(flat.at[entry].set(change)))[0])
 
-    differences = [[(at(each, width) - at(each, -width)) / (2.0 * width) for each in moved] for width in WIDTHS]
-    return GradientCheck(group, moved_entries(slopes), np.array(differences), np.asarray(value(run.zero)[1]))
+    differences = [
+        [(at(each, width) - at(each, -width)) / (2.0 * width) for each in moved] for width in WIDTHS
+    ]
+    return GradientCheck(
+        group, moved_entries(slopes), np.array(differences), np.asarray(value(run.zero)[1])
+    )
 
 
 def entries(point: Point) -> tuple[np.ndarray, np.ndarray]:
     """The entries of a point that are moved: each one's field, and its index among all entries."""
     fields, places, first = [], [], 0
     for field, size in enumerate(each.size for each in point):
-        chosen = np.unique(np.linspace(0, size - 1, min(size, MOST)).round().astype(int)) if size else np.zeros(0, int)
+        chosen = (
+            np.unique(np.linspace(0, size - 1, min(size, MOST)).round().astype(int))
+            if size
+            else np.zeros(0, int)
+        )
         fields.append(np.full(len(chosen), field))
         places.append(first + chosen)
         first += size

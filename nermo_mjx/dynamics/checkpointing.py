@@ -41,10 +41,14 @@ _MOVES: Final = frozenset(
 
 def keeping_little(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function; its reverse mode stores computed intermediate results, but not those that were only moved."""
-    return jax.checkpoint(function, policy=lambda primitive, *_, **__: primitive.name not in _MOVES, prevent_cse=False)
+    return jax.checkpoint(
+        function, policy=lambda primitive, *_, **__: primitive.name not in _MOVES, prevent_cse=False
+    )
 
 
-def checkpointed_scan(body: Callable[[Any], tuple[Any, Any]], carry: Any, length: int) -> tuple[Any, Any]:
+def checkpointed_scan(
+    body: Callable[[Any], tuple[Any, Any]], carry: Any, length: int
+) -> tuple[Any, Any]:
     """Apply `body` at least `length` times; in reverse mode, memory grows with the square root of `length`.
 
     The forward pass stores the carry before each segment of steps; the backward pass recomputes one segment at a time

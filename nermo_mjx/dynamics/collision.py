@@ -38,7 +38,10 @@ def _collider(count: int) -> Callable[[Callable[[GeomInfo, GeomInfo], Contacts]]
 
     def wrap(function: Callable[[GeomInfo, GeomInfo], Contacts]) -> Any:
         def collide(model: Any, data: Any, _: Any, geom: Any) -> Contacts:
-            pair = [GeomInfo(data.geom_xpos[each], data.geom_xmat[each], model.geom_size[each]) for each in geom.T]
+            pair = [
+                GeomInfo(data.geom_xpos[each], data.geom_xmat[each], model.geom_size[each])
+                for each in geom.T
+            ]
             dist, pos, frame = jax.vmap(function)(*pair)
             return dist.reshape(-1), pos.reshape(-1, 3), frame.reshape(-1, 3, 3)
 
@@ -74,7 +77,9 @@ def sphere_sphere(one: GeomInfo, other: GeomInfo) -> Contacts:
 @_collider(1)
 def sphere_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
     axis = other.mat[:, 2]
-    nearest = other.pos + axis * jnp.clip(axis @ (one.pos - other.pos), -other.size[1], other.size[1])
+    nearest = other.pos + axis * jnp.clip(
+        axis @ (one.pos - other.pos), -other.size[1], other.size[1]
+    )
     dist, pos, normal = _spheres(one, other, one.pos, nearest, one.size[0], other.size[0])
     return dist, pos, math.make_frame(normal)
 
@@ -95,7 +100,9 @@ def sphere_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
     found = _spheres(one, other, one.pos, to, one.size[0], wide)
     above = jnp.abs(height) - half - one.size[0]
     flat = above, one.pos - up * (one.size[0] + 0.5 * above), -up
-    dist, pos, normal = (jnp.where(end, ours, theirs) for ours, theirs in zip(flat, found, strict=True))
+    dist, pos, normal = (
+        jnp.where(end, ours, theirs) for ours, theirs in zip(flat, found, strict=True)
+    )
     return dist, pos, math.make_frame(normal)
 
 
@@ -133,7 +140,9 @@ def capsule_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
     x = jnp.clip(jnp.where(parallel, ends, x), -half, half)
     y = jnp.clip(jnp.where(parallel, x * cosine - to, y), -other_half, other_half)
     points = one.pos + x[:, None] * axis, other.pos + y[:, None] * across
-    dist, pos, normal = jax.vmap(lambda p, q: _spheres(one, other, p, q, one.size[0], other.size[0]))(*points)
+    dist, pos, normal = jax.vmap(
+        lambda p, q: _spheres(one, other, p, q, one.size[0], other.size[0])
+    )(*points)
     dist = jnp.stack([dist[0], jnp.where(parallel, dist[1], FAR)])
     return dist, pos, jax.vmap(math.make_frame)(normal)
 
@@ -162,9 +171,15 @@ def plane_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
     lowest = other.size[0] * _unit(down * (normal @ down) - normal, other.mat[:, 0])
     end = other.size[1] * down
     aside = _unit(spatial.cross(lowest, end)) * other.size[0] * 0.75**0.5
-    points = other.pos + jnp.stack([end + lowest, lowest - end, end - 0.5 * lowest + aside, end - 0.5 * lowest - aside])
+    points = other.pos + jnp.stack(
+        [end + lowest, lowest - end, end - 0.5 * lowest + aside, end - 0.5 * lowest - aside]
+    )
     dist = (points - one.pos) @ normal
-    return dist, points - 0.5 * dist[:, None] * normal, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
+    return (
+        dist,
+        points - 0.5 * dist[:, None] * normal,
+        jnp.broadcast_to(math.make_frame(normal), (4, 3, 3)),
+    )
 
 
 @_collider(4)
@@ -179,7 +194,9 @@ def plane_box(one: GeomInfo, other: GeomInfo) -> Contacts:
     return dist, pos, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
 
 
-def _round(one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector, radius: Scalar) -> Contacts:
+def _round(
+    one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector, radius: Scalar
+) -> Contacts:
     """Where a capsule, sphere or ellipsoid is closest to, or deepest in, an ellipsoid.
 
     The signed distance is the largest over unit vectors n of n . apart - h(n), with h the sum of the support functions:
@@ -204,12 +221,18 @@ def _round(one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector
         apart, shapes, segment = fixed
         found = supports(n, shapes)
         flat = jnp.eye(3, dtype=n.dtype) - jnp.outer(n, n)
-        bend = flat @ sum((q - jnp.outer(g, g)) / h for q, (h, g) in zip(shapes, found, strict=True)) @ flat
+        bend = (
+            flat
+            @ sum((q - jnp.outer(g, g)) / h for q, (h, g) in zip(shapes, found, strict=True))
+            @ flat
+        )
         pull = apart - t * segment - sum(g for _, g in found)
         lift = n @ pull
         if damped:  # where it is not concave: the lesser of both curvatures
             size, square = jnp.trace(bend), jnp.sum(bend * bend)
-            lift = jnp.maximum(lift, -0.45 * (size - jnp.sqrt(jnp.maximum(2.0 * square - size * size, 0.0))))
+            lift = jnp.maximum(
+                lift, -0.45 * (size - jnp.sqrt(jnp.maximum(2.0 * square - size * size, 0.0)))
+            )
         inverse = jnp.linalg.inv(bend + lift * flat + jnp.outer(n, n))
         across, moved = flat @ segment, inverse @ flat @ pull
         soft = jnp.maximum(across @ inverse @ across, mjMINVAL)
@@ -276,7 +299,10 @@ def ellipsoid_ellipsoid(one: GeomInfo, other: GeomInfo) -> Contacts:
 def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
     """As MJX's `closest_segment_point`, without the 1e-6 that it adds to the square of the length."""
     along = end - start
-    return start + jnp.clip((point - start) @ along / jnp.maximum(along @ along, mjMINVAL), 0.0, 1.0) * along
+    return (
+        start
+        + jnp.clip((point - start) @ along / jnp.maximum(along @ along, mjMINVAL), 0.0, 1.0) * along
+    )
 
 
 #: Pairs of kinds of geoms whose contacts are those of this module.

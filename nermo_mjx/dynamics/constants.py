@@ -67,22 +67,32 @@ class Constants:
         self._tendon_armature = model.tendon_armature + tendons
         # Bodies that only slide, and their joints, have the inverse of their mass.
         self._slides = model.body_simple == 2
-        self._slides_of_dof, self._body_of_dof = self._slides[model.dof_bodyid], model.dof_bodyid.copy()
+        self._slides_of_dof, self._body_of_dof = (
+            self._slides[model.dof_bodyid],
+            model.dof_bodyid.copy(),
+        )
         within = np.zeros((model.nv, model.nv), bool)
         within[np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind] = True
         self._within_branches = within | within.T
 
     def __call__(
-        self, body_mass: Float[Array, " nbody"], body_inertia: Float[Array, "nbody 3"], jacobians: Jacobians
+        self,
+        body_mass: Float[Array, " nbody"],
+        body_inertia: Float[Array, "nbody 3"],
+        jacobians: Jacobians,
     ) -> dict[str, Float[Array, ...]]:
         """The fields of `DERIVED_FIELDS`, shaped as in `mujoco.MjModel`; masses [kg], principal moments [kg m^2]."""
-        linear, angular, principal, tendon, moment = (jnp.asarray(each, float) for each in jacobians)
+        linear, angular, principal, tendon, moment = (
+            jnp.asarray(each, float) for each in jacobians
+        )
         bodies = (
             jnp.einsum("b,bki,bkj->ij", body_mass, linear, linear)
             + jnp.einsum("bk,bki,bkj->ij", body_inertia, principal, principal)
             + jnp.diag(jnp.asarray(self._armature, float))
         )
-        tendons = jnp.einsum("t,ti,tj->ij", jnp.asarray(self._tendon_armature, float), tendon, tendon)
+        tendons = jnp.einsum(
+            "t,ti,tj->ij", jnp.asarray(self._tendon_armature, float), tendon, tendon
+        )
         inverse = jnp.linalg.inv(bodies + jnp.where(self._within_branches, tendons, 0.0))
 
         def weight(jacobian: Array) -> Array:
@@ -119,11 +129,17 @@ class MassConstants:
         principal = np.einsum("bij,bik->bjk", data.ximat.reshape(-1, 3, 3), jacobians[:, 1])
         tendon = np.zeros((model.ntendon, model.nv))
         if model.ntendon:
-            mujoco.mju_sparse2dense(tendon, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+            mujoco.mju_sparse2dense(
+                tendon, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind
+            )
         moment = np.zeros((model.nu, model.nv))
         if model.nu:
             mujoco.mju_sparse2dense(
-                moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+                moment,
+                data.actuator_moment,
+                data.moment_rownnz,
+                data.moment_rowadr,
+                data.moment_colind,
             )
         self._jacobians = Jacobians(jacobians[:, 0], jacobians[:, 1], principal, tendon, moment)
         self._constants = Constants(model)
@@ -159,20 +175,28 @@ class PlaceConstants:
         from nermo_mjx.dynamics.jacobians import point_jacobian
         from nermo_mjx.dynamics.mjx_copy import adapted, make_data
 
-        model = self._model.tree_replace({name: each for name, each in fields.items() if name.startswith(_PLACES)})
+        model = self._model.tree_replace(
+            {name: each for name, each in fields.items() if name.startswith(_PLACES)}
+        )
         data = make_data(self._model)
         data = data.replace(qpos=jnp.asarray(self._model.qpos0, data.qpos.dtype))
         data = tree.com_pos(model, tree.kinematics(model, data))
         data = adapted.smooth.transmission(model, adapted.smooth.tendon(model, data))
         bodies = np.arange(model.nbody)
-        linear, angular = jax.vmap(lambda point, body: point_jacobian(model, data, point, body))(data.xipos, bodies)
+        linear, angular = jax.vmap(lambda point, body: point_jacobian(model, data, point, body))(
+            data.xipos, bodies
+        )
         linear, angular = jnp.swapaxes(linear, 1, 2), jnp.swapaxes(angular, 1, 2)
         principal = jnp.einsum("bij,bik->bjk", data.ximat, angular)
-        jacobians = Jacobians(linear, angular, principal, rows.inner(data).ten_J, rows.inner(data).actuator_moment)
+        jacobians = Jacobians(
+            linear, angular, principal, rows.inner(data).ten_J, rows.inner(data).actuator_moment
+        )
         return self._constants(model.body_mass, model.body_inertia, jacobians)
 
 
-def _of_actuators(model: mujoco.MjModel) -> tuple[Float[np.ndarray, " njnt"], Float[np.ndarray, " ntendon"]]:
+def _of_actuators(
+    model: mujoco.MjModel,
+) -> tuple[Float[np.ndarray, " njnt"], Float[np.ndarray, " ntendon"]]:
     """The armature that actuators give each joint and tendon: theirs, times the square of the gear."""
     joints, tendons = np.zeros(model.njnt), np.zeros(model.ntendon)
     given = model.actuator_armature * model.actuator_gear[:, 0] ** 2

@@ -26,20 +26,26 @@ from nermo_mjx.shapes import Array, Dofs, Efc
 ROUNDING: Final = 4.0
 
 
-def gradient(layout: Layout, problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None) -> Dofs:
+def gradient(
+    layout: Layout, problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None
+) -> Dofs:
     """g(a), zero at the solution; `known` is a more exact value of the residual."""
     force = forces(layout, problem, residual(problem, qacc, known))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
 
-def rounding(layout: Layout, problem: ConstraintProblem, sizes: ConstraintProblem, qacc: Dofs) -> Dofs:
+def rounding(
+    layout: Layout, problem: ConstraintProblem, sizes: ConstraintProblem, qacc: Dofs
+) -> Dofs:
     """The size of g(a) that is left where it should vanish: the rounding of its terms; `sizes` is |problem|."""
     force = jnp.abs(forces(layout, problem, residual(problem, qacc)))
     terms = sizes.inertia @ jnp.abs(qacc) + sizes.smooth + sizes.jacobian.T @ force
     return ROUNDING * jnp.finfo(qacc.dtype).eps * terms
 
 
-def hessian(layout: Layout, problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None) -> Float[Array, "nv nv"]:
+def hessian(
+    layout: Layout, problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None
+) -> Float[Array, "nv nv"]:
     """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric; `known` as in `gradient`."""
     jacobian, at = problem.jacobian, residual(problem, qacc, known)
     springs, _ = _simple(layout, problem, at)
@@ -72,7 +78,10 @@ def exact_residual(problem: ConstraintProblem, qacc: Dofs) -> Efc:
     jacobian = problem.jacobian * jnp.ldexp(jnp.ones_like(qacc), power)
     _, largest = jnp.frexp(jnp.max(jnp.abs(jacobian), axis=1, keepdims=True))
     grid = jnp.ldexp(jnp.ones_like(problem.aref)[:, None], largest - digits)
-    front, coarse = jax.lax.reduce_precision(share, kind.nexp, digits - 1), grid * jnp.round(jacobian / grid)
+    front, coarse = (
+        jax.lax.reduce_precision(share, kind.nexp, digits - 1),
+        grid * jnp.round(jacobian / grid),
+    )
     rest = coarse @ (share - front) + (jacobian - coarse) @ share
     return (coarse @ front - problem.aref) + rest
 
@@ -92,7 +101,9 @@ def forces(layout: Layout, problem: ConstraintProblem, residual: Efc) -> Efc:
     spring = -problem.stiffness * residual
     simple = jnp.where(springs, spring, jnp.sign(spring) * loss)
     parts = [simple[: _first_cone(layout, residual)]]
-    parts += [jax.vmap(_cone)(*contact).ravel() for _, _, *contact in _contacts(layout, problem, residual)]
+    parts += [
+        jax.vmap(_cone)(*contact).ravel() for _, _, *contact in _contacts(layout, problem, residual)
+    ]
     return jnp.concatenate(parts)
 
 
@@ -126,12 +137,16 @@ def _contacts(
     first, contact = _first_cone(layout, residual), 0
     for dim, count in layout.cones:
         end = first + dim * count
-        apart, stiffness = (array[first:end].reshape(count, dim) for array in (residual, problem.stiffness))
+        apart, stiffness = (
+            array[first:end].reshape(count, dim) for array in (residual, problem.stiffness)
+        )
         yield first, dim, apart, stiffness, problem.cone[contact : contact + count, :dim]
         first, contact = end, contact + count
 
 
-def _cone(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale: Float[Array, " dim"]) -> Array:
+def _cone(
+    residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale: Float[Array, " dim"]
+) -> Array:
     """Force of one contact with an elliptic cone.
 
     With u = scale * r, n = u_0 and t = |u_1..|: it sticks where mu n + t <= 0 (f = -D r), is separated where n >= mu t
@@ -144,7 +159,9 @@ def _cone(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale
     return jnp.where(zone.apart, 0.0, jnp.where(zone.sticks, -stiffness * residual, slides))
 
 
-def _cone_slope(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale: Float[Array, " dim"]) -> Array:
+def _cone_slope(
+    residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale: Float[Array, " dim"]
+) -> Array:
     """-df/dr of one contact with an elliptic cone, symmetric and positive semidefinite."""
     zone = _zone(residual, scale)
     mu, direction = scale[0], zone.direction

@@ -14,10 +14,15 @@ FEATURES: Final[dict[str, tuple[tuple[str, str], ...]]] = {
         ("actuator", "actuator_delay"),
         ("sensor", "sensor_delay"),
     ),
-    "is read at an interval, and MJX keeps no history: remove interval": (("sensor", "sensor_interval"),),
+    "is read at an interval, and MJX keeps no history: remove interval": (
+        ("sensor", "sensor_interval"),
+    ),
     "has a surface velocity: remove surfacevel": (("geom", "geom_surfacevel"),),
     "is adhesive: set adhesion to 0": (("geom", "geom_adhesion"), ("pair", "pair_adhesion")),
-    "has a spring that yields: remove its yield": (("joint", "jnt_springyield"), ("tendon", "tendon_springyield")),
+    "has a spring that yields: remove its yield": (
+        ("joint", "jnt_springyield"),
+        ("tendon", "tendon_springyield"),
+    ),
 }
 #: Fields with the plugin of each element; -1 is none.
 PLUGINS: Final = (
@@ -27,12 +32,19 @@ PLUGINS: Final = (
     ("sensor", "sensor_plugin"),
 )
 #: What a rangefinder of MJX cannot see.
-UNSEEN: Final = (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+UNSEEN: Final = (
+    mujoco.mjtGeom.mjGEOM_CYLINDER,
+    mujoco.mjtGeom.mjGEOM_HFIELD,
+    mujoco.mjtGeom.mjGEOM_SDF,
+)
 _OTHERS: Final = "their contacts are MJX's, and may be others than MuJoCo C's"
 _MISSED: Final = "their contacts are MJX's, up to 1 mm off at a depth of 1 mm, or missing, where MuJoCo C has some"
 #: What is said of pairs of kinds of geoms that do not collide altogether as in C.
 APPROXIMATE: Final[dict[tuple[str, ...], str]] = {
-    ("PLANE", "CYLINDER"): "where the axis is along the normal, C turns the contacts with the slightest tilt and has "
+    (
+        "PLANE",
+        "CYLINDER",
+    ): "where the axis is along the normal, C turns the contacts with the slightest tilt and has "
     "no derivative; the step's is that of contacts that do not turn",
     **{("HFIELD", kind): _OTHERS for kind in ("SPHERE", "CAPSULE", "BOX", "MESH")},
     **{(kind, "MESH"): _OTHERS for kind in ("PLANE", "SPHERE", "CAPSULE", "BOX", "MESH")},
@@ -78,13 +90,21 @@ def refused(model: mujoco.MjModel) -> Iterator[str]:
     of_elements = [(kind, f"{kind}_{field}", each) for kind, field, each in _KINDS]
     for kind, field, each in of_elements + [("", name, name.title()) for name in _OPTIONS]:
         known, every = getattr(types, f"{each}Type"), getattr(mujoco, f"mjt{each}")
-        for index, value in enumerate(getattr(model, field) if kind else [getattr(model.opt, field)]):
+        for index, value in enumerate(
+            getattr(model, field) if kind else [getattr(model.opt, field)]
+        ):
             if value not in set(known):
                 allowed = ", ".join(other.name.lower() for other in known)
-                what = f"{field.partition('_')[2]} of {named(model, kind, index)}" if kind else field
+                what = (
+                    f"{field.partition('_')[2]} of {named(model, kind, index)}" if kind else field
+                )
                 yield f"{what} is {_word(every(value))}, which MJX lacks: allowed are {allowed}"
     for flag in mujoco.mjtEnableBit.__members__.values():
-        if model.opt.enableflags & int(flag) and int(flag) not in set(types.EnableBit) and flag.name != "mjNENABLE":
+        if (
+            model.opt.enableflags & int(flag)
+            and int(flag) not in set(types.EnableBit)
+            and flag.name != "mjNENABLE"
+        ):
             yield f"flag {_word(flag)} is enabled, which MJX lacks: disable it"
     fluid = model.opt.density > 0 or model.opt.viscosity > 0 or model.opt.wind.any()
     if fluid and model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
@@ -121,9 +141,14 @@ def frictionless(model: mujoco.MjModel) -> list[tuple[str, int]]:
     found: list[tuple[str, int]] = []
     for first, second, pair in collision_driver.geom_pairs(model) if model.opt.cone else ():
         highest = model.geom_priority[[first, second]].max()
-        deciding = [("geom", int(geom)) for geom in (first, second) if model.geom_priority[geom] == highest]
+        deciding = [
+            ("geom", int(geom)) for geom in (first, second) if model.geom_priority[geom] == highest
+        ]
         deciding = [("pair", int(pair))] if pair >= 0 else deciding
-        if all((model.pair_dim if kind == "pair" else model.geom_condim)[each] == 1 for kind, each in deciding):
+        if all(
+            (model.pair_dim if kind == "pair" else model.geom_condim)[each] == 1
+            for kind, each in deciding
+        ):
             found += deciding
     return list(dict.fromkeys(found))
 
@@ -140,7 +165,9 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
     for index in np.flatnonzero((model.actuator_ctrlnum != 1) | (model.actuator_outnum != 1)):
         yield f"{named(model, 'actuator', index)} has several controls or outputs: allowed is one of each"
     disabled = model.opt.disableactuator
-    for index in np.flatnonzero([disabled >> group & 1 if 0 <= group < 31 else 0 for group in model.actuator_group]):
+    for index in np.flatnonzero(
+        [disabled >> group & 1 if 0 <= group < 31 else 0 for group in model.actuator_group]
+    ):
         yield f"{named(model, 'actuator', index)} is in a disabled group: remove it, or actuatorgroupdisable"
     if model.opt.density > 0.0 or model.opt.viscosity > 0.0:
         for index in np.flatnonzero(model.geom_fluid[:, 0] > 0.0):
@@ -150,9 +177,14 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
             yield f"flag {name} is enabled: disable it"
     for wrap in side_sites(model):
         spread = wrap.most - wrap.least
-        if wrap.least <= wrap.radius + spread and wrap.most >= wrap.radius - spread and spread > 1e-6 * wrap.radius:
+        if (
+            wrap.least <= wrap.radius + spread
+            and wrap.most >= wrap.radius - spread
+            and spread > 1e-6 * wrap.radius
+        ):
             names = (
-                named(model, *each) for each in (("tendon", wrap.tendon), ("site", wrap.site), ("geom", wrap.geom))
+                named(model, *each)
+                for each in (("tendon", wrap.tendon), ("site", wrap.site), ("geom", wrap.geom))
             )
             yield "{} has the side {}, now inside {}, now outside, as joints turn: put it on the same body".format(
                 *names
@@ -180,7 +212,10 @@ def approximated(model: mujoco.MjModel) -> list[str]:
 
     met: dict[tuple[str, ...], list[Any]] = {}
     for first, second, _ in collision_driver.geom_pairs(model):
-        kinds = tuple(mujoco.mjtGeom(model.geom_type[each]).name.removeprefix("mjGEOM_") for each in (first, second))
+        kinds = tuple(
+            mujoco.mjtGeom(model.geom_type[each]).name.removeprefix("mjGEOM_")
+            for each in (first, second)
+        )
         if kinds in APPROXIMATE:
             met.setdefault(kinds, []).append((first, second))
     said = []
@@ -227,11 +262,20 @@ def side_sites(model: mujoco.MjModel) -> list[SideSite]:
     random, distances = np.random.default_rng(0), []
     for pose in range(POSES if moves else 1):
         data.qpos[:] = model.qpos0
-        mujoco.mj_integratePos(model, data.qpos, random.uniform(-np.pi, np.pi, model.nv) * (pose > 0), 1.0)
+        mujoco.mj_integratePos(
+            model, data.qpos, random.uniform(-np.pi, np.pi, model.nv) * (pose > 0), 1.0
+        )
         mujoco.mj_kinematics(model, data)
         distances.append(np.linalg.norm(data.site_xpos[sites] - data.geom_xpos[geoms], axis=1))
     tendons = np.searchsorted(model.tendon_adr, wraps, side="right") - 1
-    columns = tendons, geoms, sites, model.geom_size[geoms, 0], np.min(distances, 0), np.max(distances, 0)
+    columns = (
+        tendons,
+        geoms,
+        sites,
+        model.geom_size[geoms, 0],
+        np.min(distances, 0),
+        np.max(distances, 0),
+    )
     return [SideSite(*(each.item() for each in row)) for row in zip(wraps, *columns, strict=True)]
 
 

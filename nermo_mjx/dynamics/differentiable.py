@@ -165,7 +165,10 @@ def make_constraint(model: Model, data: mjx.Data) -> mjx.Data:
 def velocity(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_velocity`, with the rates of equalities' Jacobians (see `impedance`)."""
     inner = rows.inner(data)
-    rates = {"actuator_velocity": inner.actuator_moment @ data.qvel, "ten_velocity": inner.ten_J @ data.qvel}
+    rates = {
+        "actuator_velocity": inner.actuator_moment @ data.qvel,
+        "ten_velocity": inner.ten_J @ data.qvel,
+    }
     data = data.tree_replace({f"_impl.{name}": rate for name, rate in rates.items()})
     data = impedance.with_rates(model, tree.com_vel(model, data))
     data = tree.rne(model, passive(model, data))
@@ -178,27 +181,46 @@ def acceleration(model: Model, data: mjx.Data) -> mjx.Data:
         force = data.qfrc_passive - data.qfrc_bias + data.qfrc_actuator + data.qfrc_applied
     else:
         force = mjx.fwd_acceleration(model, data).qfrc_smooth
-    return data.replace(qfrc_smooth=force, qacc_smooth=solve_definite(mjx.full_m(model, data), force))
+    return data.replace(
+        qfrc_smooth=force, qacc_smooth=solve_definite(mjx.full_m(model, data), force)
+    )
 
 
 def _checked(model: mjx.Model, data: mjx.Data) -> Model:
     """The model as the stages take it. Rejects, at trace time, what is not simulated or would fail deep inside MJX."""
     data_makers = "nermo_mjx.dynamics.make_data or put_data"
     for given, kind, maker in (
-        (model, Model, "nermo_mjx.dynamics.put_model; mjx.put_model omits fields that this step reads"),
+        (
+            model,
+            Model,
+            "nermo_mjx.dynamics.put_model; mjx.put_model omits fields that this step reads",
+        ),
         (data, mjx.Data, data_makers),
     ):
         if not isinstance(given, kind):
             made = f"{type(given).__module__.partition('.')[0]}.{type(given).__name__}"
-            raise ValueError(f"{kind.__name__.lower()} is of {made}: allowed is a result of {maker}.")
+            raise ValueError(
+                f"{kind.__name__.lower()} is of {made}: allowed is a result of {maker}."
+            )
     if data.impl != mjx.Impl.JAX:
-        raise ValueError(f"impl of the data is {data.impl.value!r}: allowed is 'jax', the others have no derivatives.")
+        raise ValueError(
+            f"impl of the data is {data.impl.value!r}: allowed is 'jax', the others have no derivatives."
+        )
     if model.opt.integrator not in INTEGRATORS:
         allowed = ", ".join(each.name for each in INTEGRATORS)
-        raise ValueError(f"integrator is {model.opt.integrator.name}: allowed is one of {allowed}, which MJX has.")
+        raise ValueError(
+            f"integrator is {model.opt.integrator.name}: allowed is one of {allowed}, which MJX has."
+        )
     if not model.nv:
-        raise ValueError("the model has no joints: allowed is one that can move, which MJX asks for, too.")
-    for name, size in (("qpos", model.nq), ("qvel", model.nv), ("ctrl", model.nu), ("act", model.na)):
+        raise ValueError(
+            "the model has no joints: allowed is one that can move, which MJX asks for, too."
+        )
+    for name, size in (
+        ("qpos", model.nq),
+        ("qvel", model.nv),
+        ("ctrl", model.nu),
+        ("act", model.na),
+    ):
         shape = jax.numpy.shape(getattr(data, name))
         if shape != (size,):
             raise ValueError(
@@ -221,7 +243,9 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
         return data.replace(qacc=data.qacc_smooth)
     layout, problem = rows.read_problem(model, data)
     starts_warm = not model.opt.disableflags & mjx.DisableBit.WARMSTART
-    fixed, start = jax.lax.stop_gradient((problem, data.qacc_warmstart if starts_warm else data.qacc_smooth))
+    fixed, start = jax.lax.stop_gradient(
+        (problem, data.qacc_warmstart if starts_warm else data.qacc_smooth)
+    )
     found = solver.minimum(layout, fixed, start)
     last = _newton(layout, checkpoint_name(found.qacc, KEPT), fixed)
     qacc = _solution(last.qacc, last.residual, problem, static=layout)
@@ -229,7 +253,9 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
     own = jnp.diag(fixed.inertia)
     size = jnp.maximum(jnp.abs(last.qacc), jnp.abs(fixed.smooth) / own)
     # Weighed by the inertia, and by the largest entry, which is that of a light body.
-    parts = jnp.stack([own @ last.step**2 / (own @ size**2), (jnp.abs(last.step).max() / size.max()) ** 2])
+    parts = jnp.stack(
+        [own @ last.step**2 / (own @ size**2), (jnp.abs(last.step).max() / size.max()) ** 2]
+    )
     share = jnp.where(size.max() > 0.0, jnp.sqrt(parts.max()), 0.0)
     settled = share < jnp.finfo(share.dtype).eps ** 0.5
     solved: Solved = data.tree_replace(
@@ -273,5 +299,7 @@ def _newton(layout: Layout, qacc: Dofs, problem: ConstraintProblem) -> _Last:
     known = constraint.exact_residual(problem, qacc)
     last = solver.newton(layout, problem, jax.tree.map(jnp.abs, problem), qacc, known, (0.0, 1.0))
     return _Last(
-        last.step, jnp.where(last.full, qacc + last.step, qacc), jnp.where(last.full, known + last.along, known)
+        last.step,
+        jnp.where(last.full, qacc + last.step, qacc),
+        jnp.where(last.full, known + last.along, known),
     )

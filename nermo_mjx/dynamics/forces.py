@@ -21,8 +21,12 @@ from nermo_mjx.shapes import Array, Dofs
 
 def passive(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.passive`, with polynomials, and with a derivative where a tendon has the length of its spring."""
-    springs = model.ntendon and not (is_zero(model.tendon_stiffness) and is_zero(model.tendon_stiffnesspoly))
-    without = model.replace(tendon_stiffness=jnp.zeros_like(model.tendon_stiffness)) if springs else model
+    springs = model.ntendon and not (
+        is_zero(model.tendon_stiffness) and is_zero(model.tendon_stiffnesspoly)
+    )
+    without = (
+        model.replace(tendon_stiffness=jnp.zeros_like(model.tendon_stiffness)) if springs else model
+    )
     data = adapted.passive.passive(without, data)
     both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
     if model.opt.disableflags & both == both:
@@ -44,7 +48,9 @@ def passive(model: Model, data: mjx.Data) -> mjx.Data:
     return data.replace(qfrc_passive=force)
 
 
-def damping(linear: Float[Array, " n"], poly: Float[Array, "n k"], velocity: Float[Array, " n"]) -> Float[Array, " n"]:
+def damping(
+    linear: Float[Array, " n"], poly: Float[Array, "n k"], velocity: Float[Array, " n"]
+) -> Float[Array, " n"]:
     """Minus the derivative of dampers' forces by their velocities."""
     if is_zero(poly):
         return linear
@@ -59,7 +65,9 @@ def drag_slope(model: Model, data: mjx.Data) -> Float[Array, "nv nv"]:
     moves = jnp.asarray(tree_of(model).moves, data.qvel.dtype)
 
     def force(qvel: Dofs) -> Dofs:
-        found: Dofs = adapted.passive._fluid(model, data.replace(cvel=moves @ (data.cdof * qvel[:, None])))
+        found: Dofs = adapted.passive._fluid(
+            model, data.replace(cvel=moves @ (data.cdof * qvel[:, None]))
+        )
         return found
 
     return jax.jacfwd(force)(data.qvel)
@@ -72,15 +80,22 @@ def _share(poly: Float[Array, "n k"], x: Float[Array, " n"]) -> Float[Array, " n
 def _joint_springs(model: Model, qpos: Float[Array, " nq"]) -> Dofs:
     """The forces of the joints' springs beyond the linear ones."""
     forces = []
-    for joint, (kind, first) in enumerate(zip(np.asarray(model.jnt_type), model.jnt_qposadr, strict=True)):
+    for joint, (kind, first) in enumerate(
+        zip(np.asarray(model.jnt_type), model.jnt_qposadr, strict=True)
+    ):
         at, rest = qpos[first:], model.qpos_spring[first:]
         if kind in (mjx.JointType.SLIDE, mjx.JointType.HINGE):
             parts = [((at - rest)[:1], (at - rest)[0])]
         else:
             free = kind == mjx.JointType.FREE
             turn = spatial.turn_between(rest[3 * free : 3 * free + 4], at[3 * free : 3 * free + 4])
-            parts = [(each, spatial.length(each)) for each in ([(at - rest)[:3]] if free else []) + [turn]]
-        forces += [-away * _share(model.jnt_stiffnesspoly[joint, None], x[None]) for away, x in parts]
+            parts = [
+                (each, spatial.length(each))
+                for each in ([(at - rest)[:3]] if free else []) + [turn]
+            ]
+        forces += [
+            -away * _share(model.jnt_stiffnesspoly[joint, None], x[None]) for away, x in parts
+        ]
     return jnp.concatenate(forces)
 
 
@@ -96,7 +111,9 @@ def actuation(model: Model, data: mjx.Data) -> mjx.Data:
     after = adapted.forward.fwd_actuation(unlimited, data)
     if np.any(model.actuator_actearly):
         early = data.replace(act=_activation(model, data.replace(act_dot=after.act_dot)))
-        after = adapted.forward.fwd_actuation(unlimited, early).replace(act=data.act, act_dot=after.act_dot)
+        after = adapted.forward.fwd_actuation(unlimited, early).replace(
+            act=data.act, act_dot=after.act_dot
+        )
     if unlimited is model or not model.nu or model.opt.disableflags & mjx.DisableBit.ACTUATION:
         return after
     force = _within_tendons(model, after.actuator_force)
@@ -123,7 +140,9 @@ def _activation(model: Model, data: mjx.Data) -> Float[Array, " na"]:
 def _within_tendons(model: Model, force: Float[Array, " nu"]) -> Float[Array, " nu"]:
     """Forces of actuators, scaled where their sum is beyond the range of their tendon."""
     limited = np.asarray(model.tendon_actfrclimited, bool)
-    owners = (np.asarray(model.actuator_trnid)[:, 0] == np.arange(model.ntendon)[:, None]) & limited[:, None]
+    owners = (
+        np.asarray(model.actuator_trnid)[:, 0] == np.arange(model.ntendon)[:, None]
+    ) & limited[:, None]
     owners &= np.asarray(model.actuator_trntype) == mjx.TrnType.TENDON
     low, high = model.tendon_actfrcrange.T
     total = owners.astype(force.dtype) @ force
@@ -148,7 +167,11 @@ def force_slopes(model: Model, data: mjx.Data) -> Float[Array, " nu"]:
         stateful = np.asarray(model.actuator_actadr) >= 0
         last = np.where(stateful, model.actuator_actadr + model.actuator_actnum - 1, 0)
         moved = jnp.where(stateful, _activation(model, data)[last], moved)
-    slope = slope * moved + jnp.where(biases == mjx.BiasType.AFFINE, model.actuator_biasprm[:, 2], 0.0)
+    slope = slope * moved + jnp.where(
+        biases == mjx.BiasType.AFFINE, model.actuator_biasprm[:, 2], 0.0
+    )
     low, high = model.actuator_forcerange.T
-    stuck = model.actuator_forcelimited & ((data.actuator_force <= low) | (data.actuator_force >= high))
+    stuck = model.actuator_forcelimited & (
+        (data.actuator_force <= low) | (data.actuator_force >= high)
+    )
     return jnp.where(stuck, 0.0, slope)

@@ -36,11 +36,15 @@ def stiffness_damping_impedance(
     time, ratio = solref
     if not model.opt.disableflags & mjx.DisableBit.REFSAFE:
         time = jnp.maximum(time, 2 * model.opt.timestep)
-    low, high, mid = (jnp.clip(each, mjMINIMP, mjMAXIMP) for each in (solimp[0], solimp[1], solimp[3]))
+    low, high, mid = (
+        jnp.clip(each, mjMINIMP, mjMAXIMP) for each in (solimp[0], solimp[1], solimp[3])
+    )
     power = jnp.maximum(1, solimp[4])
     given, damped = solref[0] <= 0, solref[1] <= 0
     time, ratio = jnp.where(given, 1.0, time), jnp.where(damped, 1.0, ratio)
-    k = jnp.where(given, -solref[0] / (high * high), 1 / (high * high * time * time * ratio * ratio))
+    k = jnp.where(
+        given, -solref[0] / (high * high), 1 / (high * high * time * time * ratio * ratio)
+    )
     b = jnp.where(damped, -solref[1] / high, 2 / (high * time))
     x = jnp.abs(distance) / jnp.maximum(mjMINVAL, solimp[2])
     below, full = x < mid, x > 1.0
@@ -55,7 +59,9 @@ def stiffness_damping_impedance(
 def with_rates(model: Model, data: mjx.Data) -> mjx.Data:
     """Data with J' v subtracted from the reference accelerations; after the position stage and `com_vel`."""
     kinds = np.asarray(model.eq_type)
-    connects, welds = (np.flatnonzero(kinds == each) for each in (mjx.EqType.CONNECT, mjx.EqType.WELD))
+    connects, welds = (
+        np.flatnonzero(kinds == each) for each in (mjx.EqType.CONNECT, mjx.EqType.WELD)
+    )
     off = mjx.DisableBit.CONSTRAINT | mjx.DisableBit.EQUALITY
     if not (connects.size or welds.size) or model.opt.disableflags & off:
         return data
@@ -69,16 +75,24 @@ def with_rates(model: Model, data: mjx.Data) -> mjx.Data:
             active = data.eq_active[chosen].astype(motion.dtype)[:, None]
             rates.append((jnp.concatenate(parts, 1) * active).ravel())
     rate = jnp.concatenate(rates)
-    data = data.tree_replace({"_impl.efc_aref": rows.inner(data).efc_aref.at[: rate.size].add(-rate)})
+    data = data.tree_replace(
+        {"_impl.efc_aref": rows.inner(data).efc_aref.at[: rate.size].add(-rate)}
+    )
     return data
 
 
-def _bodies(model: Model, chosen: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
+def _bodies(
+    model: Model, chosen: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
     """The objects and the bodies of equalities, and which of them are about sites."""
     objects = [np.asarray(each)[chosen] for each in (model.eq_obj1id, model.eq_obj2id)]
     sites = np.asarray(model.eq_objtype)[chosen] == mjx.ObjType.SITE
     of_site = np.asarray(model.site_bodyid)
-    return objects, [np.where(sites, of_site[np.where(sites, o, 0)], o) if sites.any() else o for o in objects], sites
+    return (
+        objects,
+        [np.where(sites, of_site[np.where(sites, o, 0)], o) if sites.any() else o for o in objects],
+        sites,
+    )
 
 
 def _points(model: Model, data: mjx.Data, motion: Array, chosen: np.ndarray) -> Float[Array, "n 3"]:
@@ -109,8 +123,12 @@ def _turns(model: Model, data: mjx.Data, motion: Array, chosen: np.ndarray) -> F
             spatial.product(data.xquat[body], model.site_quat[np.where(sites, thing, 0)])
             for thing, body in zip(objects, (first, second), strict=True)
         ]
-        one, other = (jnp.where(sites[:, None], at, q) for at, q in zip(placed, (one, other), strict=True))
-    turns, accelerations = ([each[body, :3] for body in (first, second)] for each in (data.cvel, motion))
+        one, other = (
+            jnp.where(sites[:, None], at, q) for at, q in zip(placed, (one, other), strict=True)
+        )
+    turns, accelerations = (
+        [each[body, :3] for body in (first, second)] for each in (data.cvel, motion)
+    )
 
     def pure(vector: Array) -> Array:
         return jnp.concatenate([jnp.zeros_like(vector[:, :1]), vector], 1)
@@ -119,7 +137,9 @@ def _turns(model: Model, data: mjx.Data, motion: Array, chosen: np.ndarray) -> F
         conjugate = other * np.array([1.0, -1.0, -1.0, -1.0]).astype(other.dtype)
         return 0.5 * spatial.product(spatial.product(conjugate, pure(turn)), one)[:, 1:]
 
-    rates = [0.5 * spatial.product(pure(turn), q) for turn, q in zip(turns, (one, other), strict=True)]
+    rates = [
+        0.5 * spatial.product(pure(turn), q) for turn, q in zip(turns, (one, other), strict=True)
+    ]
     at = one, other, turns[0] - turns[1]
     found = jax.jvp(row, at, (*rates, accelerations[0] - accelerations[1]))[1]
     return found * model.eq_data[chosen, 10:11]

@@ -25,7 +25,11 @@ from nermo_mjx.dynamics.spatial import solve_definite
 from nermo_mjx.shapes import Array, Dofs
 
 #: Integrators that `integrate` supports; MJX's enumeration also has DISCRETE, with which it cannot step.
-INTEGRATORS: Final = (mjx.IntegratorType.EULER, mjx.IntegratorType.RK4, mjx.IntegratorType.IMPLICITFAST)
+INTEGRATORS: Final = (
+    mjx.IntegratorType.EULER,
+    mjx.IntegratorType.RK4,
+    mjx.IntegratorType.IMPLICITFAST,
+)
 
 #: Nodes a and weights b of the classical Runge-Kutta method of fourth order.
 _RK4_NODES: Final = (0.5, 0.5, 1.0)
@@ -46,7 +50,11 @@ def integrate(model: mjx.Model, data: Solved, forward: Forward) -> Solved:
     """
     if model.opt.integrator == mjx.IntegratorType.RK4:
         return _runge_kutta(model, data, forward)
-    accelerate = _damped_acceleration if model.opt.integrator == mjx.IntegratorType.EULER else _implicit_acceleration
+    accelerate = (
+        _damped_acceleration
+        if model.opt.integrator == mjx.IntegratorType.EULER
+        else _implicit_acceleration
+    )
     after, qacc = mjx.euler(model, data), accelerate(model, data)
     after = after.replace(qvel=data.qvel + model.opt.timestep * qacc)
     return after.replace(qpos=positions(model, data.qpos, model.opt.timestep * after.qvel))
@@ -70,7 +78,9 @@ def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     slope = -jnp.diag(damping(model.dof_damping, model.dof_dampingpoly, data.qvel))
     if model.ntendon:
         arms = rows.inner(data).ten_J
-        held = damping(model.tendon_damping, model.tendon_dampingpoly, rows.inner(data).ten_velocity)
+        held = damping(
+            model.tendon_damping, model.tendon_dampingpoly, rows.inner(data).ten_velocity
+        )
         slope -= arms.T @ (held[:, None] * arms)
     if model.nu and not model.opt.disableflags & mjx.DisableBit.ACTUATION:
         moment = rows.inner(data).actuator_moment
@@ -78,14 +88,19 @@ def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
     if model.opt._impl.has_fluid_params and model.opt.disableflags & both != both:
         slope += drag_slope(model, data)
-    inertia, slope = mjx.full_m(model, data), model.opt.timestep * jnp.where(rows.within_branches(model), slope, 0.0)
+    inertia, slope = (
+        mjx.full_m(model, data),
+        model.opt.timestep * jnp.where(rows.within_branches(model), slope, 0.0),
+    )
     qacc = data.qacc + solve_definite(inertia - slope, slope @ data.qacc)
     for body, first in _lone_bodies(model):
         of = slice(first, first + 6)
         turned = jax.jacfwd(lambda turn, body=body: _lone_bias(model, data, body, turn))(
             data.qvel[first + 3 : first + 6]
         )
-        more = slope[of, of] - model.opt.timestep * jnp.concatenate([jnp.zeros((6, 3), turned.dtype), turned], 1)
+        more = slope[of, of] - model.opt.timestep * jnp.concatenate(
+            [jnp.zeros((6, 3), turned.dtype), turned], 1
+        )
         change = jnp.linalg.solve(inertia[of, of] - more, more @ data.qacc[of])
         qacc = qacc.at[of].set(data.qacc[of] + change)
     return qacc
@@ -97,11 +112,15 @@ def _lone_bodies(model: Model) -> list[tuple[int, int]]:
     return [
         (int(body), int(model.jnt_dofadr[joint]))
         for joint, body in enumerate(bodies)
-        if model.jnt_type[joint] == mjx.JointType.FREE and np.sum(bodies == body) == 1 and body not in parents
+        if model.jnt_type[joint] == mjx.JointType.FREE
+        and np.sum(bodies == body) == 1
+        and body not in parents
     ]
 
 
-def _lone_bias(model: Model, data: mjx.Data, body: int, turn: Float[Array, " 3"]) -> Float[Array, " 6"]:
+def _lone_bias(
+    model: Model, data: mjx.Data, body: int, turn: Float[Array, " 3"]
+) -> Float[Array, " 6"]:
     """Bias force of a free body at an angular velocity in its frame, without gravity."""
     axes, own = data.ximat[body], data.xmat[body]
     rate, offset = own @ turn, data.xipos[body] - data.xpos[body]
@@ -127,7 +146,9 @@ def _runge_kutta(model: mjx.Model, start: Solved, forward: Forward) -> Solved:
 
     first = (start.qvel, start.qacc, start.act_dot)
     # A scan, so that forward dynamics is compiled once for all three stages.
-    _, (others, (residuals, rounds)) = jax.lax.scan(stage, first, jnp.asarray(_RK4_NODES, start.qpos.dtype))
+    _, (others, (residuals, rounds)) = jax.lax.scan(
+        stage, first, jnp.asarray(_RK4_NODES, start.qpos.dtype)
+    )
     weight = jnp.asarray(_RK4_WEIGHTS[1:], start.qpos.dtype)
     velocity, acceleration, activation = (
         _RK4_WEIGHTS[0] * one + weight @ rest for one, rest in zip(first, others, strict=True)
@@ -135,16 +156,25 @@ def _runge_kutta(model: mjx.Model, start: Solved, forward: Forward) -> Solved:
     # Activation and time advance as in an Euler step.
     after = mjx.euler(model, start.replace(act_dot=activation))
     after = after.replace(residual=jnp.maximum(start.residual, residuals.max()))
-    after = after.tree_replace({"_impl.solver_niter": jnp.maximum(rows.inner(start).solver_niter, rounds.max())})
-    return after.replace(qpos=positions(model, start.qpos, dt * velocity), qvel=start.qvel + dt * acceleration)
+    after = after.tree_replace(
+        {"_impl.solver_niter": jnp.maximum(rows.inner(start).solver_niter, rounds.max())}
+    )
+    return after.replace(
+        qpos=positions(model, start.qpos, dt * velocity), qvel=start.qvel + dt * acceleration
+    )
 
 
 def positions(model: mjx.Model, qpos: Float[Array, " nq"], change: Dofs) -> Float[Array, " nq"]:
     """`qpos` after a change in the tangent space, a velocity times a time."""
     parts = []
-    for kind, q, v in zip(np.asarray(model.jnt_type), model.jnt_qposadr, model.jnt_dofadr, strict=True):
+    for kind, q, v in zip(
+        np.asarray(model.jnt_type), model.jnt_qposadr, model.jnt_dofadr, strict=True
+    ):
         if kind == mjx.JointType.FREE:
-            parts += [qpos[q : q + 3] + change[v : v + 3], _turned(qpos[q + 3 : q + 7], change[v + 3 : v + 6])]
+            parts += [
+                qpos[q : q + 3] + change[v : v + 3],
+                _turned(qpos[q + 3 : q + 7], change[v + 3 : v + 6]),
+            ]
         elif kind == mjx.JointType.BALL:
             parts.append(_turned(qpos[q : q + 4], change[v : v + 3]))
         else:

@@ -35,7 +35,9 @@ def point_jacobian(
     moves = jnp.asarray(tree_of(model).moves, point.dtype)[body][:, None]
     arm = point - data.subtree_com[jnp.asarray(np.asarray(model.body_rootid))[body]]
     turns = data.cdof[:, :3] * moves
-    return data.cdof[:, 3:] * moves + spatial.cross(turns, jnp.broadcast_to(arm, turns.shape)), turns
+    return data.cdof[:, 3:] * moves + spatial.cross(
+        turns, jnp.broadcast_to(arm, turns.shape)
+    ), turns
 
 
 def muscle_time_constant(excess: Scalar, rising: Scalar, falling: Scalar, width: Scalar) -> Scalar:
@@ -56,7 +58,9 @@ def axis_and_angle(q: Float[Array, " 4"]) -> tuple[Float[Array, " 3"], Scalar]:
 def segment_length(vector: Float[Array, " 3"]) -> Scalar:
     """Length of a tendon's segment, at least 1e-15 m: times its direction, that has the derivative of the vector."""
     none = ~jnp.any(vector)
-    return jnp.where(none, mjMINVAL, jnp.linalg.norm(jnp.where(none, jnp.ones_like(vector), vector)))
+    return jnp.where(
+        none, mjMINVAL, jnp.linalg.norm(jnp.where(none, jnp.ones_like(vector), vector))
+    )
 
 
 def segment_direction(vector: Array, length: Scalar) -> Array:
@@ -74,7 +78,9 @@ Ends = Float[Array, " 4"]
 Point = Float[Array, " 2"]
 
 
-def circle(wrap: Callable[..., Any], ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Array, Array]:
+def circle(
+    wrap: Callable[..., Any], ends: Ends, side: Point, has_side: Any, radius: Scalar
+) -> tuple[Array, Array]:
     """As MJX's `wrap_circle`, which is `wrap`: length of the arc (-1 without a wrap) and its ends."""
     near = jnp.minimum(ends[:2] @ ends[:2], ends[2:] @ ends[2:]) < radius * radius
     straight = ends[2:] - ends[:2]
@@ -88,7 +94,9 @@ def circle(wrap: Callable[..., Any], ends: Ends, side: Point, has_side: Any, rad
     return jnp.where(free, -1.0, length), jnp.where(free, 0.0, points)
 
 
-def wrap_inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Array, Array]:
+def wrap_inside(
+    ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: float
+) -> tuple[Array, Array]:
     """As MJX's `wrap_inside`: length (-1 without a wrap, else about 0), (1,), and the one point, twice.
 
     The tangent point solves asin(A z) + asin(B z) - 2 asin(z) + G = 0, with A and B the radius over both distances, and
@@ -99,7 +107,12 @@ def wrap_inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first
     share = -(straight @ ends[:2]) / jnp.maximum(straight @ straight, mjMINVAL)
     foot = ends[:2] + share * straight
     near = jnp.minimum(_length(ends[:2]), _length(ends[2:])) <= radius
-    crosses = (straight @ straight > mjMINVAL) & (share > 0.0) & (share < 1.0) & (foot @ foot <= radius * radius)
+    crosses = (
+        (straight @ straight > mjMINVAL)
+        & (share > 0.0)
+        & (share < 1.0)
+        & (foot @ foot <= radius * radius)
+    )
     free = near | crosses | (radius < mjMINVAL) | (cosine < -1.0 + mjMINVAL)
     parallel = cosine > 1.0 - mjMINVAL
     kept, ring = _or_else(free | parallel, _THROUGH, ends, radius)
@@ -113,7 +126,9 @@ def wrap_inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first
     from_, away = jnp.where(begins, kept[:2], kept[2:]), jnp.where(begins, one, other)
     turn = jnp.arcsin(z) - jnp.arcsin(ring / away * z)
     cos, sin = jnp.cos(turn), jnp.sin(turn)
-    touched = ring / away * jnp.stack([cos * from_[0] - sin * from_[1], sin * from_[0] + cos * from_[1]])
+    touched = (
+        ring / away * jnp.stack([cos * from_[0] - sin * from_[1], sin * from_[0] + cos * from_[1]])
+    )
     point = jnp.where(free, 0.0, jnp.where(parallel | lost, middle, touched))
     # The length of a single point is not exactly zero: MJX takes the root of its square.
     return jnp.where(free, -1.0, mjMINVAL)[None], jnp.tile(point, 2)
@@ -123,19 +138,23 @@ def _apart(z: Array, a: Array, b: Array, angle: Array) -> Array:
     return jnp.arcsin(a * z) + jnp.arcsin(b * z) - 2.0 * jnp.arcsin(z) + angle
 
 
-def _root(a: Scalar, b: Scalar, angle: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Scalar, Truth]:
+def _root(
+    a: Scalar, b: Scalar, angle: Scalar, rounds: int, tolerance: float, first: float
+) -> tuple[Scalar, Truth]:
     """z at which `_apart` vanishes, and whether MJX's iteration would fail."""
     fixed = jax.lax.stop_gradient((a, b, angle))
 
     def slope(z: Array) -> Array:
-        return sum(f / jnp.sqrt(jnp.maximum(1.0 - (f * z) ** 2, mjMINVAL)) for f in fixed[:2]) - 2.0 / jnp.sqrt(
-            jnp.maximum(1.0 - z * z, mjMINVAL)
-        )
+        return sum(
+            f / jnp.sqrt(jnp.maximum(1.0 - (f * z) ** 2, mjMINVAL)) for f in fixed[:2]
+        ) - 2.0 / jnp.sqrt(jnp.maximum(1.0 - z * z, mjMINVAL))
 
     def next_round(_: Count, at: tuple[Array, Array]) -> tuple[Array, Array]:
         z, lost = at
         value, rise = _apart(z, *fixed), slope(z)
-        moved = jnp.where(jnp.abs(value) <= tolerance, z, z - value / jnp.where(rise == 0.0, mjMINVAL, rise))
+        moved = jnp.where(
+            jnp.abs(value) <= tolerance, z, z - value / jnp.where(rise == 0.0, mjMINVAL, rise)
+        )
         lost |= (rise > -mjMINVAL) | (moved > z)
         moved = jnp.clip(moved, 0.0, first)
         return moved, lost | (_apart(moved, *fixed) > tolerance)
@@ -145,7 +164,9 @@ def _root(a: Scalar, b: Scalar, angle: Scalar, rounds: int, tolerance: float, fi
     z = jnp.where(lost, 0.5, z)
     # At the solution, for derivatives of any order.
     z -= _apart(z, *fixed) / slope(z)
-    return jax.lax.custom_root(lambda z: _apart(z, a, b, angle), z, lambda _, z: z, lambda f, y: y / f(1.0)), lost
+    return jax.lax.custom_root(
+        lambda z: _apart(z, a, b, angle), z, lambda _, z: z, lambda f, y: y / f(1.0)
+    ), lost
 
 
 def _length(vector: Point) -> Scalar:
@@ -153,9 +174,13 @@ def _length(vector: Point) -> Scalar:
     return jnp.sqrt(jnp.maximum(vector @ vector, mjMINVAL**2))
 
 
-def _or_else(replace: Truth, ends: tuple[float, ...], given: Ends, radius: Scalar) -> tuple[Ends, Scalar]:
+def _or_else(
+    replace: Truth, ends: tuple[float, ...], given: Ends, radius: Scalar
+) -> tuple[Ends, Scalar]:
     """The given ends, or valid ends around a circle of radius 1."""
-    return jnp.where(replace, jnp.asarray(ends, given.dtype), given), jnp.where(replace, 1.0, radius)
+    return jnp.where(replace, jnp.asarray(ends, given.dtype), given), jnp.where(
+        replace, 1.0, radius
+    )
 
 
 def arc_length(one: Point, other: Point, index: Count, radius: Scalar) -> Scalar:

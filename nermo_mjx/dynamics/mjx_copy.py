@@ -37,7 +37,9 @@ def _copied(value: Any) -> Any:
         return value
     names = vars(_COPIES[value.__globals__["__name__"]])
     cells = tuple(CellType(_copied(cell.cell_contents)) for cell in value.__closure__ or ())
-    return functools.update_wrapper(FunctionType(value.__code__, names, None, value.__defaults__, cells), value)
+    return functools.update_wrapper(
+        FunctionType(value.__code__, names, None, value.__defaults__, cells), value
+    )
 
 
 for _name, _copy in _COPIES.items():
@@ -56,7 +58,8 @@ vars(adapted.support).update(
 )
 #: In `smooth`, `norm` and `safe_div` compute the lengths and directions of tendons' segments only.
 adapted.smooth.math = SimpleNamespace(
-    **vars(adapted.math) | {"norm": jacobians.segment_length, "safe_div": jacobians.segment_direction}
+    **vars(adapted.math)
+    | {"norm": jacobians.segment_length, "safe_div": jacobians.segment_direction}
 )
 adapted.constraint._kbi = stiffness_damping_impedance
 adapted.collision_sdf._cylinder = spatial.cylinder_distance
@@ -85,12 +88,18 @@ def put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model:
     for what in refused(model):
         raise NotImplementedError(f"{what}.")
     ours = mjx.put_model(model, device, "jax")
-    more = {name: getattr(model, name) for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")}
+    more = {
+        name: getattr(model, name)
+        for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")
+    }
     wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
     within = np.zeros(model.nwrap, bool)
     for side in side_sites(model):
         within[side.wrap] = side.most < side.radius
-    said = {"not_simulated": tuple(not_simulated(model)), "approximated": tuple(approximated(model))}
+    said = {
+        "not_simulated": tuple(not_simulated(model)),
+        "approximated": tuple(approximated(model)),
+    }
     given = vars(ours) | {"_impl": ours._impl.replace(is_wrap_inside=within[wraps])}
     return Model(**given, **jax.device_put(more, device), **said)
 
@@ -116,7 +125,9 @@ def make_data(model: mjx.Model | mujoco.MjModel, device: jax.Device | None = Non
     return made
 
 
-def put_data(model: mujoco.MjModel, data: mujoco.MjData, device: jax.Device | None = None) -> mjx.Data:
+def put_data(
+    model: mujoco.MjModel, data: mujoco.MjData, device: jax.Device | None = None
+) -> mjx.Data:
     """Put data of MuJoCo on a device, with as many contacts as `step` computes.
 
     >>> model = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><body><joint/><geom size=".1"/></body></worldbody>

@@ -41,20 +41,34 @@ def own_derivative(name: str, tangent: Callable[..., Array]) -> Callable[..., Ar
     def itself(value: Any, *_: Any, **__: Any) -> Any:
         return value
 
-    def derivative(primals: Any, tangents: Any, *, static: Hashable, tree: Any, axes: int) -> tuple[Array, Array]:
-        value = primitive.bind(*primals, static=static, tree=tree, axes=axes)  # for derivatives of the tangent
+    def derivative(
+        primals: Any, tangents: Any, *, static: Hashable, tree: Any, axes: int
+    ) -> tuple[Array, Array]:
+        value = primitive.bind(
+            *primals, static=static, tree=tree, axes=axes
+        )  # for derivatives of the tangent
 
         def change(value: Array, leaves: Any, changes: Any) -> Array:
             return tangent(static, value, tree.unflatten(leaves), tree.unflatten(changes))
 
         for _ in range(axes):
             change = jax.vmap(change)
-        return value, change(value, primals[1:], [ad.instantiate_zeros(each) for each in tangents[1:]])
+        return value, change(
+            value, primals[1:], [ad.instantiate_zeros(each) for each in tangents[1:]]
+        )
 
-    def batched(arguments: Any, axes_of: Any, *, static: Hashable, tree: Any, axes: int) -> tuple[Array, int]:
-        size = next(each.shape[axis] for each, axis in zip(arguments, axes_of, strict=True) if axis is not None)
+    def batched(
+        arguments: Any, axes_of: Any, *, static: Hashable, tree: Any, axes: int
+    ) -> tuple[Array, int]:
+        size = next(
+            each.shape[axis]
+            for each, axis in zip(arguments, axes_of, strict=True)
+            if axis is not None
+        )
         first = [
-            jnp.broadcast_to(each, (size, *each.shape)) if axis is None else jnp.moveaxis(each, axis, 0)
+            jnp.broadcast_to(each, (size, *each.shape))
+            if axis is None
+            else jnp.moveaxis(each, axis, 0)
             for each, axis in zip(arguments, axes_of, strict=True)
         ]
         return primitive.bind(*first, static=static, tree=tree, axes=axes + 1), 0

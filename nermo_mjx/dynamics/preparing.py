@@ -41,21 +41,33 @@ def prepared(model: Model) -> Model:
     """
     if model.not_simulated:
         others = len(model.not_simulated) - 1
-        raise ValueError(model.not_simulated[0] + (f" There are {others} more, see not_simulated." if others else ""))
+        raise ValueError(
+            model.not_simulated[0]
+            + (f" There are {others} more, see not_simulated." if others else "")
+        )
     if model.approximated:
         others = len(model.approximated) - 1
         warnings.warn(
-            model.approximated[0] + (f" There are {others} more, see approximated." if others else ""), stacklevel=4
+            model.approximated[0]
+            + (f" There are {others} more, see approximated." if others else ""),
+            stacklevel=4,
         )
     changes = _of_actuators(model) | _flags(model)
     if not model.nmat and np.any(model.sensor_type == mjx.SensorType.RANGEFINDER):
-        changes["mat_rgba"] = jnp.ones((1, 4))  # MJX's ray reads one even where no geom has a material
+        changes["mat_rgba"] = jnp.ones(
+            (1, 4)
+        )  # MJX's ray reads one even where no geom has a material
     model = model.tree_replace(changes) if changes else model
     disabled = model.opt.disableflags & (mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER)
-    if disabled in (mjx.DisableBit.SPRING, mjx.DisableBit.DAMPER):  # MJX drops all passive forces with either
+    if disabled in (
+        mjx.DisableBit.SPRING,
+        mjx.DisableBit.DAMPER,
+    ):  # MJX drops all passive forces with either
         names = _SPRINGS if disabled == mjx.DisableBit.SPRING else _DAMPERS
         without: dict[str, Any] = {name: jnp.zeros_like(getattr(model, name)) for name in names}
-        model = model.tree_replace(without | {"opt.disableflags": model.opt.disableflags & ~disabled})
+        model = model.tree_replace(
+            without | {"opt.disableflags": model.opt.disableflags & ~disabled}
+        )
     return model
 
 
@@ -110,10 +122,14 @@ def _flags(model: Model) -> dict[str, Any]:
 
 
 _CAPSULE, _ELLIPSOID, _CYLINDER, _MESH, _HFIELD = (
-    getattr(mujoco.mjtGeom, f"mjGEOM_{name}") for name in ("CAPSULE", "ELLIPSOID", "CYLINDER", "MESH", "HFIELD")
+    getattr(mujoco.mjtGeom, f"mjGEOM_{name}")
+    for name in ("CAPSULE", "ELLIPSOID", "CYLINDER", "MESH", "HFIELD")
 )
 #: Flags that MJX refuses and that do not change a model's motion.
-_SILENT: Final = {"energy": mujoco.mjtEnableBit.mjENBL_ENERGY, "fwdinv": mujoco.mjtEnableBit.mjENBL_FWDINV}
+_SILENT: Final = {
+    "energy": mujoco.mjtEnableBit.mjENBL_ENERGY,
+    "fwdinv": mujoco.mjtEnableBit.mjENBL_FWDINV,
+}
 
 
 def fitted(model: mujoco.MjModel) -> tuple[mujoco.MjModel, list[str]]:
@@ -143,17 +159,23 @@ def fitted(model: mujoco.MjModel) -> tuple[mujoco.MjModel, list[str]]:
             ours.opt.enableflags &= ~int(flag)
             changes.append(f"flag {name} is disabled.")
     if ours.opt.noslip_iterations:
-        changes.append(f"noslip_iterations is 0, no {ours.opt.noslip_iterations}: contacts may creep.")
+        changes.append(
+            f"noslip_iterations is 0, no {ours.opt.noslip_iterations}: contacts may creep."
+        )
         ours.opt.noslip_iterations = 0
     changes += _shapes(ours) + _margins(ours)
     for kind, index in frictionless(ours):
         (ours.pair_dim if kind == "pair" else ours.geom_condim)[index] = 3
         getattr(ours, f"{kind}_friction")[index] = mujoco.mjMINMU
-        changes.append(f"{named(ours, kind, index)} has condim 3 and next to no friction, no condim 1.")
+        changes.append(
+            f"{named(ours, kind, index)} has condim 3 and next to no friction, no condim 1."
+        )
     try:
         make_data(put_model(ours))
     except NotImplementedError as error:
-        raise ValueError(f"MJX refuses the model also after {len(changes)} changes: {error}") from None
+        raise ValueError(
+            f"MJX refuses the model also after {len(changes)} changes: {error}"
+        ) from None
     return ours, changes
 
 
@@ -206,11 +228,15 @@ def _margins(model: mujoco.MjModel) -> list[str]:
         if not np.isin(model.geom_type[[first, second]], (_MESH, _HFIELD)).any():
             continue
         if pair >= 0 and model.pair_margin[pair]:
-            changes.append(f"margin of {named(model, 'pair', pair)} is 0, no {model.pair_margin[pair]:g}.")
+            changes.append(
+                f"margin of {named(model, 'pair', pair)} is 0, no {model.pair_margin[pair]:g}."
+            )
             model.pair_margin[pair] = 0.0
         for geom in () if pair >= 0 else (first, second):
             if model.geom_margin[geom] and geom not in zeroed:
                 zeroed.add(geom)
-                changes.append(f"margin of {named(model, 'geom', geom)} is 0, no {model.geom_margin[geom]:g}.")
+                changes.append(
+                    f"margin of {named(model, 'geom', geom)} is 0, no {model.geom_margin[geom]:g}."
+                )
                 model.geom_margin[geom] = 0.0
     return changes

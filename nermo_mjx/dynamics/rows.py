@@ -18,7 +18,9 @@ from nermo_mjx.dynamics.mjx_import import Solved, mjx
 from nermo_mjx.shapes import Array, Dofs, Efc
 
 #: Fields of MJX's data with an entry for each row.
-_ROWS: Final = tuple(f"efc_{name}" for name in ("J", "pos", "margin", "frictionloss", "D", "aref", "force"))
+_ROWS: Final = tuple(
+    f"efc_{name}" for name in ("J", "pos", "margin", "frictionloss", "D", "aref", "force")
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +69,10 @@ def read_problem(model: mjx.Model, data: mjx.Data) -> tuple[Layout, ConstraintPr
     rows = inner(data)
     contact, dims = _in_row_order(rows.contact)
     chosen = dims[(dims > 1) & (model.opt.cone == mjx.ConeType.ELLIPTIC)]
-    cones = tuple((int(dim), int(count)) for dim, count in zip(*np.unique(chosen, return_counts=True), strict=True))
+    cones = tuple(
+        (int(dim), int(count))
+        for dim, count in zip(*np.unique(chosen, return_counts=True), strict=True)
+    )
     friction = contact.friction[len(dims) - len(chosen) :]
     mu = friction[:, :1] / jnp.sqrt(model.opt.impratio)
     return Layout(*_counts(model), cones), ConstraintProblem(
@@ -84,7 +89,9 @@ def read_problem(model: mjx.Model, data: mjx.Data) -> tuple[Layout, ConstraintPr
 def as_made(model: mjx.Model, prepared: mjx.Model, data: Solved) -> mjx.Data:
     """Data as it was made for a model: without the rows of dry friction that only the prepared model has."""
     has, had = (
-        np.concatenate([np.asarray(of._impl.dof_hasfrictionloss), np.asarray(of._impl.tendon_hasfrictionloss)])
+        np.concatenate(
+            [np.asarray(of._impl.dof_hasfrictionloss), np.asarray(of._impl.tendon_hasfrictionloss)]
+        )
         for of in (prepared, model)
     )
     equality, dry = _counts(prepared)
@@ -143,7 +150,9 @@ def _counts(model: mjx.Model) -> tuple[int, int]:
     equality = sum(sizes.get(mjx.EqType(kind), 1) for kind in kinds)
     flags: Any = model._impl
     dry = int(flags.dof_hasfrictionloss.sum() + flags.tendon_hasfrictionloss.sum())
-    return equality * (not off & mjx.DisableBit.EQUALITY), dry * (not off & mjx.DisableBit.FRICTIONLOSS)
+    return equality * (not off & mjx.DisableBit.EQUALITY), dry * (
+        not off & mjx.DisableBit.FRICTIONLOSS
+    )
 
 
 def _in_row_order(contact: Any) -> tuple[Any, np.ndarray]:

@@ -81,18 +81,26 @@ def minimum(layout: Layout, problem: ConstraintProblem, start: Dofs) -> Solution
     def next_round(solution: Solution) -> Solution:
         found = newton(layout, problem, sizes, solution.qacc)
         qacc = solution.qacc + found.share * found.step
-        moved = Solution(qacc, found.small & (found.stays | solution.small), found.small, solution.rounds + 1)
-        return jax.tree.map(lambda old, new: jnp.where(solution.converged, old, new), solution, moved)
+        moved = Solution(
+            qacc, found.small & (found.stays | solution.small), found.small, solution.rounds + 1
+        )
+        return jax.tree.map(
+            lambda old, new: jnp.where(solution.converged, old, new), solution, moved
+        )
 
     def to_the_end(solution: Solution) -> Solution:
         return jax.lax.fori_loop(0, FIXED, lambda _, each: next_round(each), solution)
 
     def until_all_have_converged(solution: Solution) -> Solution:
-        return jax.lax.while_loop(lambda each: ~each.converged & (each.rounds < ROUNDS), next_round, solution)
+        return jax.lax.while_loop(
+            lambda each: ~each.converged & (each.rounds < ROUNDS), next_round, solution
+        )
 
     # Gives the same result where `FIXED` rounds suffice. Only on a CPU does checking whether all worlds have finished
     # cost nothing.
-    found: Solution = jax.lax.platform_dependent(first, cpu=until_all_have_converged, default=to_the_end)
+    found: Solution = jax.lax.platform_dependent(
+        first, cpu=until_all_have_converged, default=to_the_end
+    )
     return found
 
 
@@ -122,7 +130,9 @@ def newton(
     def at(share: Array) -> tuple[Array, Array]:
         """The constraint forces' part of the slope of the cost along the step, and the rows' zones."""
         there = apart + share * along
-        return along @ constraint.forces(layout, problem, there), constraint.zones(layout, problem, there)
+        return along @ constraint.forces(layout, problem, there), constraint.zones(
+            layout, problem, there
+        )
 
     grid = jnp.asarray(shares, qacc.dtype)
     held, zones = jax.vmap(at)(grid)

@@ -35,7 +35,10 @@ _MOMENT: Final = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]], np.int32)
 _FACTOR: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]], np.int32)
 _SIGN: Final = np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]])
 #: A vector as the matrix of its cross product: which component, with which sign.
-_SKEW: Final = np.array([[0, 2, 1], [2, 0, 0], [1, 0, 0]], np.int32), np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]])
+_SKEW: Final = (
+    np.array([[0, 2, 1], [2, 0, 0], [1, 0, 0]], np.int32),
+    np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]),
+)
 
 
 def cross(a: Vector, b: Vector) -> Vector:
@@ -90,7 +93,9 @@ def turn_between(q: Quaternion, p: Quaternion) -> Vector:
     return rotation_vector(product(q * conjugate.astype(q.dtype), normalized(p)))
 
 
-def inertia_about(moments: Vector, axes: Matrix, offset: Vector, mass: Float[Array, "*#n"]) -> Inertia:
+def inertia_about(
+    moments: Vector, axes: Matrix, offset: Vector, mass: Float[Array, "*#n"]
+) -> Inertia:
     """The spatial inertia of a body about a point.
 
     Args:

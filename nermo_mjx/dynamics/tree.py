@@ -38,7 +38,9 @@ class Tree(NamedTuple):
 
 def tree_of(model: mjx.Model) -> Tree:
     """The tree of a model."""
-    parents, body_of, joint_of = (np.asarray(each) for each in (model.body_parentid, model.dof_bodyid, model.dof_jntid))
+    parents, body_of, joint_of = (
+        np.asarray(each) for each in (model.body_parentid, model.dof_bodyid, model.dof_jntid)
+    )
     below = np.eye(model.nbody)
     for body in range(model.nbody - 1, 0, -1):  # a parent comes before its children
         below[parents[body]] += below[body]
@@ -58,11 +60,16 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     # A joint's anchor and axis, in the frame of its body's parent, before the joints after it on the same body.
     anchors, axes = jnp.zeros((model.njnt, 3), qpos.dtype), jnp.zeros((model.njnt, 3), qpos.dtype)
     nth = np.array([np.sum(bodies[:joint] == body) for joint, body in enumerate(bodies)], int)
-    for each in range(nth.max(initial=-1) + 1):  # the first joints of all bodies, then the second ones, and so on
+    for each in range(
+        nth.max(initial=-1) + 1
+    ):  # the first joints of all bodies, then the second ones, and so on
         joints = np.flatnonzero(nth == each)
         at = bodies[joints]
         offset, before = model.jnt_pos[joints], orientation[at]
-        anchor, axis = spatial.rotate(offset, before) + position[at], spatial.rotate(model.jnt_axis[joints], before)
+        anchor, axis = (
+            spatial.rotate(offset, before) + position[at],
+            spatial.rotate(model.jnt_axis[joints], before),
+        )
         after = spatial.product(before, turns[joints])
         moved = anchor - spatial.rotate(offset, after) + axis * slides[joints, None]
         free = (kinds[joints] == FREE)[:, None]
@@ -70,7 +77,8 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
             first = np.where(free[:, 0], np.asarray(model.jnt_qposadr)[joints], 0)
             place = qpos[first[:, None] + np.arange(3)]
             anchor, moved, after = (
-                jnp.where(free, new, old) for new, old in ((place, anchor), (place, moved), (turns[joints], after))
+                jnp.where(free, new, old)
+                for new, old in ((place, anchor), (place, moved), (turns[joints], after))
             )
             axis = jnp.where(free, np.array([0.0, 0.0, 1.0]), axis)
         anchors, axes = anchors.at[joints].set(anchor), axes.at[joints].set(axis)
@@ -85,12 +93,19 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     anchors = position[above] + spatial.rotate(anchors, orientation[above])
     axes = spatial.rotate(axes, orientation[above])
     data = data.replace(
-        qpos=qpos, xanchor=anchors, xaxis=axes, xpos=position, xquat=orientation, xmat=spatial.matrix(orientation)
+        qpos=qpos,
+        xanchor=anchors,
+        xaxis=axes,
+        xpos=position,
+        xquat=orientation,
+        xmat=spatial.matrix(orientation),
     )
 
     def placed(body: np.ndarray, pos: Array, quat: Array) -> tuple[Array, Array]:
         turn = orientation[body]
-        return position[body] + spatial.rotate(pos, turn), spatial.matrix(spatial.product(turn, quat))
+        return position[body] + spatial.rotate(pos, turn), spatial.matrix(
+            spatial.product(turn, quat)
+        )
 
     xipos, ximat = placed(np.arange(model.nbody), model.body_ipos, model.body_iquat)
     data = data.replace(xipos=xipos, ximat=ximat)
@@ -135,9 +150,13 @@ def _in_the_world(parents: np.ndarray, position: Array, orientation: Array) -> t
 def com_pos(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.com_pos`: centres of mass of subtrees, inertias and axes about that of the whole tree."""
     tree, mass = tree_of(model), model.body_mass
-    sums = tree.below.astype(mass.dtype) @ jnp.concatenate([mass[:, None] * data.xipos, mass[:, None]], 1)
+    sums = tree.below.astype(mass.dtype) @ jnp.concatenate(
+        [mass[:, None] * data.xipos, mass[:, None]], 1
+    )
     total = sums[:, 3:]
-    subtree = jnp.where(total < mujoco.mjMINVAL, data.xipos, sums[:, :3] / jnp.maximum(total, mujoco.mjMINVAL))
+    subtree = jnp.where(
+        total < mujoco.mjMINVAL, data.xipos, sums[:, :3] / jnp.maximum(total, mujoco.mjMINVAL)
+    )
     centre = subtree[np.asarray(model.body_rootid)]
     inertia = spatial.inertia_about(model.body_inertia, data.ximat, data.xipos - centre, mass)
     data = data.replace(subtree_com=subtree)
@@ -145,7 +164,9 @@ def com_pos(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     return data
 
 
-def _axes(model: mjx.Model, data: mjx.Data, centre: Float[Array, "nbody 3"]) -> Float[Array, "nv 6"]:
+def _axes(
+    model: mjx.Model, data: mjx.Data, centre: Float[Array, "nbody 3"]
+) -> Float[Array, "nv 6"]:
     """The motion of each velocity about the centre of mass of its tree."""
     joint, body = np.asarray(model.dof_jntid), np.asarray(model.dof_bodyid)
     kind = np.asarray(model.jnt_type)[joint]
@@ -153,11 +174,17 @@ def _axes(model: mjx.Model, data: mjx.Data, centre: Float[Array, "nbody 3"]) -> 
     shifts = (kind == SLIDE) | ((kind == FREE) & (place < 3))
     # One table of all axes: those of joints, of bodies, and of the world.
     table = jnp.concatenate(
-        [data.xaxis, jnp.swapaxes(data.xmat, 1, 2).reshape(-1, 3), jnp.eye(3, dtype=data.qpos.dtype)]
+        [
+            data.xaxis,
+            jnp.swapaxes(data.xmat, 1, 2).reshape(-1, 3),
+            jnp.eye(3, dtype=data.qpos.dtype),
+        ]
     )
     own, world = len(np.asarray(model.jnt_type)), len(np.asarray(model.jnt_type)) + 3 * model.nbody
     spins = ((kind == FREE) | (kind == BALL)) & ~shifts
-    index = np.where(spins, own + 3 * body + place % 3, np.where(kind == FREE, world + place, joint))
+    index = np.where(
+        spins, own + 3 * body + place % 3, np.where(kind == FREE, world + place, joint)
+    )
     axis = table[index]
     arm = spatial.cross(axis, centre[body] - data.xanchor[joint])
     straight = shifts[:, None]
@@ -176,7 +203,9 @@ def com_vel(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.com_vel`: velocities of bodies, and how the axes move."""
     tree, rates = tree_of(model), data.cdof * data.qvel[:, None]
     moves, before = (each.astype(rates.dtype) for each in (tree.moves, tree.before))
-    return data.tree_replace({"cvel": moves @ rates, "cdof_dot": spatial.moved(before @ rates, data.cdof)})
+    return data.tree_replace(
+        {"cvel": moves @ rates, "cdof_dot": spatial.moved(before @ rates, data.cdof)}
+    )
 
 
 def rne(model: mjx.Model, data: mjx.Data) -> mjx.Data:

@@ -33,7 +33,13 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.recording import recording_of
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, ServoAngles, load_robot
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.quantity import check_quantities, choice, quantities, replace_quantities, values_of
+from nermo_mjx.robot.quantity import (
+    check_quantities,
+    choice,
+    quantities,
+    replace_quantities,
+    values_of,
+)
 from nermo_mjx.rollout.run import TAUT
 from nermo_mjx.rollout.simulator import BLOCK, History
 
@@ -130,13 +136,17 @@ class BalanceLoop:
 
     def init(self, params: BalanceParameters, sensordata: Float[Array, " n"]) -> BalanceState:
         """See `Loop.init`."""
-        return BalanceState(jnp.zeros((), jnp.int32), self.servos(params, 0.0).vector(self.robot.servos))
+        return BalanceState(
+            jnp.zeros((), jnp.int32), self.servos(params, 0.0).vector(self.robot.servos)
+        )
 
     def step(
         self, params: BalanceParameters, state: BalanceState, sensordata: Float[Array, "steps n"]
     ) -> tuple[BalanceState, Float[Array, " n_servos"]]:
         """See `Loop.step`."""
-        wanted = self.servos(params, state.tick * self.dt / params.clock_ratio).vector(self.robot.servos)
+        wanted = self.servos(params, state.tick * self.dt / params.clock_ratio).vector(
+            self.robot.servos
+        )
         reach = params.servo_speed * self.dt
         ctrl = state.ctrl + jnp.clip(wanted - state.ctrl, -reach, reach)
         return BalanceState(state.tick + 1, ctrl), ctrl
@@ -159,7 +169,9 @@ class BalanceLoop:
         lifted = jnp.asarray(params.lifted)[:, None]
         legs = four_legs(Geometry())
         shift = (1.0 - lifted) * spine_modes.compensation(params.spine, spine, Geometry())
-        level = inverse_kinematics(legs, forward_kinematics(legs, STANCE, ROUTING).foot + shift, ROUTING).servo
+        level = inverse_kinematics(
+            legs, forward_kinematics(legs, STANCE, ROUTING).foot + shift, ROUTING
+        ).servo
         # Exactly the stance if there is nothing to compensate: a round trip through the foot would lose some digits.
         stance = jnp.where(shift[:, 1:] == 0.0, jnp.asarray(STANCE, level.dtype), level)
         angles = stance + (1.0 - during(time, "stand")) * params.start
@@ -208,7 +220,9 @@ def start_pose(robot: Robot, start: Nudge) -> np.ndarray:
     pitch = math.atan2(neutral[0, 2] - neutral[2, 2], neutral[2, 1] - neutral[0, 1])
 
     servo = STANCE + start.servo
-    eased = servo + np.stack([np.zeros(4), legs.servo_direction * TAUT / legs.pulley_radius], axis=-1)
+    eased = servo + np.stack(
+        [np.zeros(4), legs.servo_direction * TAUT / legs.pulley_radius], axis=-1
+    )
     pose = forward_kinematics(legs, eased, ROUTING)
     attitude = Rotation.from_euler("ZXY", start.turn[[2, 0, 1]] + np.array([0.0, pitch, 0.0]))
     lowest = attitude.apply(_soles(axes, np.asarray(pose.foot, float)))[:, 2].min()
@@ -246,7 +260,10 @@ def tip_angle() -> float:
     """
     feet, raised = (
         np.asarray(
-            forward_kinematics(four_legs(Geometry()), STANCE + [[0.0, q2] for q2 in change], ROUTING).foot, float
+            forward_kinematics(
+                four_legs(Geometry()), STANCE + [[0.0, q2] for q2 in change], ROUTING
+            ).foot,
+            float,
         )
         for change in (np.zeros(4), COMPRESSION)
     )
@@ -259,7 +276,9 @@ def tip_angle() -> float:
     return float(np.arctan((raised - feet)[:, 1] / lever).min())
 
 
-def verdict(force: Float[np.ndarray, "*batch T"], tilt: Float[np.ndarray, "*batch S"]) -> tuple[np.ndarray, np.ndarray]:
+def verdict(
+    force: Float[np.ndarray, "*batch T"], tilt: Float[np.ndarray, "*batch S"]
+) -> tuple[np.ndarray, np.ndarray]:
     """Whether the robot stayed upright, and whether the lifted foot stayed clear; it passed if both are true.
 
     Args:
@@ -269,7 +288,9 @@ def verdict(force: Float[np.ndarray, "*batch T"], tilt: Float[np.ndarray, "*batc
     return np.all(tilt < tip_angle(), axis=-1), np.all(force <= TOUCH, axis=-1)
 
 
-def inside(limb: int, com: Float[np.ndarray, "T 3"], feet: Float[np.ndarray, "T 4 3"]) -> Float[np.ndarray, " T"]:
+def inside(
+    limb: int, com: Float[np.ndarray, "T 3"], feet: Float[np.ndarray, "T 4 3"]
+) -> Float[np.ndarray, " T"]:
     """Distance of the centre of mass from the diagonal beside the lifted limb [m], positive towards the third foot."""
     com, feet = com[:, :2], feet[:, :, :2]
     front, rear = (feet[:, foot] for foot in DIAGONAL[limb])
@@ -277,7 +298,9 @@ def inside(limb: int, com: Float[np.ndarray, "T 3"], feet: Float[np.ndarray, "T 
     return np.asarray(diagonal_distance(com, front, rear) * np.sign(side), float)
 
 
-def measured_centre_of_mass(model: mujoco.MjModel, qpos: Float[np.ndarray, "T nq"]) -> Float[np.ndarray, "T 3"]:
+def measured_centre_of_mass(
+    model: mujoco.MjModel, qpos: Float[np.ndarray, "T nq"]
+) -> Float[np.ndarray, "T 3"]:
     """Centre of mass of the whole robot [m], from the simulated model."""
     data, com = mujoco.MjData(model), np.full((len(qpos), 3), np.nan)
     root = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "torso")
@@ -335,7 +358,9 @@ def measure(
     force, pitch, margin = sensors["foot_force"], shown["pitch"], shown["com_margin"]
     still = {name: within(*phase.still) for name, phase in PHASES.items()}
     swing = still["swing"] = within(PHASES["swing"].begin, PHASES["swing"].end)
-    upright, clear = verdict(force[swing, limb], shown["tilt"][within(PHASES["lift"].begin, math.inf)])
+    upright, clear = verdict(
+        force[swing, limb], shown["tilt"][within(PHASES["lift"].begin, math.inf)]
+    )
     height = sensors["foot_position"][swing, limb, 2] - sole
     lifted = time > PHASES["lift"].begin
     down = lifted & (np.cumsum(lifted & (force[:, limb] <= TOUCH)) > 0) & (force[:, limb] > TOUCH)
@@ -352,7 +377,10 @@ def measure(
         "pitch_swing_min": pitch[swing].min(),
         "pitch_swing_max": pitch[swing].max(),
         "com_height": shown["centre_of_mass"][still["stand"], 2].mean(),
-        **{f"com_margin_{phase}": margin[still[phase]].mean() for phase in ("stand", "shift", "lift")},
+        **{
+            f"com_margin_{phase}": margin[still[phase]].mean()
+            for phase in ("stand", "shift", "lift")
+        },
         "com_margin_swing": margin[swing].min(),
         "impact": time[np.argmax(down)] - PHASES["lift"].begin if down.any() else math.nan,
         "third_share": np.mean(force[swing, 3 - limb] > TOUCH),
@@ -401,8 +429,14 @@ def run(settings: Settings) -> CaseRuns:
         numbers, settings.profiles, range(4), (False, True), repeats
     ):
         numbered = {BODY: body} if body else {}
-        labels.append({"profile": profile, **numbered, "leg": LIMBS[limb], "sbc": sbc, "repeat": repeat})
-        built = {name: AS_BUILT[name] for name in SPINE_NAMES if name in AS_BUILT} if profile == "as_built" else {}
+        labels.append(
+            {"profile": profile, **numbered, "leg": LIMBS[limb], "sbc": sbc, "repeat": repeat}
+        )
+        built = (
+            {name: AS_BUILT[name] for name in SPINE_NAMES if name in AS_BUILT}
+            if profile == "as_built"
+            else {}
+        )
         drawn = {name: float(of[body - 1]) for name, of in bodies.items()}
         own = body_values(profile) | built | dict(settings.values) | drawn
         given.append({"spine.offset_compensation": OFFSET_COMPENSATION} | own)
@@ -418,7 +452,8 @@ def run(settings: Settings) -> CaseRuns:
     on_body = {name: values for name, values in columns.items() if name not in SPINE_NAMES}
     model_parameters = replace_quantities(ModelParameters(), on_body)
     spine = replace_quantities(
-        ControlParameters().spine, {name.split(".")[1]: columns[name] for name in SPINE_NAMES if name in columns}
+        ControlParameters().spine,
+        {name.split(".")[1]: columns[name] for name in SPINE_NAMES if name in columns},
     )
     check_quantities(model_parameters)
     check_quantities(spine, "spine.")
@@ -429,12 +464,16 @@ def run(settings: Settings) -> CaseRuns:
     # Parameters of all worlds, every leaf with a leading axis, in JAX's default precision.
     n, limbs = len(labels), [LIMBS.index(row["leg"]) for row in labels]
     ratios = np.array([clock(row["profile"]) for row in labels])
-    spines = jax.tree.map(lambda leaf: np.broadcast_to(leaf, n), dataclasses.replace(spine, harmonics=0.0))
+    spines = jax.tree.map(
+        lambda leaf: np.broadcast_to(leaf, n), dataclasses.replace(spine, harmonics=0.0)
+    )
     params = BalanceParameters(
         lifted=np.eye(4)[limbs],
         sbc=np.array([row["sbc"] for row in labels]),
         clock_ratio=ratios,
-        spine=dataclasses.replace(spines, harmonics=np.broadcast_to(spine.harmonics, (n, *np.shape(spine.harmonics)))),
+        spine=dataclasses.replace(
+            spines, harmonics=np.broadcast_to(spine.harmonics, (n, *np.shape(spine.harmonics)))
+        ),
         start=np.stack([start.servo for start in starts]),
         servo_speed=np.broadcast_to(model_parameters.servo.top_speed, n),
     )
@@ -463,7 +502,9 @@ def run(settings: Settings) -> CaseRuns:
         for name in ("qpos", "qvel", "ctrl", "sensordata")
     ]
     read = robot.sensors(traces.pop()[:, : max(lengths)])
-    named = {field.name: np.asarray(getattr(read, field.name)) for field in dataclasses.fields(read)}
+    named = {
+        field.name: np.asarray(getattr(read, field.name)) for field in dataclasses.fields(read)
+    }
 
     @functools.cache
     def model_of(masses: tuple[tuple[str, float], ...]) -> mujoco.MjModel:
@@ -473,21 +514,33 @@ def run(settings: Settings) -> CaseRuns:
     sole = float(robot.model.geom(f"{LIMBS[0]}_sole").size[0])
     rows, recordings = [], {}
     for i, (row, length, ratio) in enumerate(zip(labels, lengths, ratios, strict=True)):
-        model = model_of(tuple((name, values[i]) for name, values in on_body.items() if name.startswith("mass.")))
-        time, sensors = (1 + np.arange(length)) * loop.dt, {name: of[i, :length] for name, of in named.items()}
+        model = model_of(
+            tuple((name, values[i]) for name, values in on_body.items() if name.startswith("mass."))
+        )
+        time, sensors = (
+            (1 + np.arange(length)) * loop.dt,
+            {name: of[i, :length] for name, of in named.items()},
+        )
         shown = readings(limbs[i], model, traces[0][i, :length], sensors)
         row = row | measure(limbs[i], time / ratio, sensors, shown, sole)
         ground = np.asarray(kinematics.feet_positions(float(bends[i]), feet, Geometry()))
         com = np.asarray(kinematics.centre_of_mass(robot.mass_model, float(bends[i]), Geometry()))
-        rows.append(row | {"theory_margin": float(inside(limbs[i], com[None], ground[None])[0])})  # (5.35)
+        rows.append(
+            row | {"theory_margin": float(inside(limbs[i], com[None], ground[None])[0])}
+        )  # (5.35)
         if row["repeat"] == row.get(BODY, 0) == 0 and row["profile"] == labels[0]["profile"]:
             case = f"balance {row['leg']}" + (" sbc" if row["sbc"] else "")
             metadata = {
                 "experiment": "balance",
                 "case": case,
                 "setup": dataclasses.asdict(robot.config),
-                "metrics": {name: value if isinstance(value, str) else float(value) for name, value in row.items()},
-                "phases": {name: [phase.begin * ratio, phase.end * ratio] for name, phase in PHASES.items()},
+                "metrics": {
+                    name: value if isinstance(value, str) else float(value)
+                    for name, value in row.items()
+                },
+                "phases": {
+                    name: [phase.begin * ratio, phase.end * ratio] for name, phase in PHASES.items()
+                },
                 "engine": engine.name,
                 "parameters": {name: float(values[i]) for name, values in columns.items()},
             }
@@ -495,4 +548,6 @@ def run(settings: Settings) -> CaseRuns:
             poses, speeds, ctrl = (trace[i : i + 1, :length] for trace in traces)
             history = History(time, poses, speeds, ctrl, world)
             recordings[case] = recording_of(history, model, metadata=metadata)
-    return CaseRuns.of("balance", {name: np.array([row[name] for row in rows]) for name in rows[0]}, recordings)
+    return CaseRuns.of(
+        "balance", {name: np.array([row[name] for row in rows]) for name in rows[0]}, recordings
+    )

@@ -65,7 +65,9 @@ def columns_about(experiment: str) -> dict[str, Column]:
         {name: Column(*about) for name, about in texts("columns").get(key, {}).items()}
         for key in (experiment, "labels")
     )
-    return labels | {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()} | own
+    return (
+        labels | {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()} | own
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,7 +89,10 @@ class CaseRuns:
 
     @classmethod
     def of(
-        cls, experiment: str, columns: Mapping[str, np.ndarray], recordings: Mapping[str, Recording] | None = None
+        cls,
+        experiment: str,
+        columns: Mapping[str, np.ndarray],
+        recordings: Mapping[str, Recording] | None = None,
     ) -> CaseRuns:
         """The outcome of a published experiment, whose columns have their known meanings."""
         about = columns_about(experiment)
@@ -145,7 +150,11 @@ class ReplacementPolicy:
                 f"controller is {where!r}, which has parameters of its own: allowed is a policy FILE.npz, since the "
                 "cases of an experiment set those of the published controller."
             )
-        return cls(acts, f"{Path(where).name} {controller_digest(where)}", read_bytes(Path(where), MOST_ARRAYS))
+        return cls(
+            acts,
+            f"{Path(where).name} {controller_digest(where)}",
+            read_bytes(Path(where), MOST_ARRAYS),
+        )
 
     @property
     def file(self) -> str:
@@ -195,7 +204,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         if isinstance(self.profiles, str) or not self.profiles:
-            raise ParameterError(f"profiles is {self.profiles!r}: allowed is a list of {', '.join(PROFILES)}.")
+            raise ParameterError(
+                f"profiles is {self.profiles!r}: allowed is a list of {', '.join(PROFILES)}."
+            )
         named = {choice("profile", profile, PROFILES) for profile in self.profiles}
         check_whole("repeats", self.repeats, 1)
         check_whole("seed", self.seed, 0)
@@ -205,7 +216,9 @@ class Settings:
                 raise ParameterError(f"{name} is {value!r}: allowed is one number for all cases.")
             known[choice("parameter", name, known)].check(name, value)
         object.__setattr__(self, "profiles", tuple(name for name in PROFILES if name in named))
-        object.__setattr__(self, "values", {name: float(value) for name, value in sorted(self.values.items())})
+        object.__setattr__(
+            self, "values", {name: float(value) for name, value in sorted(self.values.items())}
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """The settings that determine the numbers, as written to files."""
@@ -260,9 +273,13 @@ def in_each_robot(run: Callable[[Settings], CaseRuns], settings: Settings) -> Ca
             settings.progress((before + done) / len(alike)) if settings.progress else None
 
         parts.append(run(settings.but(profiles=profiles, progress=tell)))
-    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
+    columns = {
+        name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns
+    }
     order = np.argsort([PROFILES.index(profile) for profile in columns["profile"]], kind="stable")
-    columns = {name: column[order] if len(parts) > 1 else column for name, column in columns.items()}
+    columns = {
+        name: column[order] if len(parts) > 1 else column for name, column in columns.items()
+    }
     recordings = {name: made for part in reversed(parts) for name, made in part.recordings.items()}
     return CaseRuns.of(parts[0].experiment, columns, recordings)
 
@@ -326,7 +343,14 @@ def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Setti
                 if profile not in case.profiles:
                     continue
                 named = published_values(case.gait, steering=case.steering, profile=profile)
-                given = {**body_values(profile), **named, **settings.values, **drawn, **case.values, **built}
+                given = {
+                    **body_values(profile),
+                    **named,
+                    **settings.values,
+                    **drawn,
+                    **case.values,
+                    **built,
+                }
                 for repeat, start in enumerate(shifts):
                     labels.append({"profile": profile, **numbered, **case.labels, "repeat": repeat})
                     rows.append({**start, **given})
@@ -357,11 +381,15 @@ def recordings_of(
         metrics = {key: float(column[world]) for key, column in result.metrics.items()}
         metadata = {
             "case": name,
-            "setup": {name: getattr(simulator.setup, name) for name in ("scene", "tail", "feet", "spine")},
+            "setup": {
+                name: getattr(simulator.setup, name) for name in ("scene", "tail", "feet", "spine")
+            },
             "labels": {key: column[world].item() for key, column in batch.labels.items()},
             "parameters": {key: float(column[world]) for key, column in batch.values.items()},
             "metrics": metrics | {"status": str(result.status[world])},
             "engine": result.engine,
         }
-        recordings[name] = recording_of(result.trace, simulator.robot.model, world=world, metadata=metadata)
+        recordings[name] = recording_of(
+            result.trace, simulator.robot.model, world=world, metadata=metadata
+        )
     return recordings

@@ -70,7 +70,11 @@ class Parameter:
     @property
     def absent(self) -> float:
         """Its value where its kind is left out, in the range."""
-        return min(max(self.neutral, self.low), self.high) if math.isfinite(self.neutral) else self.value
+        return (
+            min(max(self.neutral, self.low), self.high)
+            if math.isfinite(self.neutral)
+            else self.value
+        )
 
     @property
     def logarithmic(self) -> bool:
@@ -85,7 +89,10 @@ class ParameterSpace:
         self.parameters = tuple(parameters)
         self.log = np.array([each.logarithmic for each in parameters], bool)
         self._centre = self._scaled(np.array([each.value for each in parameters], float))
-        ends = [self._scaled(np.array([getattr(each, end) for each in parameters], float)) for end in ("low", "high")]
+        ends = [
+            self._scaled(np.array([getattr(each, end) for each in parameters], float))
+            for end in ("low", "high")
+        ]
         self.width = ends[1] - ends[0]
         self.deviation = self.width / math.sqrt(12)
         self.low, self.high = [(end - self._centre) / self.deviation for end in ends]
@@ -122,7 +129,9 @@ class LoggedSamples:
     time: np.ndarray
     quantum: np.ndarray
 
-    def by_channel(self, of: Callable[[np.ndarray, int], float], residual: np.ndarray) -> np.ndarray:
+    def by_channel(
+        self, of: Callable[[np.ndarray, int], float], residual: np.ndarray
+    ) -> np.ndarray:
         """A number for each channel from its residuals and its index (channels,)."""
         return np.array([of(residual[self.channel == i], i) for i in range(len(self.quantum))])
 
@@ -172,7 +181,9 @@ class Fit:
     def bodies(self) -> np.ndarray:
         """Values of the draws inside the ranges (n, p): cut at an end, one would lose what is determined together."""
         free = [not each for each in self.at_bound]
-        inside = ((self.draws >= self.space.low) & (self.draws <= self.space.high))[:, free].all(axis=1)
+        inside = ((self.draws >= self.space.low) & (self.draws <= self.space.high))[:, free].all(
+            axis=1
+        )
         return self.space.values(self.draws[inside] if inside.any() else self.draws)
 
     @property
@@ -191,7 +202,10 @@ class Fit:
         """`lower`, `upper` or nothing for each parameter."""
         near = 1e-3 * (self.space.high - self.space.low)
         low, high = self.x < self.space.low + near, self.x > self.space.high - near
-        return ["lower" if one else "upper" if other else "" for one, other in zip(low, high, strict=True)]
+        return [
+            "lower" if one else "upper" if other else ""
+            for one, other in zip(low, high, strict=True)
+        ]
 
 
 class Estimation:
@@ -205,7 +219,9 @@ class Estimation:
         kept: of what computes an array, that array: computed, or kept from before.
     """
 
-    def __init__(self, space: ParameterSpace, problem: Any, kept: Kept = lambda compute: compute()) -> None:
+    def __init__(
+        self, space: ParameterSpace, problem: Any, kept: Kept = lambda compute: compute()
+    ) -> None:
         self.space, self.problem, self.measured, self._kept = space, problem, problem.measured, kept
 
     def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -224,10 +240,15 @@ class Estimation:
         def slopes(x: np.ndarray, r: np.ndarray) -> np.ndarray:
             inward = np.where(x[:, 0] > (self.space.low + self.space.high) / 2, -WIDTH, WIDTH)
             step = inward * np.maximum(1.0, np.abs(x[:, 0]))
-            return np.concatenate([self._changes(x[:, 0], sigma, step, r[: -len(x)]) / step, np.eye(len(x))])
+            return np.concatenate(
+                [self._changes(x[:, 0], sigma, step, r[: -len(x)]) / step, np.eye(len(x))]
+            )
 
         def found() -> np.ndarray:
-            start, bounds = np.clip(x, self.space.low, self.space.high), [self.space.low, self.space.high]
+            start, bounds = (
+                np.clip(x, self.space.low, self.space.high),
+                [self.space.low, self.space.high],
+            )
             # Less regularization than the prior's own changes no step, and each try is a simulation.
             least, _ = minimize.least_squares(
                 start, posterior, bounds, slopes, mu_min=1.0, mu_factor=10.0, xtol=1e-4, max_iter=iterations,
@@ -237,7 +258,9 @@ class Estimation:
 
         return self._kept(found)
 
-    def _changes(self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def _changes(
+        self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, before: np.ndarray
+    ) -> np.ndarray:
         """Of the residuals (n, 1) at x (p,), by a step (p,) of each parameter alone (n, p), in one batch.
 
         Parameters of parts of the model that do not act on each other share simulations.
@@ -245,19 +268,25 @@ class Estimation:
         of, seen = self.problem.parts
         if len(np.unique(seen)) > 1 and seen.min() >= 0:
             at = seen[self.measured.channel][:, None]
-            turn = np.array([np.sum(of[:i] == each) if each >= 0 else -1 - i for i, each in enumerate(of)])
+            turn = np.array(
+                [np.sum(of[:i] == each) if each >= 0 else -1 - i for i, each in enumerate(of)]
+            )
             turns, parts = np.unique(turn), np.unique(of[of >= 0])
             together = np.concatenate([turn == turns[:, None], of == parts[:, None]])
             found = self.residual(x[:, None] + step[:, None] * together.T, sigma) - before
             alone = np.abs(found[:, len(turns) :])
-            if alone[at != parts].max(initial=0.0) <= ACTS * alone.max():  # they do not touch each other
+            if (
+                alone[at != parts].max(initial=0.0) <= ACTS * alone.max()
+            ):  # they do not touch each other
                 return np.where((of < 0) | (at == of), found[:, np.searchsorted(turns, turn)], 0.0)
         return self.residual(x[:, None] + np.diag(step), sigma) - before
 
     def spread(self) -> np.ndarray:
         """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
         values = self.measured.values
-        wide = self.measured.by_channel(lambda each, i: 0.1 * float(np.std(each)) if len(each) else 1.0, values)
+        wide = self.measured.by_channel(
+            lambda each, i: 0.1 * float(np.std(each)) if len(each) else 1.0, values
+        )
         return np.maximum(wide, 1e-9)
 
     def scanned(self, number: int, seed: int) -> np.ndarray:
@@ -272,8 +301,15 @@ class Estimation:
         of, floor = self.measured, self.spread() * 1e-6
 
         def found() -> np.ndarray:
-            away = np.nan_to_num(self.problem.predict(self.space.values(points)) - of.values, nan=1e6)
-            return np.array([np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each))) for each in away])
+            away = np.nan_to_num(
+                self.problem.predict(self.space.values(points)) - of.values, nan=1e6
+            )
+            return np.array(
+                [
+                    np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each)))
+                    for each in away
+                ]
+            )
 
         return self._kept(found)
 
@@ -299,11 +335,16 @@ class Estimation:
         away = self.residual(x[:, None], sigma)[:, 0] * sigma[self.measured.channel]
         coarse = self.measured.quantum / math.sqrt(12)
         return np.maximum(
-            self.measured.by_channel(lambda each, i: rms(each), away), np.maximum(coarse, 1e-3 * self.spread())
+            self.measured.by_channel(lambda each, i: rms(each), away),
+            np.maximum(coarse, 1e-3 * self.spread()),
         )
 
     def search(
-        self, start: np.ndarray, sigma: np.ndarray | None = None, iterations: int = 15, rounds: int = 3
+        self,
+        start: np.ndarray,
+        sigma: np.ndarray | None = None,
+        iterations: int = 15,
+        rounds: int = 3,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates (p,) and weights (channels,) from a start, with each channel weighted by its own residuals.
 
@@ -335,7 +376,9 @@ class Estimation:
         Where other ends explain the data as well, the parameters are taken for one more such end: those of the
         posterior have the mean of all, their covariance, and the tails of Student's t.
         """
-        x, sigma = self.search(np.zeros(len(self.space)) if start is None else start, sigma, iterations, rounds)
+        x, sigma = self.search(
+            np.zeros(len(self.space)) if start is None else start, sigma, iterations, rounds
+        )
         jacobian, white = self.jacobian(x, sigma), self.residual(x[:, None], sigma)[:, 0]
         values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
         values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
@@ -346,23 +389,41 @@ class Estimation:
             ends = np.stack([x, *others])
             free = len(others)
             tails = np.sqrt(free / random.chisquare(free, (DRAWS, 1)))
-            weights = tails * random.standard_normal((DRAWS, len(ends))) * math.sqrt((1 + 1 / len(ends)) / free)
+            weights = (
+                tails
+                * random.standard_normal((DRAWS, len(ends)))
+                * math.sqrt((1 + 1 / len(ends)) / free)
+            )
             centre = ends.mean(axis=0)
-            draws = np.clip(draws - x + centre + weights @ (ends - centre), self.space.low, self.space.high)
+            draws = np.clip(
+                draws - x + centre + weights @ (ends - centre), self.space.low, self.space.high
+            )
             wide, vectors = np.linalg.eigh(np.cov(draws.T).reshape(len(x), -1))
             share = np.sqrt(np.maximum(wide, 0.0))
         residual = white * sigma[self.measured.channel]
         return Fit(
-            self.space, x, residual, sigma, jacobian, share, vectors, draws, np.array(others).reshape(-1, len(x))
+            self.space,
+            x,
+            residual,
+            sigma,
+            jacobian,
+            share,
+            vectors,
+            draws,
+            np.array(others).reshape(-1, len(x)),
         )
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Of the whitened residuals (n, p), by central differences within the bounds."""
         up, down = np.minimum(CENTRAL, self.space.high - x), np.minimum(CENTRAL, x - self.space.low)
         before = self.residual(x[:, None], sigma)
-        return (self._changes(x, sigma, up, before) - self._changes(x, sigma, -down, before)) / (up + down)
+        return (self._changes(x, sigma, up, before) - self._changes(x, sigma, -down, before)) / (
+            up + down
+        )
 
-    def _shares(self, along: np.ndarray, white: np.ndarray, values: np.ndarray, seed: int) -> np.ndarray:
+    def _shares(
+        self, along: np.ndarray, white: np.ndarray, values: np.ndarray, seed: int
+    ) -> np.ndarray:
         """Standard deviation of the posterior along each direction (p,).
 
         The white residuals' one and that of a bootstrap over blocks of time are compared, and the larger taken: with
@@ -373,7 +434,9 @@ class Estimation:
         for block in range(len(scores)):
             # Of a fit without this block: what it has fitted itself does not tell how much it scatters (CR3).
             own = along[number == block]
-            scores[block] = whole @ np.linalg.solve(whole - own.T @ own, own.T @ white[number == block])
+            scores[block] = whole @ np.linalg.solve(
+                whole - own.T @ own, own.T @ white[number == block]
+            )
         scores -= scores.mean(axis=0)
         blocks = len(scores)
         random = np.random.default_rng((seed, 1))
@@ -381,7 +444,9 @@ class Estimation:
         moved = (times - 1) @ scores * math.sqrt(blocks / max(blocks - 1, 1))
         bootstrap = moved.var(axis=0)
         small = 1.0 + 2.0 / max(blocks - 3, 1)  # variance of Student's t
-        return np.sqrt(small * np.maximum(bootstrap, values) / (1.0 + values) ** 2 + 1.0 / (1.0 + values) ** 2)
+        return np.sqrt(
+            small * np.maximum(bootstrap, values) / (1.0 + values) ** 2 + 1.0 / (1.0 + values) ** 2
+        )
 
     def blocks(self, white: np.ndarray) -> np.ndarray:
         """Number of the block of time that each residual is in (n,): blocks are long against their correlation."""
@@ -427,7 +492,12 @@ def repeated(
     for each in stages[1:-1]:
         x, sigma = each.search(x, sigma, steps, 2)
     fit = whole.fit(x, sigma, steps, seed=seed)
-    random, ends, others, alike = np.random.default_rng((seed, 2)), list[np.ndarray](), list[np.ndarray](), True
+    random, ends, others, alike = (
+        np.random.default_rng((seed, 2)),
+        list[np.ndarray](),
+        list[np.ndarray](),
+        True,
+    )
 
     def excess(of: Estimation, x: np.ndarray) -> float:
         """How much worse a body explains a piece than the result, in standard deviations of what noise would do."""
@@ -482,13 +552,17 @@ def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
                 narrow = 3.29 * deviation < DETERMINED * space.width[i]
                 if narrow and deviation * BETTER < alone:
                     pairs.append((deviation, i, j, exponent))
-    for deviation, i, j, exponent in sorted(pairs):  # the best known ones, each of which says something new
+    for deviation, i, j, exponent in sorted(
+        pairs
+    ):  # the best known ones, each of which says something new
         if group[i] == group[j]:
             continue
         group = {k: group[i] if g == group[j] else g for k, g in group.items()}
         one, other = space.parameters[i].name, space.parameters[j].name
         power = "" if abs(exponent) == 1 else f"^{abs(exponent):g}"
-        found.append((f"{one} {'/' if exponent < 0 else '*'} {other}{power}", deviation, (one, other)))
+        found.append(
+            (f"{one} {'/' if exponent < 0 else '*'} {other}{power}", deviation, (one, other))
+        )
     return found
 
 
@@ -508,8 +582,12 @@ def determinacy_sentences(fit: Fit) -> list[str]:
     if known:
         said.append(f"Determined: {', '.join(known)}.")
     if products:
-        listed = ", ".join(f"{formula} to {percent(deviation)}" for formula, deviation, _ in products)
-        said.append(f"Determined only together: {listed}; each of these parameters alone could be another.")
+        listed = ", ".join(
+            f"{formula} to {percent(deviation)}" for formula, deviation, _ in products
+        )
+        said.append(
+            f"Determined only together: {listed}; each of these parameters alone could be another."
+        )
     if loose:
         said.append(
             f"Not determined by these data: {', '.join(loose)}. Where they stay near the default, that is no result."
@@ -565,7 +643,9 @@ def dispensable(fit: Fit) -> list[str]:
     """
     space, left = fit.space, list[str]()
     kinds = list(dict.fromkeys(each.kind for each in space.parameters))
-    optional = [k for k in kinds if all(math.isfinite(p.neutral) for p in space.parameters if p.kind == k)]
+    optional = [
+        k for k in kinds if all(math.isfinite(p.neutral) for p in space.parameters if p.kind == k)
+    ]
     covariance = (fit.directions * fit.share**2) @ fit.directions.T
     away = fit.x - space.coordinates(np.array([each.absent for each in space.parameters]))
     while optional:

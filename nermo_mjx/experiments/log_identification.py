@@ -18,7 +18,16 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Fit, Judgement, Parameter, ParameterSpace, judge, percent, rms
+from nermo_mjx.experiments.determinacy import (
+    Estimation,
+    Fit,
+    Judgement,
+    Parameter,
+    ParameterSpace,
+    judge,
+    percent,
+    rms,
+)
 from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, body_of, until
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.hardware.signals import channel_differences
@@ -153,16 +162,23 @@ class Identification:
                 f"(von Neumann's ratio {judged.white[worst]:.2f}, of white noise 1)."
             )
             most = max(self.missing.values(), default=0.0)
-            likely = sorted((k for k, v in self.missing.items() if v > 0.8 * most), key=lambda k: -self.missing[k])
+            likely = sorted(
+                (k for k, v in self.missing.items() if v > 0.8 * most),
+                key=lambda k: -self.missing[k],
+            )
             if most > MISSING:
                 removed = ", ".join(f"{kind} {percent(self.missing[kind])}" for kind in likely)
-                said.append(f"What was left out would remove these shares of their squares, each by itself: {removed}.")
+                said.append(
+                    f"What was left out would remove these shares of their squares, each by itself: {removed}."
+                )
             else:
                 said.append("No kind of parameters that is known here removes them.")
             of = self.after.twin.measured
             signal = of.by_channel(lambda each, i: float(np.std(each)) or math.inf, of.values)
             shares = [100 * each.judgement.rms / signal for each in (self.after, self.before)]
-            best, default = (" to ".join(dict.fromkeys((f"{min(s):.3g}", f"{max(s):.3g}"))) for s in shares)
+            best, default = (
+                " to ".join(dict.fromkeys((f"{min(s):.3g}", f"{max(s):.3g}"))) for s in shares
+            )
             said.append(
                 f"On what was not fitted they are {best} % of the channels' signals, with the default body {default} %."
                 " Intervals say how well the log fixes the best values in this class, not how true these are."
@@ -178,7 +194,9 @@ class Identification:
         errors = ", ".join(f"{name} {value:.3g}" for name, value in self.errors.items())
         said.append(f"Error on what was not fitted, in noise: {errors}.")
         if self.errors.get("simplest class", math.inf) < (1 - WITHIN) * self.errors["identified"]:
-            said.append("The whole class follows the noise of what was fitted: values are those of the simplest class.")
+            said.append(
+                "The whole class follows the noise of what was fitted: values are those of the simplest class."
+            )
         if self.repeatability:
             own = ", ".join(f"{name} {value:.3g}" for name, value in self.repeatability.items())
             said.append(f"Two logs of one command differ by, in noise: {own}.")
@@ -214,7 +232,9 @@ def identify_log(
     began = time.monotonic()
     unknown = [kind for kind in free if kind not in KINDS and kind != "torque"]
     if unknown:
-        raise ParameterError(f"{unknown[0]!r} is no kind of parameters: allowed is {', '.join(KINDS)}.")
+        raise ParameterError(
+            f"{unknown[0]!r} is no kind of parameters: allowed is {', '.join(KINDS)}."
+        )
     make = functools.partial(body_of, model, [*logs, *judges])
     body = make(free)
     space = ParameterSpace(_narrowed(list(body.parameters.values()), ranges or {}))
@@ -223,7 +243,9 @@ def identify_log(
     names = [each.name for each in space.parameters]
     heads = list(logs) if judges else [until(log, FITTED * log.duration) for log in logs]
 
-    def twin(of: Sequence[Log], names: Sequence[str], own: Body = body, only: Any = None) -> LoggedTwin:
+    def twin(
+        of: Sequence[Log], names: Sequence[str], own: Body = body, only: Any = None
+    ) -> LoggedTwin:
         return LoggedTwin(own, of, names, only)
 
     rest = (judges, None) if judges else (logs, lambda times, duration: times >= FITTED * duration)
@@ -232,10 +254,17 @@ def identify_log(
         counts = np.bincount(seen.measured.channel, minlength=len(seen.labels)).tolist()
         if (least := min(counts)) < FEWEST:
             which = f"channel {seen.labels[counts.index(least)]!r} has {least} numbers in what is {part}"
-            raise ParameterError(f"{which}: expected {FEWEST} at least; leave it out, or give a longer log.")
+            raise ParameterError(
+                f"{which}: expected {FEWEST} at least; leave it out, or give a longer log."
+            )
     # Starts are compared on a piece, where wrong ones are told from right ones as well.
-    pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads]
-    rough, tried = Estimation(space, twin(pieces, names), kept), list[tuple[np.ndarray, np.ndarray]]()
+    pieces = [
+        until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads
+    ]
+    rough, tried = (
+        Estimation(space, twin(pieces, names), kept),
+        list[tuple[np.ndarray, np.ndarray]](),
+    )
 
     def starts() -> Iterator[np.ndarray]:
         yield np.zeros(len(space))
@@ -252,13 +281,22 @@ def identify_log(
         x, sigma = tried[int(np.argmin(costs))]
         report((i + 1) / (most + repeats + 3))
         left = rough.residual(x[:, None], sigma)[:, 0] * sigma[rough.measured.channel]
-        if judge(rough.measured, left).right or sum(each < min(costs) + ALIKE * len(sigma) for each in costs) > 1:
+        if (
+            judge(rough.measured, left).right
+            or sum(each < min(costs) + ALIKE * len(sigma) for each in costs) > 1
+        ):
             break
     longer = [until(log, 2 * piece.duration) for log, piece in zip(heads, pieces, strict=True)]
     whole = Estimation(space, twin(heads, names), kept)
     stages = [rough, Estimation(space, twin(longer, names), kept), whole]
     fit = determinacy.repeated(
-        stages, x, sigma, STEPS, repeats, seed, lambda k: report((most + 1 + k) / (most + repeats + 3))
+        stages,
+        x,
+        sigma,
+        STEPS,
+        repeats,
+        seed,
+        lambda k: report((most + 1 + k) / (most + repeats + 3)),
     )
     report(1 - 2 / (most + repeats + 3))
 
@@ -274,7 +312,9 @@ def identify_log(
 
     fitted = BodyResidual(whole.problem, fit.residual, judge(whole.measured, fit.residual))
     after = verdict(body, names, fit.values, *rest)
-    default = [each.neutral if math.isfinite(each.neutral) else each.low for each in space.parameters]
+    default = [
+        each.neutral if math.isfinite(each.neutral) else each.low for each in space.parameters
+    ]
     before = verdict(body, names, np.array(default), *rest)
     sigma = after.judgement.noise
     errors = {"default body": before.error(sigma), "identified": after.error(sigma)}
@@ -285,10 +325,14 @@ def identify_log(
         fixed = [each for each in space.parameters if each.kind in left]
         lean = body.at({each.name: each.absent for each in fixed})
         smaller = ParameterSpace(asked)
-        start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in asked]))
+        start = smaller.coordinates(
+            np.array([fit.values[names.index(each.name)] for each in asked])
+        )
         own = [each.name for each in asked]
         others = list(fit.others[:, [names.index(name) for name in own]])
-        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(start, fit.sigma, STEPS, 1, seed, others)
+        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(
+            start, fit.sigma, STEPS, 1, seed, others
+        )
         error = verdict(lean, own, candidate.values, *rest).error(sigma)
         if error < (1 + WITHIN) * errors["identified"]:
             simplest, errors["simplest class"] = candidate, error
@@ -302,7 +346,9 @@ def identify_log(
     )  # fmt: skip
 
 
-def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, float]]) -> list[Parameter]:
+def _narrowed(
+    parameters: list[Parameter], ranges: Mapping[str, tuple[float, float]]
+) -> list[Parameter]:
     """Parameters inside the ranges that were given.
 
     Raises:
@@ -317,14 +363,22 @@ def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, flo
         for i in own:
             each = parameters[i]
             if each.low > 0 >= low:
-                raise ParameterError(f"--range {name}: {low:g} to {high:g} is not above 0, as {each.name} is.")
+                raise ParameterError(
+                    f"--range {name}: {low:g} to {high:g} is not above 0, as {each.name} is."
+                )
             value = min(max(each.value, low), high)
-            parameters[i] = dataclasses.replace(each, low=low, high=high, value=value, why="as given")
+            parameters[i] = dataclasses.replace(
+                each, low=low, high=high, value=value, why="as given"
+            )
     return parameters
 
 
 def _missing(
-    make: Callable[[Sequence[str]], Body], free: Sequence[str], fit: Fit, whole: Estimation, twin: Any
+    make: Callable[[Sequence[str]], Body],
+    free: Sequence[str],
+    fit: Fit,
+    whole: Estimation,
+    twin: Any,
 ) -> dict[str, float]:
     """Share of the squared residuals that each kind that was left out would remove, together with all that is free."""
     others = tuple(kind for kind in (*KINDS, "torque") if kind not in free)
@@ -336,7 +390,9 @@ def _missing(
         more = [each for each in wider.parameters.values() if each.kind == kind]
         if not more:
             continue
-        base = np.array([each.neutral if math.isfinite(each.neutral) else each.value for each in more])
+        base = np.array(
+            [each.neutral if math.isfinite(each.neutral) else each.value for each in more]
+        )
         space = ParameterSpace(more)
         start = np.clip(space.coordinates(base), space.low, space.high)
         away = np.where(start + _TRIED > space.high, -_TRIED, _TRIED)
@@ -345,21 +401,32 @@ def _missing(
         still = np.concatenate([fit.values, space.values(start)])[None]
         tried = twin(whole.problem.logs, [*own, *(each.name for each in more)], wider)
         tried.renew(still[0])
-        change = (tried.predict(np.concatenate([still, rows])) / fit.sigma[tried.measured.channel]).T
+        change = (
+            tried.predict(np.concatenate([still, rows])) / fit.sigma[tried.measured.channel]
+        ).T
         change = tried.project(np.nan_to_num(change), fit.sigma)
         found[kind] = determinacy.gain_of(fit, (change[:, 1:] - change[:, :1]) / away, white)
     return found
 
 
-def _repeatability(logs: Sequence[Log], sigma: np.ndarray, labels: Sequence[str]) -> dict[str, float]:
+def _repeatability(
+    logs: Sequence[Log], sigma: np.ndarray, labels: Sequence[str]
+) -> dict[str, float]:
     """How much the robot itself differs between two logs of one command, by channel [noise]."""
     if len(logs) < 2:
         return {}
     found = {each.name: each.rms / math.sqrt(2) for each in channel_differences(*logs[:2])}
-    commands = [found[each.name] for each in logs[0].of_quantity("command").values() if each.name in found]
+    commands = [
+        found[each.name] for each in logs[0].of_quantity("command").values() if each.name in found
+    ]
     if not commands or max(commands) > 0.01:
         return {}
-    axes = [[found[n] for n in (label, *(f"{label} {axis}" for axis in "xyz")) if n in found] for label in labels]
+    axes = [
+        [found[n] for n in (label, *(f"{label} {axis}" for axis in "xyz")) if n in found]
+        for label in labels
+    ]
     return {
-        label: rms(np.array(each)) / sigma[i] for i, (label, each) in enumerate(zip(labels, axes, strict=True)) if each
+        label: rms(np.array(each)) / sigma[i]
+        for i, (label, each) in enumerate(zip(labels, axes, strict=True))
+        if each
     }

@@ -62,9 +62,13 @@ def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
     begun = np.clip(TIMES / 0.5, 0.0, 1.0) * np.clip((LASTS - TIMES) / 0.5, 0.0, 1.0)
     middle = {name: float(np.median(values)) for name, values in rest.items()}
 
-    def chirp(chosen: Sequence[str], factor: float = 1.0, wave: Any = np.sin) -> dict[str, np.ndarray]:
+    def chirp(
+        chosen: Sequence[str], factor: float = 1.0, wave: Any = np.sin
+    ) -> dict[str, np.ndarray]:
         """Of these servos, one after the other in phase; the others stand."""
-        turned = 2 * np.pi * factor * (SWEPT[0] * TIMES + (SWEPT[1] - SWEPT[0]) * TIMES**2 / (2 * LASTS))
+        turned = (
+            2 * np.pi * factor * (SWEPT[0] * TIMES + (SWEPT[1] - SWEPT[0]) * TIMES**2 / (2 * LASTS))
+        )
         made = {name: np.full(len(TIMES), middle[name]) for name in names}
         for i, name in enumerate(chosen):
             limits = body.model.actuator_ctrlrange[body.actuator(name)]
@@ -74,19 +78,27 @@ def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
 
     worst = np.abs(found.fit.directions[:, int(np.argmax(found.fit.share))])
     parts = [found.fit.space.parameters[int(i)].name.split(".")[-1] for i in np.argsort(-worst)[:3]]
-    near = [name for name in names if any(part in (name, f"{name}_servo") for part in parts)] or names[:2]
+    near = [
+        name for name in names if any(part in (name, f"{name}_servo") for part in parts)
+    ] or names[:2]
     made = {f"chirp of {name}": chirp([name]) for name in near[:3]}
     again = {
         name: np.interp(TIMES, log.channel("command", name).times, values)  # type: ignore[union-attr]
         for name, values in rest.items()
     }
     if isinstance(body, NermoBody):  # a walk at 1 Hz, as `servos` plays it
-        table = servo_table(Setup(robot=body.robot), {"frequency": 1.0}, rate=RATE, cycles=round(LASTS))
+        table = servo_table(
+            Setup(robot=body.robot), {"frequency": 1.0}, rate=RATE, cycles=round(LASTS)
+        )
         angles = dict(zip(table.names, np.radians(table.angles.T), strict=True))
-        made["a walk"] = {name: middle[name] + begun * (angles[name] - middle[name]) for name in names}
+        made["a walk"] = {
+            name: middle[name] + begun * (angles[name] - middle[name]) for name in names
+        }
     return made | {
         "slow chirp of all servos": chirp(names, 0.25),
-        "steps of all servos, which push the robot": chirp(names, 0.25, lambda phase: np.sign(np.sin(phase))),
+        "steps of all servos, which push the robot": chirp(
+            names, 0.25, lambda phase: np.sign(np.sin(phase))
+        ),
         "chirp of all servos": chirp(names),
         "the same commands again": again,
     }
@@ -105,7 +117,11 @@ def next_experiment(found: Identification) -> tuple[str, float, dict[str, np.nda
         for each in log.channels:
             if each.name in found.fitted.twin.labels:
                 at = np.arange(0.0, LASTS, max(each.interval, 1e-3))
-                channels.append(dataclasses.replace(each, times=at, values=np.zeros((len(at), *each.values.shape[1:]))))
+                channels.append(
+                    dataclasses.replace(
+                        each, times=at, values=np.zeros((len(at), *each.values.shape[1:]))
+                    )
+                )
         names = [each.name for each in fit.space.parameters]
         twin = LoggedTwin(found.body, [Log(tuple(channels), name)], names)
         tried = Estimation(fit.space, twin)
@@ -135,7 +151,10 @@ def kept_in(out: Path, decides: str) -> Kept:
     """
     held = stored_json(out / STEPS, KeptSteps)
     try:
-        known = [np.array(each, float) for each in (held["arrays"] if held and held["decides"] == decides else ())]
+        known = [
+            np.array(each, float)
+            for each in (held["arrays"] if held and held["decides"] == decides else ())
+        ]
     except ValueError:  # damaged: rows of unequal length
         known = []
     left = iter(known.copy())
@@ -144,7 +163,9 @@ def kept_in(out: Path, decides: str) -> Kept:
         if (found := next(left, None)) is not None:
             return found
         known.append(compute())
-        replace_file(out / STEPS, to_json({"decides": decides, "arrays": [each.tolist() for each in known]}))
+        replace_file(
+            out / STEPS, to_json({"decides": decides, "arrays": [each.tolist() for each in known]})
+        )
         return known[-1]
 
     return kept
@@ -154,12 +175,21 @@ def identification_status(out: Path) -> Status:
     """How far the identification in a directory is."""
     held, complete = stored_json(out / STEPS, KeptSteps), (out / RESULT).exists()
     done = len(held["arrays"]) if held else 0
-    return Status("steps", done, done if complete else None, complete, last_command(out), engine_of(out) or "c")
+    return Status(
+        "steps",
+        done,
+        done if complete else None,
+        complete,
+        last_command(out),
+        engine_of(out) or "c",
+    )
 
 
 def kept_figures(out: Path) -> NoReturn:
     """Raise `DirectoryError`: they are of curves that a directory does not keep."""
-    raise DirectoryError(f"{out / 'plots'} has the figures: only the command that made {out} draws them.")
+    raise DirectoryError(
+        f"{out / 'plots'} has the figures: only the command that made {out} draws them."
+    )
 
 
 def estimates(found: Identification) -> dict[str, dict[str, Any]]:
@@ -204,9 +234,13 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     proposed = _written_commands(found, commands, out) if commands else ""
     sentences = found.sentences()
     if left < USEFUL:
-        sentences.append(f"To measure next: {name} ({proposed}) leaves {percent(left)} of the least known direction.")
+        sentences.append(
+            f"To measure next: {name} ({proposed}) leaves {percent(left)} of the least known direction."
+        )
     else:
-        sentences.append("No motion of the servos that was tried tells more of the least known direction.")
+        sentences.append(
+            "No motion of the servos that was tried tells more of the least known direction."
+        )
     files = _written_body(found, out)
     judged = found.after.judgement
     content = {
@@ -259,8 +293,12 @@ def html_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     cells = ""
     for row in rows:
         *shown, reason = map(html.escape, row)
-        cells += f"<tr>{''.join(f'<td>{each}</td>' for each in shown)}<td{wrapped}>{reason}</td></tr>"
-    head = "".join(f"<th>{each}</th>" for each in headings[:-1]) + f"<th{wrapped}>{headings[-1]}</th>"
+        cells += (
+            f"<tr>{''.join(f'<td>{each}</td>' for each in shown)}<td{wrapped}>{reason}</td></tr>"
+        )
+    head = (
+        "".join(f"<th>{each}</th>" for each in headings[:-1]) + f"<th{wrapped}>{headings[-1]}</th>"
+    )
     return f'<div class="wide"><table><tr>{head}</tr>{cells}</table></div>'
 
 
@@ -274,7 +312,10 @@ def _written_commands(found: Identification, commands: Mapping[str, np.ndarray],
         still = np.repeat(found.body.start()[None], len(TIMES), axis=0)
         Recording(TIMES, still, np.zeros((len(TIMES), model.nv)), ctrl).save(out / "next.npz")
         return "next.npz"
-    rows = [["time", *commands], *np.column_stack([TIMES, *commands.values()]).round(6).astype(str).tolist()]
+    rows = [
+        ["time", *commands],
+        *np.column_stack([TIMES, *commands.values()]).round(6).astype(str).tolist(),
+    ]
     replace_file(out / "next.csv", "".join(",".join(row) + "\n" for row in rows).encode())
     return "next.csv"
 
@@ -288,10 +329,14 @@ def _written_body(found: Identification, out: Path) -> list[str]:
     known = [name for name in dict(quantities(ModelParameters)) if name in names]
     columns = [names.index(name) for name in known]
     fixed = {name: value for name, value in found.body.standing.items() if name not in known}
-    bodies = np.vstack([found.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]])
+    bodies = np.vstack(
+        [found.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]]
+    )
     values = dict(zip(known, bodies[:, columns].T, strict=True))
     values |= {name: np.full(len(bodies), value) for name, value in fixed.items()}
-    about = "Bodies drawn from the posterior of an identification from a log; the first is the best."
+    about = (
+        "Bodies drawn from the posterior of an identification from a log; the first is the best."
+    )
     replace_file(out / "ensemble.csv", ensemble_text(about, values, np.ones(len(bodies))))
     return ["ensemble.csv"]
 
@@ -304,9 +349,17 @@ def ensemble_text(about: str, values: Mapping[str, np.ndarray], objective: np.nd
         values: model parameter -> (n,).
         objective: (n,).
     """
-    columns = {**values, "objective": objective, "weight": np.full(len(objective), 1 / len(objective))}
-    rows = [",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True)]
-    return "\n".join([*(f"# {line}" for line in about.splitlines()), ",".join(columns), *rows, ""]).encode()
+    columns = {
+        **values,
+        "objective": objective,
+        "weight": np.full(len(objective), 1 / len(objective)),
+    }
+    rows = [
+        ",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True)
+    ]
+    return "\n".join(
+        [*(f"# {line}" for line in about.splitlines()), ",".join(columns), *rows, ""]
+    ).encode()
 
 
 def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:
@@ -329,7 +382,9 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
         "Predicted and measured, where nothing was fitted", 7.5, 1.0 + 1.35 * len(worst),
         f"Band: 90 % of {SHOWN} bodies of the posterior, without the sensors' noise; the channels that fit worst.",
     )  # fmt: skip
-    for ax, i in zip(figure.subplots(len(worst), 1, sharex=True, squeeze=False)[:, 0], worst, strict=True):
+    for ax, i in zip(
+        figure.subplots(len(worst), 1, sharex=True, squeeze=False)[:, 0], worst, strict=True
+    ):
         rows = np.flatnonzero(twin.measured.channel == i)
         rows = rows[twin.measured.time[rows] < twin.measured.time[rows[0]] + 3.0]
         rows = rows[:: twin.components[i]]
@@ -338,7 +393,10 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
         ax.fill_between(time, low[rows], high[rows], color=BAND, lw=0, alpha=0.7)
         ax.plot(time, before[rows], color=MUTED, lw=0.9, ls="--", label="default body")
         ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
-        ax.set_title(f"{twin.labels[i]}{' x' * (twin.components[i] > 1)} [{units[twin.labels[i]]}]", loc="left")
+        ax.set_title(
+            f"{twin.labels[i]}{' x' * (twin.components[i] > 1)} [{units[twin.labels[i]]}]",
+            loc="left",
+        )
     ax.set_xlabel("time [s]")
     figure.axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     return figure
@@ -347,7 +405,9 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
 def _residuals(found: Identification) -> Figure:
     labels, judged = found.after.twin.labels, found.after.judgement
     figure = blank_page(
-        "Residuals where nothing was fitted, in the noise of each channel", 7.0, 1.7 + 0.25 * len(labels)
+        "Residuals where nothing was fitted, in the noise of each channel",
+        7.0,
+        1.7 + 0.25 * len(labels),
     )
     ax, y = figure.subplots(), np.arange(len(labels))
     for shift, of, colour, label in (
@@ -368,11 +428,17 @@ def intervals_figure(found: Identification) -> Figure:
     span = space.high - space.low
     low, high = ([getattr(each, end) for each in space.parameters] for end in ("low", "high"))
     ends = (space.coordinates(np.clip(found.intervals.T, low, high)) - space.low) / span
-    figure = blank_page("90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space))
+    figure = blank_page(
+        "90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space)
+    )
     ax, y = figure.subplots(), np.arange(len(space))
     colours = [LINE if known else BAND for known in fit.determined]
     ax.hlines(y, *ends, color=colours, lw=4)
     ax.plot((fit.x - space.low) / span, y, "|", color=INK)
     ax.set_yticks(y, [each.name for each in space.parameters])
-    ax.set(xlim=(-0.02, 1.02), ylim=(len(space) - 0.4, -0.6), xlabel="share of the range (dark: determined)")
+    ax.set(
+        xlim=(-0.02, 1.02),
+        ylim=(len(space) - 0.4, -0.6),
+        xlabel="share of the range (dark: determined)",
+    )
     return figure

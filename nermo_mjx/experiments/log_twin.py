@@ -54,7 +54,8 @@ _SENSORS: Final = {"gyro": "GYRO", "accelerometer": "ACCELEROMETER"}
 
 #: What a model lacks.
 _SERVO: Final = (
-    'write <position name="{}" joint="{}" kp="..." kv="..."/> into a copy of it, with the robot\'s own gains'
+    'write <position name="{}" joint="{}" kp="..." kv="..."/> into a copy of it,'
+    " with the robot's own gains"
 )
 
 
@@ -104,7 +105,9 @@ class Body:
         if name in joints:
             return joints.index(name)
         if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0:
-            raise ParameterError(f"no actuator of the model turns the joint {name!r}: {_SERVO.format(name, name)}.")
+            raise ParameterError(
+                f"no actuator of the model turns the joint {name!r}: {_SERVO.format(name, name)}."
+            )
         known = [model.actuator(i).name for i in range(model.nu)]
         raise ParameterError(f"the model has no servo or joint {name!r}{did_you_mean(name, known)}")
 
@@ -136,7 +139,9 @@ class Body:
                     field("actuator_biasprm")[:, i, 1] = -column
             elif kind == "mass":
                 field("body_mass")[:, i] = column
-                field("body_inertia")[:, i] = model.body_inertia[i] * (column / model.body_mass[i])[:, None]
+                field("body_inertia")[:, i] = (
+                    model.body_inertia[i] * (column / model.body_mass[i])[:, None]
+                )
             elif kind == "friction":
                 field("geom_friction")[:, :, 0] *= column[:, None]
                 field("pair_friction")[:, :, :2] *= column[:, None, None]
@@ -151,13 +156,25 @@ class Body:
             return None
         model, none = self.model, np.zeros(len(values))
         gains = [
-            column.get(f"kp.{model.actuator(i).name}", model.actuator_gainprm[i, 0] + none) for i in range(model.nu)
+            column.get(f"kp.{model.actuator(i).name}", model.actuator_gainprm[i, 0] + none)
+            for i in range(model.nu)
         ]
         force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], 1e6)
         # Where no torque limit tells it, the motor crosses its play at its full speed with an error of 0.1 rad.
-        speed = MOTOR_SPEED * np.where(model.actuator_forcelimited, 1.0, 1e6 / (0.1 * model.actuator_gainprm[:, 0]))
-        dead_band, backlash = (column.get(each, none)[:, None] for each in ("dead_band", "backlash"))
-        return Play(dead_band, backlash, np.stack(gains, axis=1), -model.actuator_biasprm[:, 2], force, speed)
+        speed = MOTOR_SPEED * np.where(
+            model.actuator_forcelimited, 1.0, 1e6 / (0.1 * model.actuator_gainprm[:, 0])
+        )
+        dead_band, backlash = (
+            column.get(each, none)[:, None] for each in ("dead_band", "backlash")
+        )
+        return Play(
+            dead_band,
+            backlash,
+            np.stack(gains, axis=1),
+            -model.actuator_biasprm[:, 2],
+            force,
+            speed,
+        )
 
     def at(self, values: Mapping[str, float]) -> Body:
         """The body with other values of named parameters."""
@@ -196,12 +213,17 @@ class MjcfBody(Body):
         except ParameterError:
             raise
         except (ValueError, OSError) as error:
-            raise ParameterError(f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]}).") from None
+            raise ParameterError(
+                f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]})."
+            ) from None
         if held:
             self.notes.append(
                 "No channel sees the base: it is held where the model puts it, and nothing touches the ground."
             )
-        self._add(tuple(free), {each.of for one in log for each in one.channels if each.quantity == "command"})
+        self._add(
+            tuple(free),
+            {each.of for one in log for each in one.channels if each.quantity == "command"},
+        )
 
     def _add(self, free: tuple[str, ...], commanded: set[str]) -> None:
         model = self.model
@@ -214,12 +236,18 @@ class MjcfBody(Body):
         joints = [int(model.actuator_trnid[a, 0]) for a in driven]
         dofs = [int(model.jnt_dofadr[j]) for j in joints]
 
-        def add(kind: str, of: str, i: int, unit: str, default: float = 0.0, scale: float = 1.0) -> None:
+        def add(
+            kind: str, of: str, i: int, unit: str, default: float = 0.0, scale: float = 1.0
+        ) -> None:
             """A parameter, whose range is about its default, or about a scale where the model leaves it out."""
             about, name = KINDS[kind], f"{kind}.{of}" if of else kind
-            low, value, high = np.array(about["range" if default > 0 else "unset"]) * (default or scale)
+            low, value, high = np.array(about["range" if default > 0 else "unset"]) * (
+                default or scale
+            )
             neutral = default if default > 0 or low <= 0 else math.nan
-            self.parameters[name] = Parameter(name, kind, unit, value, low, high, about["why"], neutral)
+            self.parameters[name] = Parameter(
+                name, kind, unit, value, low, high, about["why"], neutral
+            )
             self._places[name] = (kind, i)
 
         for a, j, v in zip(driven, joints, dofs, strict=True):
@@ -229,11 +257,22 @@ class MjcfBody(Body):
             torque = "N" if unit == "m" else "N m"
             gain = float(model.actuator_gainprm[a, 0])
             strength = gain * 0.2 if self.servos[a] else inertia[v] * 20
-            critical = 2 * math.sqrt(max(gain, 1e-9) * inertia[v]) if self.servos[a] else inertia[v] * 10
+            critical = (
+                2 * math.sqrt(max(gain, 1e-9) * inertia[v]) if self.servos[a] else inertia[v] * 10
+            )
             if "armature" in free:
-                add("armature", joint, v, "kg" if unit == "m" else "kg m^2", float(model.dof_armature[v]), inertia[v])
+                add(
+                    "armature",
+                    joint,
+                    v,
+                    "kg" if unit == "m" else "kg m^2",
+                    float(model.dof_armature[v]),
+                    inertia[v],
+                )
             if "damping" in free:
-                add("damping", joint, v, f"{torque} s/{unit}", float(model.dof_damping[v]), critical)
+                add(
+                    "damping", joint, v, f"{torque} s/{unit}", float(model.dof_damping[v]), critical
+                )
             if "frictionloss" in free:
                 add("frictionloss", joint, v, torque, float(model.dof_frictionloss[v]), strength)
             if "stiffness" in free and model.jnt_stiffness[j] > 0:
@@ -246,13 +285,25 @@ class MjcfBody(Body):
         if "mass" in free:
             for b in range(1, model.nbody):
                 if model.body_mass[b] > 0 and (model.body_weldid[b] != 0):
-                    add("mass", model.body(b).name or f"body_{b}", b, "kg", float(model.body_mass[b]))
-                    self.dofs[f"mass.{model.body(b).name or f'body_{b}'}"] = int(model.body_dofadr[b])
+                    add(
+                        "mass",
+                        model.body(b).name or f"body_{b}",
+                        b,
+                        "kg",
+                        float(model.body_mass[b]),
+                    )
+                    self.dofs[f"mass.{model.body(b).name or f'body_{b}'}"] = int(
+                        model.body_dofadr[b]
+                    )
         for t in range(model.ntendon):
             if "tendon" in free and model.tendon_limited[t]:
                 add("tendon", model.tendon(t).name or f"tendon_{t}", t, "m")
         touches = bool(model.npair) or bool((model.geom_contype[model.geom_bodyid == 0] > 0).any())
-        if "friction" in free and touches and any(kind == mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type):
+        if (
+            "friction" in free
+            and touches
+            and any(kind == mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type)
+        ):
             add("friction", "", 0, "1", 1.0)
         for kind in ("delay", "dead_band", "backlash"):
             if kind in free and (kind == "delay" or self.servos[driven].all()):
@@ -263,8 +314,12 @@ class MjcfBody(Body):
         spec = self._spec.copy()
         model = spec.compile()
         freed = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
-        moves = {"dof": ~freed[model.dof_jntid], "jnt": ~freed} if len(freed) > self.model.njnt else {}
-        for name, field in self.fields((*names, *self.fixed), np.array([[*values, *self.fixed.values()]])).items():
+        moves = (
+            {"dof": ~freed[model.dof_jntid], "jnt": ~freed} if len(freed) > self.model.njnt else {}
+        )
+        for name, field in self.fields(
+            (*names, *self.fixed), np.array([[*values, *self.fixed.values()]])
+        ).items():
             getattr(model, name)[moves.get(name[:3], ...)] = field[0]
         spec.copy_back(model)
         return str(spec.to_xml())
@@ -283,7 +338,9 @@ def _hold(spec: mujoco.MjSpec) -> bool:
     # A parent that moves never touches its children, but one that stands still does; one that hangs is above ground.
     for one in spec.bodies:
         for other in spec.bodies:
-            child = welded[one.id] in bases and welded[other.id] != welded[one.id] == above[other.id]
+            child = (
+                welded[one.id] in bases and welded[other.id] != welded[one.id] == above[other.id]
+            )
             if child or welded[one.id] == 0 < welded[other.id]:
                 spec.add_exclude(bodyname1=one.name, bodyname2=other.name)
     for each in [*spec.keys, *free]:
@@ -308,17 +365,28 @@ class NermoBody(Body):
         for name, about in texts("log")["nermo"].items():
             if about["kind"] not in free:
                 continue
-            value = about.get("value", functools.reduce(getattr, name.split("."), known) if "." in name else 0.0)
+            value = about.get(
+                "value", functools.reduce(getattr, name.split("."), known) if "." in name else 0.0
+            )
             low, high = about["low"], about["high"]
             neutral = about.get("neutral", math.nan)
             self.parameters[name] = Parameter(
-                name, about["kind"], about["unit"], min(max(float(value), low), high), low, high, about["why"], neutral
+                name,
+                about["kind"],
+                about["unit"],
+                min(max(float(value), low), high),
+                low,
+                high,
+                about["why"],
+                neutral,
             )
         if "bias" in free:
             low, value, high = KINDS["bias"]["unset"]
             for servo in nermo.servos[:9]:
                 name = f"bias.{servo}"
-                self.parameters[name] = Parameter(name, "bias", "rad", value, low, high, KINDS["bias"]["why"], 0.0)
+                self.parameters[name] = Parameter(
+                    name, "bias", "rad", value, low, high, KINDS["bias"]["why"], 0.0
+                )
 
     def _named(self, names: Sequence[str], values: np.ndarray) -> dict[str, Any]:
         return self.standing | {
@@ -342,7 +410,10 @@ class NermoBody(Body):
         if not {"servo.dead_band", "servo.backlash"} & named.keys():
             return None
         servo = replace_quantities(ModelParameters(), named).servo
-        leaves = [np.broadcast_to(np.asarray(leaf, float), (len(values),))[:, None] for leaf in Play.of(servo)]
+        leaves = [
+            np.broadcast_to(np.asarray(leaf, float), (len(values),))[:, None]
+            for leaf in Play.of(servo)
+        ]
         return Play(*leaves)
 
     def joint(self, name: str) -> int:
@@ -352,7 +423,11 @@ class NermoBody(Body):
 
 def body_of(model: str | os.PathLike[str], logs: Sequence[Log], free: Sequence[str]) -> Body:
     """The body of an MJCF file, or of a robot of the package by its name; see `MjcfBody` and `NermoBody`."""
-    return MjcfBody(Path(model), logs, free) if str(model).endswith(".xml") else NermoBody(str(model), free)
+    return (
+        MjcfBody(Path(model), logs, free)
+        if str(model).endswith(".xml")
+        else NermoBody(str(model), free)
+    )
 
 
 class LoggedTwin:
@@ -377,26 +452,34 @@ class LoggedTwin:
         """
         for log in logs:
             if body.model.nu and not log.of_quantity("command"):
-                raise ParameterError(f"{log.file}: no channel is a command, by which the model could be driven.")
+                raise ParameterError(
+                    f"{log.file}: no channel is a command, by which the model could be driven."
+                )
         self.body, self.names, self.logs = body, tuple(names), tuple(logs)
         pushed = not body.servos.all() and body.model.nu > 0
         self._legs = [_Driven(body, log, AGAIN if pushed else None) for log in logs]
         if not all(leg.channels for leg in self._legs):
-            raise ParameterError("no channel of the log is one that a model predicts: give angles, an IMU, or a track.")
+            raise ParameterError(
+                "no channel of the log is one that a model predicts: give angles, an IMU, or a track."
+            )
         self.stands = any(leg.stands for leg in self._legs)
         labels = list(dict.fromkeys(each.name for leg in self._legs for each in leg.channels))
         parts, keep, offset = [], [], 0.0
         for leg in self._legs:
             for each in leg.channels:
                 size = each.values.reshape(len(each.times), -1).shape[1]
-                chosen = leg.inside(each) & (True if only is None else only(each.times, leg.log.duration))
+                chosen = leg.inside(each) & (
+                    True if only is None else only(each.times, leg.log.duration)
+                )
                 keep.append(np.repeat(chosen, size))
                 of = np.repeat(offset + each.times, size)
                 values = np.unwrap(each.values) if each.quantity == "yaw" else each.values
                 parts.append((values.ravel(), np.full(len(of), labels.index(each.name)), of))
             offset += leg.log.duration + 1.0
         self.keep = np.concatenate(keep)
-        values, channel, times = (np.concatenate(column)[self.keep] for column in zip(*parts, strict=True))
+        values, channel, times = (
+            np.concatenate(column)[self.keep] for column in zip(*parts, strict=True)
+        )
         self.labels = tuple(labels)
         sizes = {each.name: each.values[:1].size for leg in self._legs for each in leg.channels}
         self.components = tuple(sizes[label] for label in labels)
@@ -417,11 +500,18 @@ class LoggedTwin:
         """Kinematic tree that each parameter (p,) and each channel is of; -1 of several, or of one that others pull."""
         body, model = self.body, self.body.model
         seen = {
-            each.name: model.jnt_dofadr[body.joint(each.of)] if each.quantity in ("angle", "velocity") else -1
+            each.name: model.jnt_dofadr[body.joint(each.of)]
+            if each.quantity in ("angle", "velocity")
+            else -1
             for leg in self._legs
             for each in leg.channels
         }
-        dofs = np.array([*(body.dofs.get(name, -1) for name in self.names), *(seen[label] for label in self.labels)])
+        dofs = np.array(
+            [
+                *(body.dofs.get(name, -1) for name in self.names),
+                *(seen[label] for label in self.labels),
+            ]
+        )
         trees = np.where((dofs < 0) | (model.neq + model.ntendon > 0), -1, model.dof_treeid[dofs])
         return trees[: len(self.names)], trees[len(self.names) :]
 
@@ -445,7 +535,9 @@ class LoggedTwin:
             return residual
         if (key := sigma.tobytes()) not in self._remove:
             of = self.measured.channel
-            self._remove[key] = [(rows, without(c / sigma[of[rows]][:, None])) for rows, c in self._around]
+            self._remove[key] = [
+                (rows, without(c / sigma[of[rows]][:, None])) for rows, c in self._around
+            ]
         residual = residual.copy()
         for rows, remove in self._remove[key]:
             residual[rows] = remove(residual[rows])
@@ -511,12 +603,18 @@ class _Driven:
             if each.quantity == "command":
                 held = np.concatenate([[each.values[0]], each.values])
                 knots = np.concatenate(
-                    [[min(each.times[0], 0.0) - 10.0], each.times, [max(grid[-1], each.times[-1]) + 10.0]]
+                    [
+                        [min(each.times[0], 0.0) - 10.0],
+                        each.times,
+                        [max(grid[-1], each.times[-1]) + 10.0],
+                    ]
                 )
                 area = np.concatenate([[0.0], np.cumsum(held * np.diff(knots))])
                 a = body.actuator(each.of)
                 if each.unit in ("rad", "m") and not body.servos[a]:
-                    servo = _SERVO.format(model.actuator(a).name, model.joint(int(model.actuator_trnid[a, 0])).name)
+                    servo = _SERVO.format(
+                        model.actuator(a).name, model.joint(int(model.actuator_trnid[a, 0])).name
+                    )
                     raise ParameterError(
                         f"channel {each.name!r} commands positions, but its actuator in the model takes a force: "
                         f"{servo}, or give the channel unit: N m."
@@ -539,14 +637,20 @@ class _Driven:
         if channel.quantity in _SENSORS:
             kind = getattr(mujoco.mjtSensor, f"mjSENS_{_SENSORS[channel.quantity]}")
             of = [i for i in range(model.nsensor) if model.sensor_type[i] == kind]
-            named = [i for i in of if channel.of in (model.sensor(i).name, model.site(int(model.sensor_objid[i])).name)]
+            named = [
+                i
+                for i in of
+                if channel.of in (model.sensor(i).name, model.site(int(model.sensor_objid[i])).name)
+            ]
             chosen = named or (of if len(of) == 1 else [])
             if not chosen:
                 raise ParameterError(
                     f"channel {channel.name!r}: the model has no {channel.quantity} sensor {channel.of!r}."
                 )
             first = int(model.sensor_adr[chosen[0]])
-            return "sensordata", list(range(first, first + channel.values.reshape(len(channel.times), -1).shape[1]))
+            return "sensordata", list(
+                range(first, first + channel.values.reshape(len(channel.times), -1).shape[1])
+            )
         found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, channel.of)
         if found < 0:
             raise ParameterError(f"channel {channel.name!r}: the model has no body {channel.of!r}.")
@@ -568,7 +672,10 @@ class _Driven:
                     near = np.argsort(np.abs(channel.times - t))[:9]
                     order = min(2, len(near) - 1)
                     curve = np.polyfit(channel.times[near] - t, channel.values[near], order)
-                    qpos[w, i], qvel[w, v] = curve[-1], (curve[-2] if order else 0.0) if self.windows > 1 else 0.0
+                    qpos[w, i], qvel[w, v] = (
+                        curve[-1],
+                        (curve[-2] if order else 0.0) if self.windows > 1 else 0.0,
+                    )
         return qpos, qvel
 
     def controls(self, names: Sequence[str], values: np.ndarray) -> np.ndarray:
@@ -586,7 +693,10 @@ class _Driven:
             for each in np.unique(delay):
                 mean = np.diff(np.interp(self.grid - each, knots, area)) / self.step
                 found[delay == each, :, a] = mean
-            for name in {f"bias.{model.actuator(a).name}", f"bias.{model.actuator(a).name.removesuffix('_servo')}"}:
+            for name in {
+                f"bias.{model.actuator(a).name}",
+                f"bias.{model.actuator(a).name.removesuffix('_servo')}",
+            }:
                 if name in column:
                     found[:, :, a] += column[name][:, None]
         return found
@@ -607,8 +717,12 @@ class _Driven:
         if moves_constants(fields) or "dof_armature" in fields:
             batch.set_const()
         qpos, qvel = self.start if starts is None else starts
-        batch.bind("qpos")[...] = np.broadcast_to(qpos, (k, *self.start[0].shape)).reshape(k * w, -1)
-        batch.bind("qvel")[...] = np.broadcast_to(qvel, (k, *self.start[1].shape)).reshape(k * w, -1)
+        batch.bind("qpos")[...] = np.broadcast_to(qpos, (k, *self.start[0].shape)).reshape(
+            k * w, -1
+        )
+        batch.bind("qvel")[...] = np.broadcast_to(qvel, (k, *self.start[1].shape)).reshape(
+            k * w, -1
+        )
         ctrl = self.controls(names, values)
         wanted = sorted({name for name, _ in self.readings})
         play = body.play(names, values)
@@ -621,17 +735,27 @@ class _Driven:
                 if play is None:
                     return batch.rollout(steps.shape[1], steps, record=wanted)
                 rows: list[dict[str, np.ndarray]] = []
-                of = Play(*(np.repeat(np.broadcast_to(leaf, (k, np.shape(leaf)[-1])), w, axis=0) for leaf in play))
+                of = Play(
+                    *(
+                        np.repeat(np.broadcast_to(leaf, (k, np.shape(leaf)[-1])), w, axis=0)
+                        for leaf in play
+                    )
+                )
                 addresses = servo_addresses(model)
                 position, velocity = batch.bind("qpos"), batch.bind("qvel")
                 for i in range(steps.shape[1]):
                     q, v = position[:, addresses[0]], velocity[:, addresses[1]]
                     control, motor = played(of, motor, steps[:, i], q, v, self.step, np)
                     rows.append(batch.rollout(1, control[:, None], record=wanted))
-                return {name: np.concatenate([row[name] for row in rows], axis=1) for name in wanted}
+                return {
+                    name: np.concatenate([row[name] for row in rows], axis=1) for name in wanted
+                }
             except SimulationError:
                 return {
-                    name: np.full((k * w, steps.shape[1], *np.shape(getattr(mujoco.MjData(model), name))), np.nan)
+                    name: np.full(
+                        (k * w, steps.shape[1], *np.shape(getattr(mujoco.MjData(model), name))),
+                        np.nan,
+                    )
                     for name in wanted
                 }
 
@@ -641,7 +765,10 @@ class _Driven:
         first = {"qpos": np.array(batch.bind("qpos")), "qvel": np.array(batch.bind("qvel"))}
         found = run(driven)
         lost = batch.warning.reshape(k, -1).any(axis=1)
-        rows = [self._sampled(c, r, found, first, k) for c, r in zip(self.channels, self.readings, strict=True)]
+        rows = [
+            self._sampled(c, r, found, first, k)
+            for c, r in zip(self.channels, self.readings, strict=True)
+        ]
         result = np.concatenate(rows, axis=1)
         result[lost] = np.nan
         return result
@@ -667,13 +794,21 @@ class _Driven:
         times = np.clip(channel.times, 0.0, self.windows * self.steps * self.step - 1e-9)
         window = np.minimum((times / (self.steps * self.step)).astype(int), self.windows - 1)
         local = times / self.step - window * self.steps
-        if name in first:  # states come after their step, everything else belongs to the state before
+        if (
+            name in first
+        ):  # states come after their step, everything else belongs to the state before
             start = first[name].reshape(k, self.windows, 1, -1)[..., of]
             series = np.concatenate([start, series], axis=2)
-        low = np.minimum(local.astype(int), series.shape[2] - 2) if series.shape[2] > 1 else np.zeros(len(local), int)
+        low = (
+            np.minimum(local.astype(int), series.shape[2] - 2)
+            if series.shape[2] > 1
+            else np.zeros(len(local), int)
+        )
         share = np.clip(local - low, 0.0, 1.0)[:, None]
         high = np.minimum(low + 1, series.shape[2] - 1)
-        return ((1 - share) * series[:, window, low] + share * series[:, window, high]).reshape(k, -1)
+        return ((1 - share) * series[:, window, low] + share * series[:, window, high]).reshape(
+            k, -1
+        )
 
     def nuisance(self, names: Sequence[str], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the samples to unknown starts (n, m), and the window of each sample (n,)."""
@@ -681,8 +816,12 @@ class _Driven:
         columns = self._frame()
         if not self.stands:
             # The whole of a log that servos drive is one window, whose start they soon forget.
-            early = self if self.windows > 1 else _Driven(self.body, until(self.log, FORGOTTEN), None)
-            near = np.concatenate([np.repeat(e.times < FORGOTTEN, e.values[:1].size) for e in self.channels])
+            early = (
+                self if self.windows > 1 else _Driven(self.body, until(self.log, FORGOTTEN), None)
+            )
+            near = np.concatenate(
+                [np.repeat(e.times < FORGOTTEN, e.values[:1].size) for e in self.channels]
+            )
             columns += early.to_starts(names, values, near | (self.windows > 1))
         return (np.stack(columns, axis=1) if columns else np.zeros((len(which), 0))), which
 
@@ -691,12 +830,17 @@ class _Driven:
         own = np.clip((channel.times / (self.steps * self.step)).astype(int), 0, self.windows - 1)
         return np.repeat(own, channel.values[:1].size)
 
-    def to_starts(self, names: Sequence[str], values: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+    def to_starts(
+        self, names: Sequence[str], values: np.ndarray, rows: np.ndarray
+    ) -> list[np.ndarray]:
         """Derivatives of the samples `rows` (n,) to positions and velocities of the starts, (n,) each, normalized."""
         model, starts, columns = self.body.model, list[Any](), list[np.ndarray]()
         for way in np.eye(2 * model.nv):
             for sign in (1.0, -1.0):
-                qpos, qvel = self.start[0].copy(), self.start[1] + sign * START_WIDTH[1] * way[model.nv :]
+                qpos, qvel = (
+                    self.start[0].copy(),
+                    self.start[1] + sign * START_WIDTH[1] * way[model.nv :],
+                )
                 for row in qpos:
                     mujoco.mj_integratePos(model, row, way[: model.nv], sign * START_WIDTH[0])
                 starts.append((qpos, qvel))

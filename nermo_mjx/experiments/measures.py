@@ -37,7 +37,10 @@ class ProfileOutcome:
 
     def __init__(self, outcome: CaseRuns, profile: str) -> None:
         self._outcome, self._profile = outcome, profile
-        self._clock, self._stride = clock(profile), HARDWARE_STRIDE if profile == "as_built" else 1.0
+        self._clock, self._stride = (
+            clock(profile),
+            HARDWARE_STRIDE if profile == "as_built" else 1.0,
+        )
 
     def mean(self, column: str, **case: Any) -> Number:
         """Mean of a column over the repeats of a case, in SI units and simulated time."""
@@ -48,7 +51,9 @@ class ProfileOutcome:
 
     def worlds(self, column: str, **case: Any) -> np.ndarray:
         """A column of all worlds of the profile that match, (n,), in SI units and simulated time."""
-        values = np.asarray(self._outcome.columns[column], float)[self._outcome.where(profile=self._profile, **case)]
+        values = np.asarray(self._outcome.columns[column], float)[
+            self._outcome.where(profile=self._profile, **case)
+        ]
         if not len(values):
             raise NotMeasured
         return values
@@ -56,7 +61,13 @@ class ProfileOutcome:
     # straight line
 
     def walk(
-        self, column: str, gait: str, frequency: float, spine: bool = False, *stride: float, **case: Any
+        self,
+        column: str,
+        gait: str,
+        frequency: float,
+        spine: bool = False,
+        *stride: float,
+        **case: Any,
     ) -> Number:
         """A column of a straight walk, at the profile's own stride if none is named; angles in degrees."""
         case = {"compensated": False, "stride": stride[0] if stride else self._stride} | case
@@ -94,7 +105,9 @@ class ProfileOutcome:
 
     def ratios(self, column: str) -> list[Number]:
         """`ratio` of both trots at each of `FREQUENCIES`."""
-        return [self.ratio(column, gait, frequency) for gait in SPINE_GAITS for frequency in FREQUENCIES]
+        return [
+            self.ratio(column, gait, frequency) for gait in SPINE_GAITS for frequency in FREQUENCIES
+        ]
 
     def growths(self, column: str) -> list[Number]:
         """Growth of a column of the trot with each step of the frequency, without and with the spine."""
@@ -110,19 +123,29 @@ class ProfileOutcome:
 
     def compensated(self, column: str) -> Number:
         """A column with offset compensation over that without, trot at 0.67 Hz with the spine."""
-        return self.walk(column, "trot", 0.67, True, compensated=True) / self.walk(column, "trot", 0.67, True)
+        return self.walk(column, "trot", 0.67, True, compensated=True) / self.walk(
+            column, "trot", 0.67, True
+        )
 
-    def amplitude(self, angle: str, gait: str, frequency: float, spine: bool, compensated: bool = False) -> Number:
+    def amplitude(
+        self, angle: str, gait: str, frequency: float, spine: bool, compensated: bool = False
+    ) -> Number:
         """Half the range of an angle [deg]."""
         ends = (f"{angle}_min", f"{angle}_max")
-        low, high = (self.walk(end, gait, frequency, spine, compensated=compensated) for end in ends)
+        low, high = (
+            self.walk(end, gait, frequency, spine, compensated=compensated) for end in ends
+        )
         return 0.5 * (high - low)
 
     def stride_line(self, spine: bool) -> float:
         """R^2 of the line through speed over stride, trot at 0.8 Hz; NaN with fewer than three strides."""
         case = {"gait": "trot", "frequency": 0.8, "spine": spine, "compensated": False}
         stride, speed = (self.worlds(name, **case) for name in ("stride", "speed"))
-        return float(np.corrcoef(stride, speed)[0, 1] ** 2) if len(np.unique(stride)) >= 3 else math.nan
+        return (
+            float(np.corrcoef(stride, speed)[0, 1] ** 2)
+            if len(np.unique(stride)) >= 3
+            else math.nan
+        )
 
     def stride_gain(self) -> float:
         """Stride gained without slip by the spine (5.33) [mm]."""
@@ -130,7 +153,9 @@ class ProfileOutcome:
 
     # turning
 
-    def turn(self, column: str, gait: str, frequency: float, radius: float, strategy: str) -> Number:
+    def turn(
+        self, column: str, gait: str, frequency: float, radius: float, strategy: str
+    ) -> Number:
         """A column of a turn to the left."""
         case = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy}
         return self.mean(column, side="left", stride=self._stride, **case)
@@ -147,20 +172,38 @@ class ProfileOutcome:
         """By what share a strategy's smallest radius is below another's."""
         return 1 - self.lock(gait, strategy, frequency) / self.lock(gait, other, frequency)
 
-    def followed(self, strategy: str, gait: str = "trot", frequency: float = 0.67, radius: float = 0.5) -> bool:
+    def followed(
+        self, strategy: str, gait: str = "trot", frequency: float = 0.67, radius: float = 0.5
+    ) -> bool:
         """Whether all repeats followed a quarter circle."""
         return bool(self.turn("followed", gait, frequency, radius, strategy) == 1.0)
 
     def _circles(self) -> list[tuple[str, float, float]]:
-        columns = self._outcome.only(side="left", profile=self._profile, stride=self._stride).columns
+        columns = self._outcome.only(
+            side="left", profile=self._profile, stride=self._stride
+        ).columns
         names = ("gait", "frequency", "radius")
-        return sorted({row for row in zip(*(columns[name].tolist() for name in names), strict=True) if row[2] > 0})
+        return sorted(
+            {
+                row
+                for row in zip(*(columns[name].tolist() for name in names), strict=True)
+                if row[2] > 0
+            }
+        )
 
     def lost(self) -> str:
         """The quarter circles that were not followed, in words."""
         circles = self._circles()
-        lost = [(*circle, name) for circle in circles for name in STRATEGIES if not self.followed(name, *circle)]
-        texts = [f"{spoken(gait)}, {f:g} Hz, {strategy}, {radius:g} m" for gait, f, radius, strategy in lost]
+        lost = [
+            (*circle, name)
+            for circle in circles
+            for name in STRATEGIES
+            if not self.followed(name, *circle)
+        ]
+        texts = [
+            f"{spoken(gait)}, {f:g} Hz, {strategy}, {radius:g} m"
+            for gait, f, radius, strategy in lost
+        ]
         if not circles:
             raise NotMeasured
         return "; ".join(texts) or "none"
@@ -190,7 +233,9 @@ class ProfileOutcome:
             for name in ("speed",) if labels["radius"] > 0 else ("speed", "turning_radius"):
                 left, right = (self.worlds(name, side=side, **labels) for side in ("left", "right"))
                 spread = max(np.ptp(left), np.ptp(right))
-                if not abs(left.mean() - right.mean()) <= (spread if len(left) > 1 else 2e-3 * left.mean()):
+                if not abs(left.mean() - right.mean()) <= (
+                    spread if len(left) > 1 else 2e-3 * left.mean()
+                ):
                     return False
         return True
 
@@ -207,13 +252,19 @@ class ProfileOutcome:
 
     def rest(self, pair: str, sbc: bool) -> Number:
         """Size of the resting pitch, mean of left and right [rad]."""
-        return np.mean([abs(self.lift("pitch_rest", f"{pair}_{side}", sbc)) for side in ("left", "right")])
+        return np.mean(
+            [abs(self.lift("pitch_rest", f"{pair}_{side}", sbc)) for side in ("left", "right")]
+        )
 
     def force(self, foot: str, lifted: str, sbc: bool) -> Number:
         """Force of a foot [N] on four feet, just before a leg is lifted; mean of the case and its mirror image."""
         swap = {"left": "right", "right": "left"}
-        mirror = [f"{pair}_{swap[side]}" for pair, side in (limb.split("_") for limb in (foot, lifted))]
-        return np.mean([self.lift(f"force_shift_{f}", leg, sbc) for f, leg in ((foot, lifted), mirror)])
+        mirror = [
+            f"{pair}_{swap[side]}" for pair, side in (limb.split("_") for limb in (foot, lifted))
+        ]
+        return np.mean(
+            [self.lift(f"force_shift_{f}", leg, sbc) for f, leg in ((foot, lifted), mirror)]
+        )
 
     # maze
 
@@ -234,7 +285,10 @@ class ProfileOutcome:
 
     def shortens(self, routing: str, other: str) -> bool:
         """Whether a routing has a shorter lever arm on the knee than another one, in both pairs of legs."""
-        force = [[self.mean("force", pair=pair, routing=r, hinges=1) for r in (routing, other)] for pair in LEGS]
+        force = [
+            [self.mean("force", pair=pair, routing=r, hinges=1) for r in (routing, other)]
+            for pair in LEGS
+        ]
         return all(one < another for one, another in force)
 
 
@@ -272,10 +326,14 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "theory: speed of trot, 0.8 Hz, no spine": lambda of: of.theory_speed("trot", 0.8),
         "theory: speed of trot, 0.8 Hz, spine": lambda of: of.theory_speed("trot", 0.8, True),
         "theory: longer stride by the spine": ProfileOutcome.stride_gain,
-        "theory: speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.theory_speed("trot", 0.8, True, 0.0),
+        "theory: speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.theory_speed(
+            "trot", 0.8, True, 0.0
+        ),
         "speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.speed("trot", 0.8, True, 0.0),
         "speed of trot, 0.8 Hz, no spine": lambda of: of.speed("trot", 0.8),
-        "speed of trot over its theory, 0.8 Hz": lambda of: of.speed("trot", 0.8) / of.theory_speed("trot", 0.8),
+        "speed of trot over its theory, 0.8 Hz": lambda of: (
+            of.speed("trot", 0.8) / of.theory_speed("trot", 0.8)
+        ),
         "speed of walking trot over its theory, mean of the frequencies": lambda of: np.mean(
             [of.speed("walking_trot", f) / of.theory_speed("walking_trot", f) for f in FREQUENCIES]
         ),
@@ -286,7 +344,9 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             falls(of.speed(g, f) for g in GAITS) for f in FREQUENCIES
         ),
         "trot faster with the spine at each frequency": lambda of: min(of.gains("trot")) > 1,
-        "walking trot faster with the spine at each frequency": lambda of: min(of.gains("walking_trot")) > 1,
+        "walking trot faster with the spine at each frequency": lambda of: (
+            min(of.gains("walking_trot")) > 1
+        ),
         "speed of trot, 0.5 and 0.67 Hz, spine over none": lambda of: farthest(
             of.gains("trot", FREQUENCIES[:2]), 1.05, 1.22
         ),
@@ -298,12 +358,19 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             of.speed("trot", 0.8, True) / of.speed("lateral_walk", 0.8)
         ),
         "speed of trot linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("trot")),
-        "speed of walking trot linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("walking_trot")),
-        "speed of lateral walk saturates with frequency": lambda of: saturates(FREQUENCIES, of.speeds("lateral_walk")),
+        "speed of walking trot linear in frequency": lambda of: on_a_line(
+            FREQUENCIES, of.speeds("walking_trot")
+        ),
+        "speed of lateral walk saturates with frequency": lambda of: saturates(
+            FREQUENCIES, of.speeds("lateral_walk")
+        ),
         "speed over stride, R^2 of a line": lambda of: of.stride_line(False),
         "speed over stride with the spine: a line, above that without": lambda of: (
             of.stride_line(True) >= LINEAR
-            and every(of.speed("trot", 0.8, True, s) > of.speed("trot", 0.8, False, s) for s in (0.0, 0.5, 0.8, 1.0))
+            and every(
+                of.speed("trot", 0.8, True, s) > of.speed("trot", 0.8, False, s)
+                for s in (0.0, 0.5, 0.8, 1.0)
+            )
         ),
         "roll std higher with the spine": lambda of: min(of.ratios("roll_std")) > 1,
         "pitch std higher with the spine": lambda of: min(of.ratios("pitch_std")) > 1,
@@ -311,25 +378,35 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "roll std, spine over none, trot and walking trot at each frequency": lambda of: farthest(
             of.ratios("roll_std"), 1.25, 1.4
         ),
-        "roll std of trot grows with each frequency step": lambda of: min(of.growths("roll_std")) > 0,
-        "growth of roll std of trot with a frequency step, mean": lambda of: np.mean(of.growths("roll_std")),
+        "roll std of trot grows with each frequency step": lambda of: (
+            min(of.growths("roll_std")) > 0
+        ),
+        "growth of roll std of trot with a frequency step, mean": lambda of: np.mean(
+            of.growths("roll_std")
+        ),
         "yaw std of trot with the spine, 0.8 Hz": lambda of: of.walk("yaw_std", "trot", 0.8, True),
         "yaw std of trot, 0.8 Hz, spine over none": lambda of: of.ratio("yaw_std"),
         "yaw amplitude of trot, 0.8 Hz, spine over none": lambda of: (
             of.amplitude("yaw", "trot", 0.8, True) / of.amplitude("yaw", "trot", 0.8, False)
         ),
-        "yaw follows the spine's angle": lambda of: of.walk("yaw_spine_correlation", "trot", 0.8, True) >= 0.7,
+        "yaw follows the spine's angle": lambda of: (
+            of.walk("yaw_spine_correlation", "trot", 0.8, True) >= 0.7
+        ),
         "largest roll of trot, 0.8 Hz, spine": lambda of: of.largest_roll(True),
         "largest roll of trot, 0.8 Hz, no spine": lambda of: of.largest_roll(False),
         "roll std falls with duty, 0.8 Hz: trot > walking trot > lateral walk": lambda of: falls(
             of.walk("roll_std", g, 0.8) for g in GAITS
         ),
         "yaw std with the spine larger at the lower duty, trot > walking trot": lambda of: every(
-            of.walk("yaw_std", "trot", f, True) > of.walk("yaw_std", "walking_trot", f, True) for f in FREQUENCIES
+            of.walk("yaw_std", "trot", f, True) > of.walk("yaw_std", "walking_trot", f, True)
+            for f in FREQUENCIES
         ),
-        "roll std of trot, 0.67 Hz, spine, compensated over not": lambda of: of.compensated("roll_std"),
+        "roll std of trot, 0.67 Hz, spine, compensated over not": lambda of: of.compensated(
+            "roll_std"
+        ),
         "roll amplitude of trot, 0.67 Hz, spine, compensated over not": lambda of: (
-            of.amplitude("roll", "trot", 0.67, True, True) / of.amplitude("roll", "trot", 0.67, True)
+            of.amplitude("roll", "trot", 0.67, True, True)
+            / of.amplitude("roll", "trot", 0.67, True)
         ),
         "compensation lowers the roll, and leaves pitch and yaw": lambda of: (
             of.compensated("roll_std") < 1
@@ -342,20 +419,28 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             of.walk("pitch_std", "trot", 0.8, True) - of.walk("pitch_std", "trot", 0.8)
         ),
         "pitch std of trot, 0.8 Hz, stride 1.0 over 0.8": lambda of: max(
-            of.walk("pitch_std", "trot", 0.8, s, 1.0) / of.walk("pitch_std", "trot", 0.8, s, 0.8) for s in (False, True)
+            of.walk("pitch_std", "trot", 0.8, s, 1.0) / of.walk("pitch_std", "trot", 0.8, s, 0.8)
+            for s in (False, True)
         ),
         "upward pitch peak of trot, 0.8 Hz, spine over none": lambda of: of.ratio("pitch_peak_up"),
         "upward pitch peak of trot, 0.8 Hz, stride 1.0 over 0.8": lambda of: (
-            of.walk("pitch_peak_up", "trot", 0.8) / of.walk("pitch_peak_up", "trot", 0.8, False, 0.8)
+            of.walk("pitch_peak_up", "trot", 0.8)
+            / of.walk("pitch_peak_up", "trot", 0.8, False, 0.8)
         ),
-        "pitch peaks in a gait cycle of trot, 0.8 Hz": lambda of: of.walk("pitch_peaks", "trot", 0.8),
+        "pitch peaks in a gait cycle of trot, 0.8 Hz": lambda of: of.walk(
+            "pitch_peaks", "trot", 0.8
+        ),
         "largest upward pitch of trot, 0.8 Hz": lambda of: max(
             -of.walk("pitch_min", "trot", 0.8, s) for s in (False, True)
         ),
-        "front feet carry more than rear feet": lambda of: of.walk("front_load_share", "trot", 0.8) > 0.5,
+        "front feet carry more than rear feet": lambda of: (
+            of.walk("front_load_share", "trot", 0.8) > 0.5
+        ),
         "rear feet slip most at lift-off": lambda of: (
             of.walk("slip_rear_lift_off", "trot", 0.8)
-            > max(of.walk(f"slip_rear_{part}", "trot", 0.8) for part in ("touch_down", "mid_stance"))
+            > max(
+                of.walk(f"slip_rear_{part}", "trot", 0.8) for part in ("touch_down", "mid_stance")
+            )
         ),
         "hardware: speed of trot, 0.67 Hz, no spine": lambda of: of.speed("trot", 0.67),
         "hardware: speed of trot, 0.67 Hz, spine": lambda of: of.speed("trot", 0.67, True),
@@ -383,7 +468,9 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "largest gain in speed, spine- over leg-based": lambda of: max(
             a / b - 1 for a, b in of.compared("spine", "leg")
         ),
-        "leg-based turning loses speed": lambda of: every(a < b for a, b in of.compared("leg", "spine")),
+        "leg-based turning loses speed": lambda of: every(
+            a < b for a, b in of.compared("leg", "spine")
+        ),
         "spine-based turning has the more limited range of radii": lambda of: every(
             of.lock(g, "spine", f) > of.lock(g, "leg", f) for g in GAITS for f in FREQUENCIES
         ),
@@ -391,10 +478,15 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             of.turn("speed", "trot", 0.5, 1.0, "spine") / of.turn("speed", "trot", 0.5, 1.0, "mix")
         ),
         "speed, spine- over mix-based, walking trot, 1.0 m, 0.5 Hz": lambda of: (
-            of.turn("speed", "walking_trot", 0.5, 1.0, "spine") / of.turn("speed", "walking_trot", 0.5, 1.0, "mix")
+            of.turn("speed", "walking_trot", 0.5, 1.0, "spine")
+            / of.turn("speed", "walking_trot", 0.5, 1.0, "mix")
         ),
-        "time for 0.5 m, trot, 0.67 Hz, spine- over leg-based": lambda of: of.turn_time("spine") / of.turn_time("leg"),
-        "time for 0.5 m, trot, 0.67 Hz, mix- over leg-based": lambda of: of.turn_time("mix") / of.turn_time("leg"),
+        "time for 0.5 m, trot, 0.67 Hz, spine- over leg-based": lambda of: (
+            of.turn_time("spine") / of.turn_time("leg")
+        ),
+        "time for 0.5 m, trot, 0.67 Hz, mix- over leg-based": lambda of: (
+            of.turn_time("mix") / of.turn_time("leg")
+        ),
         "paths not followed": ProfileOutcome.lost,
         "time for 0.5 m, trot, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
         "time for 0.5 m, trot, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
@@ -404,22 +496,36 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "smallest radius of all, mix-based": lambda of: np.nanmin(
             of.worlds("turning_radius", strategy="mix", radius=0.0)
         ),
-        "smallest radius of lateral walk by the spine, 0.5 Hz": lambda of: of.lock("lateral_walk", "spine", 0.5),
+        "smallest radius of lateral walk by the spine, 0.5 Hz": lambda of: of.lock(
+            "lateral_walk", "spine", 0.5
+        ),
         "smallest radius of lateral walk by the spine, 0.8 Hz, above 0.5 m": lambda of: (
             of.lock("lateral_walk", "spine", 0.8) > 0.5
         ),
-        "smallest radius of lateral walk by the spine, 0.8 Hz": lambda of: of.lock("lateral_walk", "spine", 0.8),
-        "smallest radius of trot, 0.5 Hz, mix- below spine-based": lambda of: of.tighter("trot", "mix", "spine", 0.5),
+        "smallest radius of lateral walk by the spine, 0.8 Hz": lambda of: of.lock(
+            "lateral_walk", "spine", 0.8
+        ),
+        "smallest radius of trot, 0.5 Hz, mix- below spine-based": lambda of: of.tighter(
+            "trot", "mix", "spine", 0.5
+        ),
         "smallest radius of lateral walk, 0.8 Hz, mix- below spine-based": lambda of: of.tighter(
             "lateral_walk", "mix", "spine", 0.8
         ),
-        "theory: smallest radius, leg-based": lambda of: of.turn("theory_radius", "trot", 0.67, 0.0, "leg"),
-        "theory: smallest radius, mix-based": lambda of: of.turn("theory_radius", "trot", 0.67, 0.0, "mix"),
-        "theory: spine-based full lock (5.43)": lambda of: of.turn("theory_radius", "trot", 0.67, 0.0, "spine"),
+        "theory: smallest radius, leg-based": lambda of: of.turn(
+            "theory_radius", "trot", 0.67, 0.0, "leg"
+        ),
+        "theory: smallest radius, mix-based": lambda of: of.turn(
+            "theory_radius", "trot", 0.67, 0.0, "mix"
+        ),
+        "theory: spine-based full lock (5.43)": lambda of: of.turn(
+            "theory_radius", "trot", 0.67, 0.0, "spine"
+        ),
         "theory: spine-based full lock, two feet with equal strides": lambda of: of.turn(
             "theory_equal_strides", "trot", 0.67, 0.0, "spine"
         ),
-        "smallest radius of trot, mix-based below leg-based": lambda of: of.tighter("trot", "mix", "leg"),
+        "smallest radius of trot, mix-based below leg-based": lambda of: of.tighter(
+            "trot", "mix", "leg"
+        ),
         "smallest radius of walking trot, mix-based below leg-based": lambda of: of.tighter(
             "walking_trot", "mix", "leg"
         ),
@@ -448,10 +554,16 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "hardware: 0.5 m, trot, 0.67 Hz, followed, mix-based": lambda of: of.followed("mix"),
     },
     "balance": {
-        "front left lifted, without balance compensation": lambda of: of.verdict("front_left", False),
-        "front right lifted, without balance compensation": lambda of: of.verdict("front_right", False),
+        "front left lifted, without balance compensation": lambda of: of.verdict(
+            "front_left", False
+        ),
+        "front right lifted, without balance compensation": lambda of: of.verdict(
+            "front_right", False
+        ),
         "rear left lifted, without balance compensation": lambda of: of.verdict("rear_left", False),
-        "rear right lifted, without balance compensation": lambda of: of.verdict("rear_right", False),
+        "rear right lifted, without balance compensation": lambda of: of.verdict(
+            "rear_right", False
+        ),
         "front left lifted, with balance compensation": lambda of: of.verdict("front_left", True),
         "front right lifted, with balance compensation": lambda of: of.verdict("front_right", True),
         "rear left lifted, with balance compensation": lambda of: of.verdict("rear_left", True),
@@ -463,23 +575,44 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             1 - of.rest("rear", True) / of.rest("rear", False)
         ),
         "height of the centre of mass": lambda of: (
-            1e3 * np.mean([of.lift("com_height", leg, sbc) for leg in LIMBS for sbc in (False, True)])
+            1e3
+            * np.mean([of.lift("com_height", leg, sbc) for leg in LIMBS for sbc in (False, True)])
         ),
-        "force of the rear left foot, without compensation": lambda of: of.force("rear_left", "rear_left", False),
-        "force of the rear left foot, with compensation": lambda of: of.force("rear_left", "rear_left", True),
-        "force of the front right foot, with compensation": lambda of: of.force("front_right", "rear_left", True),
+        "force of the rear left foot, without compensation": lambda of: of.force(
+            "rear_left", "rear_left", False
+        ),
+        "force of the rear left foot, with compensation": lambda of: of.force(
+            "rear_left", "rear_left", True
+        ),
+        "force of the front right foot, with compensation": lambda of: of.force(
+            "front_right", "rear_left", True
+        ),
         "front left and rear right carry most, with compensation": lambda of: (
             of.force("front_left", "rear_left", True) + of.force("rear_right", "rear_left", True)
             > of.force("front_right", "rear_left", True) + of.force("rear_left", "rear_left", True)
         ),
-        "impact of the rear right foot without compensation": lambda of: of.lift("impact", "rear_right", False),
-        "impact of the rear left foot without compensation": lambda of: of.lift("impact", "rear_left", False),
-        "hardware: front left lifted, without compensation": lambda of: of.verdict("front_left", False),
-        "hardware: front right lifted, without compensation": lambda of: of.verdict("front_right", False),
-        "hardware: rear left lifted, without compensation": lambda of: of.verdict("rear_left", False),
-        "hardware: rear right lifted, without compensation": lambda of: of.verdict("rear_right", False),
+        "impact of the rear right foot without compensation": lambda of: of.lift(
+            "impact", "rear_right", False
+        ),
+        "impact of the rear left foot without compensation": lambda of: of.lift(
+            "impact", "rear_left", False
+        ),
+        "hardware: front left lifted, without compensation": lambda of: of.verdict(
+            "front_left", False
+        ),
+        "hardware: front right lifted, without compensation": lambda of: of.verdict(
+            "front_right", False
+        ),
+        "hardware: rear left lifted, without compensation": lambda of: of.verdict(
+            "rear_left", False
+        ),
+        "hardware: rear right lifted, without compensation": lambda of: of.verdict(
+            "rear_right", False
+        ),
         "hardware: front left lifted, with compensation": lambda of: of.verdict("front_left", True),
-        "hardware: front right lifted, with compensation": lambda of: of.verdict("front_right", True),
+        "hardware: front right lifted, with compensation": lambda of: of.verdict(
+            "front_right", True
+        ),
         "hardware: rear left lifted, with compensation": lambda of: of.verdict("rear_left", True),
         "hardware: rear right lifted, with compensation": lambda of: of.verdict("rear_right", True),
     },
@@ -520,10 +653,18 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "bend of a front knee under load, 4 hinges": lambda of: of.mean(
             "bend", pair="front", routing="type3", hinges=4
         ),
-        "bend of a rear knee under load, 4 hinges": lambda of: of.mean("bend", pair="rear", routing="type3", hinges=4),
-        "routing type 2 has a shorter lever arm on the knee than type 1": lambda of: of.shortens("type2", "type1"),
-        "routing type 3 has a shorter lever arm on the knee than type 1": lambda of: of.shortens("type3", "type1"),
-        "adjusted type 3 has the shortest lever arm": lambda of: of.shortens("type3_idler", "type3"),
+        "bend of a rear knee under load, 4 hinges": lambda of: of.mean(
+            "bend", pair="rear", routing="type3", hinges=4
+        ),
+        "routing type 2 has a shorter lever arm on the knee than type 1": lambda of: of.shortens(
+            "type2", "type1"
+        ),
+        "routing type 3 has a shorter lever arm on the knee than type 1": lambda of: of.shortens(
+            "type3", "type1"
+        ),
+        "adjusted type 3 has the shortest lever arm": lambda of: of.shortens(
+            "type3_idler", "type3"
+        ),
         "only with type 3 the knee is independent of the hip": lambda of: every(
             (abs(of.mean("coupling", pair=p, routing=r, hinges=1)) < 0.01) == (r == "type3")
             for p in ("front", "rear")
@@ -531,6 +672,8 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         ),
     },
     "spine-stand": {
-        "bend of the spine under load, 4 hinges": lambda of: of.mean("bend", robot="nermo_lite", hinges=4),
+        "bend of the spine under load, 4 hinges": lambda of: of.mean(
+            "bend", robot="nermo_lite", hinges=4
+        ),
     },
 }

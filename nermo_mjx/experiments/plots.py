@@ -27,7 +27,18 @@ from nermo_mjx.experiments.published import AGREES, Line
 from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, light
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.shown import spoken
-from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
+from nermo_mjx.plotting.style import (
+    BEST,
+    FOOT,
+    GRID,
+    INK,
+    LINE,
+    MISSING,
+    MUTED,
+    OKABE_ITO,
+    SERIES,
+    SHADE,
+)
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, load_robot
 from nermo_mjx.view.recorded import attitude_of
@@ -59,7 +70,11 @@ def figures_of_experiment(outcome: CaseRuns, lines: Lines) -> Iterator[tuple[str
 SPINE: Final = {False: OKABE_ITO["blue"], True: OKABE_ITO["vermilion"]}
 WITH: Final = {False: "without spine", True: "with spine"}
 COMPENSATED: Final = OKABE_ITO["purple"]
-STRATEGY: Final = {"leg": OKABE_ITO["green"], "spine": OKABE_ITO["purple"], "mix": OKABE_ITO["orange"]}
+STRATEGY: Final = {
+    "leg": OKABE_ITO["green"],
+    "spine": OKABE_ITO["purple"],
+    "mix": OKABE_ITO["orange"],
+}
 PASS, FAIL = "#c6dff0", "#f6cfb5"
 CLOCK: Final = "times and speeds are those of the controller's clock"
 ANGLES: Final = ("roll", "pitch", "yaw")
@@ -73,7 +88,11 @@ _FAILED: Final[dict[str, Any]] = {"color": INK, "ls": "none", "marker": "x", "ms
 def published(lines: Iterable[Line], figure: str) -> Published:
     """The publication's number or interval for a figure of the report; None if the lines do not have it."""
     for line in lines:
-        if line.figure == figure and line.published is not None and not isinstance(line.published, bool | str):
+        if (
+            line.figure == figure
+            and line.published is not None
+            and not isinstance(line.published, bool | str)
+        ):
             return tuple(line.published) if isinstance(line.published, list) else line.published
     return None
 
@@ -126,7 +145,9 @@ def profile_swatches(names: Sequence[str]) -> list[Artist]:
 
 def diamond(ax: Axes, x: float, y: float, zorder: float) -> None:
     """A published number: a white diamond in black outline."""
-    ax.scatter(x, y, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=zorder, gid="published")
+    ax.scatter(
+        x, y, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=zorder, gid="published"
+    )
 
 
 def mark_published(ax: Axes, x: float, value: Published) -> None:
@@ -136,14 +157,23 @@ def mark_published(ax: Axes, x: float, value: Published) -> None:
     low, high = value if isinstance(value, tuple) else (value, value)
     if high > low:
         ax.errorbar(
-            x, (low + high) / 2, (high - low) / 2, fmt="none", ecolor="black", elinewidth=1.1, capsize=3, zorder=6
+            x,
+            (low + high) / 2,
+            (high - low) / 2,
+            fmt="none",
+            ecolor="black",
+            elinewidth=1.1,
+            capsize=3,
+            zorder=6,
         )
     diamond(ax, x, (low + high) / 2, 7)
 
 
 def published_entry() -> Line2D:
     """The legend's entry of `mark_published`."""
-    return Line2D([], [], ls="none", marker="D", ms=5.5, mfc="white", mec="black", mew=1.2, label="published")
+    return Line2D(
+        [], [], ls="none", marker="D", ms=5.5, mfc="white", mec="black", mew=1.2, label="published"
+    )
 
 
 def shade_phases(ax: Axes, phases: Mapping[str, Sequence[float]], *, named: bool = True) -> None:
@@ -199,7 +229,11 @@ def repeats(outcome: CaseRuns, column: str, profile: str, **case: object) -> np.
     """
     rows, unit = outcome.where(profile=profile, **case), outcome.about[column].unit
     values = in_shown_unit(column, unit, outcome.columns[column][rows]).values
-    well = outcome.columns["status"][rows] == "ok" if "status" in outcome.columns else np.full(len(values), True)
+    well = (
+        outcome.columns["status"][rows] == "ok"
+        if "status" in outcome.columns
+        else np.full(len(values), True)
+    )
     ratio = {"s": 1 / clock(profile), "m/s": clock(profile)}.get(unit, 1.0)
     return ratio * np.where(well & np.isfinite(values), values, np.nan)
 
@@ -243,16 +277,32 @@ class Panel:
                 x = i + (j - (len(bars) - 1) / 2) * width
                 if np.isfinite(bar.mean):
                     hatch = _HATCH if bar.hatched else None
-                    ax.bar(x, bar.mean, 0.9 * width, color=bar.colour, hatch=hatch, ec="white", lw=0, zorder=2)
+                    ax.bar(
+                        x,
+                        bar.mean,
+                        0.9 * width,
+                        color=bar.colour,
+                        hatch=hatch,
+                        ec="white",
+                        lw=0,
+                        zorder=2,
+                    )
                 if len(bar.good) > 1:
-                    whisker: dict[str, Any] = {"ecolor": INK, "elinewidth": 0.9, "capsize": 1.8, "zorder": 5}
+                    whisker: dict[str, Any] = {
+                        "ecolor": INK,
+                        "elinewidth": 0.9,
+                        "capsize": 1.8,
+                        "zorder": 5,
+                    }
                     ax.errorbar(x, bar.mean, bar.good.std(), fmt="none", **whisker)
                 if np.isfinite(bar.theory):
                     ends = [x - 0.45 * width, x + 0.45 * width]
                     ax.plot(ends, [bar.theory] * 2, zorder=4, gid="theory", **_THEORY)
                 if bar.failed:
                     foot = ax.get_xaxis_transform()
-                    ax.plot(x, 0.025, transform=foot, zorder=8, gid="failed", clip_on=False, **_FAILED)
+                    ax.plot(
+                        x, 0.025, transform=foot, zorder=8, gid="failed", clip_on=False, **_FAILED
+                    )
                 mark_published(ax, x, bar.published)
         everything = [bar for bars in self.groups.values() for bar in bars]
         if not any(np.isfinite(bar.mean) for bar in everything):
@@ -288,18 +338,36 @@ def bar_page(
         bars += panel.draw(ax)
     entries = [
         *handles,
-        *([Line2D([], [], label="theory, no slip", **_THEORY)] if any(np.isfinite(bar.theory) for bar in bars) else []),
+        *(
+            [Line2D([], [], label="theory, no slip", **_THEORY)]
+            if any(np.isfinite(bar.theory) for bar in bars)
+            else []
+        ),
         *([published_entry()] if any(bar.published is not None for bar in bars) else []),
-        *([swatch(hatched, MUTED, hatch=_HATCH, ec="white", lw=0)] if any(bar.hatched for bar in bars) else []),
-        *([Line2D([], [], label="a repeat without result", **_FAILED)] if any(bar.failed for bar in bars) else []),
+        *(
+            [swatch(hatched, MUTED, hatch=_HATCH, ec="white", lw=0)]
+            if any(bar.hatched for bar in bars)
+            else []
+        ),
+        *(
+            [Line2D([], [], label="a repeat without result", **_FAILED)]
+            if any(bar.failed for bar in bars)
+            else []
+        ),
     ]
     most = max((len(bar.values) for bar in bars), default=0)
-    spread = f"mean of {most} repeats; error bars: one standard deviation" if most > 1 else "one run a case"
+    spread = (
+        f"mean of {most} repeats; error bars: one standard deviation"
+        if most > 1
+        else "one run a case"
+    )
     return page.finish(entries, note.format(spread=spread))
 
 
 def by_gait(
-    outcome: CaseRuns, kinds: Sequence[Case], rows: Sequence[tuple[str | None, str, Case, Callable[[Case], Bar]]]
+    outcome: CaseRuns,
+    kinds: Sequence[Case],
+    rows: Sequence[tuple[str | None, str, Case, Callable[[Case], Bar]]],
 ) -> list[list[Panel]]:
     """Rows of panels, with a column for each gait that was walked, and groups of bars for each frequency.
 
@@ -308,7 +376,9 @@ def by_gait(
         rows: of each what follows the gait in its titles, if it has any; label, cases, and the bar of a case.
     """
     walked = {
-        (gait, i): sorted(set(outcome.columns["frequency"][outcome.where(gait=gait, **case)].tolist()))
+        (gait, i): sorted(
+            set(outcome.columns["frequency"][outcome.where(gait=gait, **case)].tolist())
+        )
         for gait, (i, (_, _, case, _)) in itertools.product(walks.GAITS, enumerate(rows))
     }
     gaits = [gait for gait in walks.GAITS if any(walked[gait, i] for i in range(len(rows)))]
@@ -331,9 +401,20 @@ def by_gait(
 #: Range of the axis, in shares of the published number; values beyond are arrows at its end.
 LEAST, MOST = -0.5, 2.5
 _NEAR: Final = "#e6f1f8"
-_TONES: Final = {"as_published": LINE, "exact": "#b9cbd8", "as_built": "#8a6fb0", "author": "#444444"}
+_TONES: Final = {
+    "as_published": LINE,
+    "exact": "#b9cbd8",
+    "as_built": "#8a6fb0",
+    "author": "#444444",
+}
 #: Right ends of the columns of numbers, in widths of the table.
-_COLUMNS: Final = {"published": 0.17, "author": 0.39, "as_published": 0.62, "exact": 0.81, "as_built": 1.0}
+_COLUMNS: Final = {
+    "published": 0.17,
+    "author": 0.39,
+    "as_published": 0.62,
+    "exact": 0.81,
+    "as_built": 1.0,
+}
 
 
 def _number(value: Any) -> float | None:
@@ -346,13 +427,26 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     for line in lines:
         # The value that counts as 0, and how far the published one, or an interval's middle, which counts as 1, is off.
         neutral = 1.0 if line.rule == "effect" else 0.0
-        value = float(np.mean(line.published)) if isinstance(line.published, list) else _number(line.published)
-        if value not in (None, neutral) and any(_number(getattr(line, name)) is not None for name in PROFILES):
+        value = (
+            float(np.mean(line.published))
+            if isinstance(line.published, list)
+            else _number(line.published)
+        )
+        if value not in (None, neutral) and any(
+            _number(getattr(line, name)) is not None for name in PROFILES
+        ):
             rows.append((line, neutral, value - neutral))
     if not rows:
         return
     title = f"What was published, and what was measured: {outcome.experiment.replace('-', ' ')}"
-    page = FigurePage(title, (12.6, 1.5 + 0.255 * len(rows)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1, 1]})
+    page = FigurePage(
+        title,
+        (12.6, 1.5 + 0.255 * len(rows)),
+        1,
+        2,
+        sharey=True,
+        gridspec_kw={"width_ratios": [1, 1]},
+    )
     ax, table = page.axes[0]
     ax.axvspan(1 - AGREES, 1 + AGREES, color=_NEAR, lw=0, zorder=-5)
     ax.axvline(1, color=MUTED, lw=0.8, zorder=0)
@@ -360,7 +454,16 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
         ax.axhline(y, color=GRID, lw=0.8, zorder=-1)
         if isinstance(line.published, list):
             low, high = (end / reference for end in line.published)
-            ax.plot([low, min(high, MOST)], [y, y], color="black", lw=1.2, marker="|", ms=7, mew=1.2, zorder=3)
+            ax.plot(
+                [low, min(high, MOST)],
+                [y, y],
+                color="black",
+                lw=1.2,
+                marker="|",
+                ms=7,
+                mew=1.2,
+                zorder=3,
+            )
         diamond(ax, 1, y, 4)
         for profile in reversed(_TONES):
             value = _number(getattr(line, profile))
@@ -369,16 +472,32 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
             share = (value - neutral) / reference
             place = min(max(share, LEAST), MOST)
             marker = "o" if share == place else (">" if share > place else "<")
-            ax.scatter(place, y, s=46, marker=marker, color=_TONES[profile], ec="white", lw=0.6, zorder=5, gid=profile)
+            ax.scatter(
+                place,
+                y,
+                s=46,
+                marker=marker,
+                color=_TONES[profile],
+                ec="white",
+                lw=0.6,
+                zorder=5,
+                gid=profile,
+            )
         for name, x in _COLUMNS.items():
             value = getattr(line, name)
             if isinstance(value, list):
                 text = f"{min(value):.3g} to {max(value):.3g} {line.unit}".rstrip()
             else:
                 number = _number(value)
-                text = "–" if number is None else f"{number:.3g} {line.unit}".rstrip().replace("-", "−")
+                text = (
+                    "–"
+                    if number is None
+                    else f"{number:.3g} {line.unit}".rstrip().replace("-", "−")
+                )
             wrong = name == line.judged_in and line.holds is False
-            table.text(x, y, text, ha="right", va="center", fontsize=7, color=BEST if wrong else INK)
+            table.text(
+                x, y, text, ha="right", va="center", fontsize=7, color=BEST if wrong else INK
+            )
     ax.set_yticks(range(len(rows)), [line.figure for line, _, _ in rows], fontsize=8.5)
     ax.set_ylim(len(rows) - 0.4, -0.9)
     ax.set_xlim(min(ax.get_xlim()[0], -0.08), MOST + 0.08)
@@ -389,9 +508,21 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     table.axis("off")
     table.set_xlim(0, 1)
     for name, x in _COLUMNS.items():
-        table.text(x, -0.75, plain(name), ha="right", va="center", fontsize=7.5, fontweight="bold", color=MUTED)
+        table.text(
+            x,
+            -0.75,
+            plain(name),
+            ha="right",
+            va="center",
+            fontsize=7.5,
+            fontweight="bold",
+            color=MUTED,
+        )
     handles: list[Artist] = [published_entry()]
-    handles += [stroke(plain(name), colour, ls="none", marker="o", ms=6.5) for name, colour in _TONES.items()]
+    handles += [
+        stroke(plain(name), colour, ls="none", marker="o", ms=6.5)
+        for name, colour in _TONES.items()
+    ]
     handles += [swatch(f"within {AGREES:.0%}".replace("%", " %"), _NEAR)]
     note = (
         "of an effect, a ratio, the share is of the ratio less 1; arrow: beyond the axis; bracket: published as an "
@@ -427,28 +558,45 @@ def _straight_line(outcome: CaseRuns, lines: Lines) -> Drawn:
 
     def speed_of(case: Case) -> Bar:
         theory = only(repeats(outcome, "theory_speed", **case))
-        mark = reported.get((case["gait"], case["frequency"], case["spine"])) if case["profile"] == names[0] else None
+        mark = (
+            reported.get((case["gait"], case["frequency"], case["spine"]))
+            if case["profile"] == names[0]
+            else None
+        )
         values = repeats(outcome, "speed", **case)
-        return Bar(values, tone(SPINE[case["spine"]], case["profile"]), theory=theory, published=mark)
+        return Bar(
+            values, tone(SPINE[case["spine"]], case["profile"]), theory=theory, published=mark
+        )
 
     def sway_of(angle: str) -> Callable[[Case], Bar]:
-        return lambda case: Bar(repeats(outcome, f"{angle}_std", **case), tone(SPINE[case["spine"]], case["profile"]))
+        return lambda case: Bar(
+            repeats(outcome, f"{angle}_std", **case), tone(SPINE[case["spine"]], case["profile"])
+        )
 
     usual = {"stride": 1.0, "compensated": False}
     kinds = [{"spine": on, "profile": name} for on in (False, True) for name in names]
 
-    def page(title: str, height: float, note: str, rows: Sequence[tuple[str, Callable[[Case], Bar]]]) -> Figure | None:
+    def page(
+        title: str, height: float, note: str, rows: Sequence[tuple[str, Callable[[Case], Bar]]]
+    ) -> Figure | None:
         suffixes = ["", *[None] * (len(rows) - 1)]
-        described = [(suffix, label, usual, bar) for suffix, (label, bar) in zip(suffixes, rows, strict=True)]
+        described = [
+            (suffix, label, usual, bar) for suffix, (label, bar) in zip(suffixes, rows, strict=True)
+        ]
         panels = by_gait(outcome, kinds, described)
         if not panels:
             return None
         # The lateral walk is run only without the spine, so its groups have half the bars.
         shares = [0.62 if panel.title == spoken("lateral_walk") else 1.0 for panel in panels[0]]
-        widths = [max(1.2, len(each.groups) * share + 0.3) for each, share in zip(panels[0], shares, strict=True)]
+        widths = [
+            max(1.2, len(each.groups) * share + 0.3)
+            for each, share in zip(panels[0], shares, strict=True)
+        ]
         handles = [*(swatch(WITH[on], SPINE[on]) for on in (False, True)), *profile_swatches(names)]
         size, ratios = (max(7.4, 2.1 + 0.92 * sum(widths)), height), {"width_ratios": widths}
-        return bar_page(title, size, panels, handles, note, sharey="row", sharex="col", gridspec_kw=ratios)
+        return bar_page(
+            title, size, panels, handles, note, sharey="row", sharex="col", gridspec_kw=ratios
+        )
 
     note = f"{{spread}}; {CLOCK}; published with spine and of the lateral walk: by its ratios to the trot"
     label = axis_label(outcome, "speed", "speed")
@@ -456,7 +604,9 @@ def _straight_line(outcome: CaseRuns, lines: Lines) -> Drawn:
     yield "speed-over-stride", _speed_over_stride(outcome, reported)
     yield "orientation", _orientation(outcome, lines)
     title = "How far the torso sways: standard deviation of its orientation"
-    rows = [(axis_label(outcome, f"{angle}_std", f"{angle}, std"), sway_of(angle)) for angle in ANGLES]
+    rows = [
+        (axis_label(outcome, f"{angle}_std", f"{angle}, std"), sway_of(angle)) for angle in ANGLES
+    ]
     yield "orientation-spread", page(title, 7.2, "{spread}", rows)
     yield "offset-compensation", _compensation(outcome, lines)
 
@@ -471,7 +621,13 @@ def _speed_over_stride(outcome: CaseRuns, reported: Mapping[Any, float]) -> Figu
     ax = page.axes[0, 0]
     foot = {"transform": ax.get_xaxis_transform(), "gid": "failed"}
     for profile, on in itertools.product(names, (False, True)):
-        case: Case = {"profile": profile, "gait": "trot", "frequency": 0.8, "spine": on, "compensated": False}
+        case: Case = {
+            "profile": profile,
+            "gait": "trot",
+            "frequency": 0.8,
+            "spine": on,
+            "compensated": False,
+        }
         runs = [Bar(repeats(outcome, "speed", stride=s, **case)) for s in strides]
         colour = tone(SPINE[on], profile)
         ax.plot(strides, [run.mean for run in runs], "-o", color=colour, ms=5, lw=1.8, zorder=4)
@@ -486,7 +642,11 @@ def _speed_over_stride(outcome: CaseRuns, reported: Mapping[Any, float]) -> Figu
     ax.set(xlabel="normalised stride [1]", ylabel=axis_label(outcome, "speed", "speed"))
     ax.margins(y=0.07)
     horizontal_grid(ax)
-    handles = [*spine_strokes(marker="o", ms=5), *profile_swatches(names), stroke("theory, no slip", INK, ls=":")]
+    handles = [
+        *spine_strokes(marker="o", ms=5),
+        *profile_swatches(names),
+        stroke("theory, no slip", INK, ls=":"),
+    ]
     handles += [published_entry()] if marks else []
     note = "published with spine: by its ratio to the speed without; a cross at the foot: a repeat without result; "
     return page.finish(handles, note + CLOCK)
@@ -494,18 +654,31 @@ def _speed_over_stride(outcome: CaseRuns, reported: Mapping[Any, float]) -> Figu
 
 def _orientation(outcome: CaseRuns, lines: Lines) -> Figure | None:
     """Roll, pitch and yaw over the last two whole gait cycles of the recordings."""
-    runs = [recording for recording in outcome.recordings.values() if "spine" in recording.metadata.get("labels", {})]
+    runs = [
+        recording
+        for recording in outcome.recordings.values()
+        if "spine" in recording.metadata.get("labels", {})
+    ]
     if not runs:
         return None
     labels = runs[0].metadata["labels"]
-    title = f"Orientation over two gait cycles: {spoken(labels['gait'])} at {labels['frequency']:g} Hz"
+    title = (
+        f"Orientation over two gait cycles: {spoken(labels['gait'])} at {labels['frequency']:g} Hz"
+    )
     page = FigurePage(title, (7.4, 6.6), 3, 1, sharex=True)
     for run in runs:
         cycles = run.time * labels["frequency"] / clock(labels["profile"])
         begin = max(0.0, np.floor(cycles[-1] + 0.01) - 2)
         inside = (cycles >= begin - 1e-9) & (cycles <= begin + 2 + 1e-9)
-        for ax, angle in zip(page.axes[:, 0], attitude_of(run.sensors["orientation"])[inside].T, strict=True):
-            ax.plot(cycles[inside] - begin, angle, color=SPINE[bool(run.metadata["labels"]["spine"])], lw=1.7)
+        for ax, angle in zip(
+            page.axes[:, 0], attitude_of(run.sensors["orientation"])[inside].T, strict=True
+        ):
+            ax.plot(
+                cycles[inside] - begin,
+                angle,
+                color=SPINE[bool(run.metadata["labels"]["spine"])],
+                lw=1.7,
+            )
     largest, handles = published(lines, LARGEST_ROLL), spine_strokes()
     if isinstance(largest, float):
         for edge in (-largest, largest):
@@ -517,7 +690,9 @@ def _orientation(outcome: CaseRuns, lines: Lines) -> Figure | None:
         horizontal_grid(ax)
         ax.axvline(1, color=MISSING, lw=0.8, zorder=0)
     page.axes[-1, 0].set_xlabel("gait cycles [1]")
-    return page.finish(handles, f"{plain(labels['profile'])}; positive: leaning left, nose down, turned left")
+    return page.finish(
+        handles, f"{plain(labels['profile'])}; positive: leaning left, nose down, turned left"
+    )
 
 
 def _compensation(outcome: CaseRuns, lines: Lines) -> Figure | None:
@@ -529,18 +704,32 @@ def _compensation(outcome: CaseRuns, lines: Lines) -> Figure | None:
     for measure, figure in COMPENSATION.items():
         groups = {}
         for profile in profiles(outcome):
-            case: Case = {"profile": profile, "gait": "trot", "frequency": 0.67, "spine": True, "stride": 1.0}
+            case: Case = {
+                "profile": profile,
+                "gait": "trot",
+                "frequency": 0.67,
+                "spine": True,
+                "stride": 1.0,
+            }
             names = ("roll_std",) if measure == "std" else ("roll_min", "roll_max")
-            ends = [[repeats(outcome, name, compensated=on, **case) for name in names] for on in (False, True)]
+            ends = [
+                [repeats(outcome, name, compensated=on, **case) for name in names]
+                for on in (False, True)
+            ]
             off, on = (each[0] if measure == "std" else 0.5 * (each[1] - each[0]) for each in ends)
             mean = Bar(off).mean
             mark = times(mean, published(lines, figure)) if np.isfinite(mean) else None
-            bars = [Bar(off, tone(SPINE[True], profile)), Bar(on, tone(COMPENSATED, profile), published=mark)]
+            bars = [
+                Bar(off, tone(SPINE[True], profile)),
+                Bar(on, tone(COMPENSATED, profile), published=mark),
+            ]
             groups[plain(profile)] = bars
         panels.append(Panel(groups, ylabel=axis_label(outcome, "roll_std", f"roll, {measure}")))
     handles = [swatch("not compensated", SPINE[True]), swatch("compensated", COMPENSATED)]
     note = "published: its relative change, applied to the bar on the left; {spread}"
-    return bar_page("Offset compensation: trot at 0.67 Hz with the spine", (6.4, 3.9), [panels], handles, note)
+    return bar_page(
+        "Offset compensation: trot at 0.67 Hz with the spine", (6.4, 3.9), [panels], handles, note
+    )
 
 
 # --- turning
@@ -555,11 +744,15 @@ _NOT_FOLLOWED: Final = "a repeat did not follow the path"
 
 def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
     names = profiles(outcome)
-    kinds = [{"strategy": name, "profile": profile} for name in walks.STRATEGIES for profile in names]
+    kinds = [
+        {"strategy": name, "profile": profile} for name in walks.STRATEGIES for profile in names
+    ]
 
     def bar(column: str, case: Case, mark: Published = None, **more: Any) -> Bar:
         values = repeats(outcome, column, **case)
-        return Bar(values, tone(STRATEGY[case["strategy"]], case["profile"]), published=mark, **more)
+        return Bar(
+            values, tone(STRATEGY[case["strategy"]], case["profile"]), published=mark, **more
+        )
 
     def strayed(case: Case) -> bool:
         return not outcome.columns["followed"][outcome.where(**case)].all()
@@ -574,21 +767,35 @@ def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
     def lock(case: Case) -> Bar:
         value = published(lines, RADIUS.get(case["strategy"], ""))
         mark = times(1e3, value) if (case["gait"], case["profile"]) == ("trot", names[0]) else None
-        return bar("turning_radius", case, mark, theory=only(repeats(outcome, "theory_radius", **case)))
+        return bar(
+            "turning_radius", case, mark, theory=only(repeats(outcome, "theory_radius", **case))
+        )
 
-    def page(title: str, radii: Sequence[float], height: float, label: str, note: str, bar: Any) -> Figure | None:
+    def page(
+        title: str, radii: Sequence[float], height: float, label: str, note: str, bar: Any
+    ) -> Figure | None:
         """A row of axes for each radius."""
         rows = [
-            (f", R = {1e3 * radius:g} mm" if radius else "", label, {"radius": radius, "side": "left"}, bar)
+            (
+                f", R = {1e3 * radius:g} mm" if radius else "",
+                label,
+                {"radius": radius, "side": "left"},
+                bar,
+            )
             for radius in radii
             if outcome.where(radius=radius, side="left").any()
         ]
         panels = by_gait(outcome, kinds, rows)
         if not panels:
             return None
-        handles = [*(swatch(_BASED[name], STRATEGY[name]) for name in walks.STRATEGIES), *profile_swatches(names)]
+        handles = [
+            *(swatch(_BASED[name], STRATEGY[name]) for name in walks.STRATEGIES),
+            *profile_swatches(names),
+        ]
         size = (max(6.4, 1.2 + 3.2 * len(panels[0])), height * len(rows) + 1.3)
-        return bar_page(title, size, panels, handles, note, _NOT_FOLLOWED, sharey=True, sharex="col")
+        return bar_page(
+            title, size, panels, handles, note, _NOT_FOLLOWED, sharey=True, sharex="col"
+        )
 
     title, label = "Speed on quarter circles to the left", axis_label(outcome, "speed", "speed")
     note = f"{{spread}}; {CLOCK}; published: length of the path over the published time"
@@ -601,14 +808,37 @@ def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
             groups: dict[str, list[Bar]] = {_BASED[strategy]: [] for strategy in walks.STRATEGIES}
             for kind in kinds:
                 case = {**kind, "side": side, **circle}
-                mark = published(lines, TIME[kind["strategy"]]) if kind["profile"] == names[0] else None
-                groups[_BASED[kind["strategy"]]].append(bar("time", case, mark, hatched=strayed(case)))
+                mark = (
+                    published(lines, TIME[kind["strategy"]])
+                    if kind["profile"] == names[0]
+                    else None
+                )
+                groups[_BASED[kind["strategy"]]].append(
+                    bar("time", case, mark, hatched=strayed(case))
+                )
             label = "" if panels else axis_label(outcome, "time", "time")
             panels.append(Panel(groups, f"to the {side}", ylabel=label))
-        title, note = "Time for the quarter circle of 500 mm: trot at 0.67 Hz", f"{{spread}}; {CLOCK}"
-        yield "time", bar_page(title, (6.4, 4.1), [panels], profile_swatches(names), note, _NOT_FOLLOWED, sharey=True)
+        title, note = (
+            "Time for the quarter circle of 500 mm: trot at 0.67 Hz",
+            f"{{spread}}; {CLOCK}",
+        )
+        yield (
+            "time",
+            bar_page(
+                title,
+                (6.4, 4.1),
+                [panels],
+                profile_swatches(names),
+                note,
+                _NOT_FOLLOWED,
+                sharey=True,
+            ),
+        )
 
-    title, label = "Smallest radius: full lock to the left", axis_label(outcome, "turning_radius", "radius")
+    title, label = (
+        "Smallest radius: full lock to the left",
+        axis_label(outcome, "turning_radius", "radius"),
+    )
     note = "the publication gives no frequency, so that its mark stands at each; the axis ends at"
     figure = page(title, [walks.FULL_LOCK], 2.8, label, f"{{spread}}; {note} {_WIDEST:g} mm", lock)
     if figure is not None:
@@ -621,14 +851,17 @@ def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
 
 def _paths(outcome: CaseRuns) -> Figure | None:
     """The recorded paths from above: the torso's, and its mean over each gait cycle."""
-    runs = [run for run in outcome.recordings.values() if "strategy" in run.metadata.get("labels", {})]
+    runs = [
+        run for run in outcome.recordings.values() if "strategy" in run.metadata.get("labels", {})
+    ]
     if not runs:
         return None
     labels = runs[0].metadata["labels"]
     radius, side = float(labels["radius"]), walks.SIDES[str(labels["side"])]
     bound = float(walks.bound(np.asarray(radius)))
     title = (
-        f"Paths on the quarter circle of {1e3 * radius:g} mm: {spoken(labels['gait'])} at {labels['frequency']:g} Hz"
+        f"Paths on the quarter circle of {1e3 * radius:g} mm:"
+        f" {spoken(labels['gait'])} at {labels['frequency']:g} Hz"
     )
     page = FigurePage(title, (6.8, 6.9))
     ax, angle = page.axes[0, 0], np.linspace(0, np.pi / 2, 200)
@@ -642,18 +875,28 @@ def _paths(outcome: CaseRuns) -> Figure | None:
     for run in runs:
         # Until the torso passes the end of the quarter circle, and the running mean over a gait cycle.
         labels = run.metadata["labels"]
-        colour, place = STRATEGY[str(labels["strategy"])], np.asarray(run.sensors["position"])[:, :2]
+        colour, place = (
+            STRATEGY[str(labels["strategy"])],
+            np.asarray(run.sensors["position"])[:, :2],
+        )
         past = np.flatnonzero(walks.SIDES[str(labels["side"])] * place[:, 0] >= radius)
         place = place[: past[0] + 1] if len(past) else place
-        ticks = round(clock(labels["profile"]) / labels["frequency"] / float(np.median(np.diff(run.time))))
+        ticks = round(
+            clock(labels["profile"]) / labels["frequency"] / float(np.median(np.diff(run.time)))
+        )
         sums = np.cumsum(np.concatenate([np.zeros((1, 2)), place]), axis=0)
         mean = (sums[ticks:] - sums[:-ticks]) / ticks if len(place) > ticks else place[:0]
         ax.plot(*seen_from_above(ax, place), color=colour, lw=0.8, alpha=0.55, zorder=3)
         ax.plot(*seen_from_above(ax, mean), color=colour, lw=2.2, zorder=4)
     ax.grid(color=GRID, lw=0.8)
     ax.margins(0.04)
-    handles: list[Artist] = [stroke(_BASED[name], STRATEGY[name], lw=2.2) for name in walks.STRATEGIES]
-    handles += [stroke("course", INK, ls="--", lw=1.2), swatch(f"followed: within {1e3 * bound:g} mm", MISSING)]
+    handles: list[Artist] = [
+        stroke(_BASED[name], STRATEGY[name], lw=2.2) for name in walks.STRATEGIES
+    ]
+    handles += [
+        stroke("course", INK, ls="--", lw=1.2),
+        swatch(f"followed: within {1e3 * bound:g} mm", MISSING),
+    ]
     note = "thick: mean over a gait cycle; thin: the torso's IMU, by which a path is judged"
     return page.finish(handles, f"{plain(runs[0].metadata['labels']['profile'])}; {note}")
 
@@ -676,25 +919,40 @@ def _balance(outcome: CaseRuns, lines: Lines) -> Drawn:
         recorded = plain(str(next(iter(runs.values())).metadata["metrics"].get("profile", "")))
         for name, sensor, title, label, factor in (
             ("pitch", "pitch", "Pitch while a leg is lifted and swung", "pitch [deg]", 180 / np.pi),
-            ("stability", "com_margin", "Centre of mass inside of the support diagonal", "distance inside [mm]", 1e3),
+            (
+                "stability",
+                "com_margin",
+                "Centre of mass inside of the support diagonal",
+                "distance inside [mm]",
+                1e3,
+            ),
         ):
             yield name, _over_time(runs, recorded, sensor, title, label, factor)
         yield "forces", _forces(runs, recorded)
     profile = profiles(outcome)[0]
-    phases = [phase for phase in ("stand", "shift", "lift", "swing") if f"force_{phase}_{LIMBS[0]}" in outcome.columns]
+    phases = [
+        phase
+        for phase in ("stand", "shift", "lift", "swing")
+        if f"force_{phase}_{LIMBS[0]}" in outcome.columns
+    ]
     panels: list[list[Panel]] = []
     for sbc in (False, True):
         panels.append([])
         for limb in LIMBS:
             case: Case = {"profile": profile, "leg": limb, "sbc": sbc}
             groups = {
-                phase: [Bar(repeats(outcome, f"force_{phase}_{foot}", **case), FOOT[foot]) for foot in LIMBS]
+                phase: [
+                    Bar(repeats(outcome, f"force_{phase}_{foot}", **case), FOOT[foot])
+                    for foot in LIMBS
+                ]
                 for phase in phases
             }
             title = f"{plain(limb)} leg,\n{_SBC[sbc]}"
             panels[-1].append(Panel(groups, title, ylabel="" if panels[-1] else "force [N]"))
     title, note = "Mean forces on the feet in each phase", f"{plain(profile)}; {{spread}}"
-    figure = bar_page(title, (10.4, 5.9), panels, foot_entries(swatch), note, sharex=True, sharey=True)
+    figure = bar_page(
+        title, (10.4, 5.9), panels, foot_entries(swatch), note, sharex=True, sharey=True
+    )
     yield "forces-by-phase", figure if phases else None
 
 
@@ -705,19 +963,37 @@ def _verdicts(outcome: CaseRuns, lines: Lines) -> Figure:
     page = FigurePage("Which legs the robot can lift and swing", (10.4, 3.9), 1, 2, sharey=True)
     frame: dict[str, Any] = {"fc": "none", "ec": "black", "lw": 1.8, "zorder": 4, "gid": "differs"}
     for ax, sbc in zip(page.axes[0], (False, True), strict=True):
-        columns = ["published\nsimulation", *(plain(name).replace(" ", "\n") for name in names), "published\nhardware"]
+        columns = [
+            "published\nsimulation",
+            *(plain(name).replace(" ", "\n") for name in names),
+            "published\nhardware",
+        ]
         for row, limb in enumerate(LIMBS):
-            simulated = values.get(f"{plain(limb)} lifted, {'with' if sbc else 'without'} balance compensation")
-            hardware = values.get(f"hardware: {plain(limb)} lifted, {'with' if sbc else 'without'} compensation")
+            simulated = values.get(
+                f"{plain(limb)} lifted, {'with' if sbc else 'without'} balance compensation"
+            )
+            hardware = values.get(
+                f"hardware: {plain(limb)} lifted, {'with' if sbc else 'without'} compensation"
+            )
             tiles = [(simulated, simulated)]
             for profile in names:
-                passed = outcome.columns["passed"][outcome.where(profile=profile, leg=limb, sbc=sbc)]
+                passed = outcome.columns["passed"][
+                    outcome.where(profile=profile, leg=limb, sbc=sbc)
+                ]
                 n = int(passed.sum())
-                verdict = {len(passed): "pass", 0: "fail"}.get(n, f"{n} of {len(passed)}") if len(passed) else None
+                verdict = (
+                    {len(passed): "pass", 0: "fail"}.get(n, f"{n} of {len(passed)}")
+                    if len(passed)
+                    else None
+                )
                 tiles.append((verdict, hardware if profile == "as_built" else simulated))
             for column, (tile, wanted) in enumerate([*tiles, (hardware, hardware)]):
                 text = str(tile or "–")
-                ax.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fc=_VERDICT.get(text, SHADE), lw=0))
+                ax.add_patch(
+                    Rectangle(
+                        (column - 0.46, row - 0.44), 0.92, 0.88, fc=_VERDICT.get(text, SHADE), lw=0
+                    )
+                )
                 if wanted and tile and tile != wanted:
                     ax.add_patch(Rectangle((column - 0.45, row - 0.43), 0.9, 0.86, **frame))
                 ax.text(column, row, text, ha="center", va="center", fontsize=9, color=INK)
@@ -729,13 +1005,17 @@ def _verdicts(outcome: CaseRuns, lines: Lines) -> Figure:
             spine.set_visible(False)
     handles: list[Artist] = [swatch(name, colour) for name, colour in _VERDICT.items()]
     handles.append(swatch("not as published (as built: the hardware)", "white", ec="black", lw=1.8))
-    return page.finish(handles, "pass: upright, and the lifted foot off the ground; all repeats of a case count")
+    return page.finish(
+        handles, "pass: upright, and the lifted foot off the ground; all repeats of a case count"
+    )
 
 
 Lifts = Mapping[tuple[str, bool], Recording]
 
 
-def _over_time(runs: Lifts, profile: str, sensor: str, title: str, label: str, factor: float) -> Figure:
+def _over_time(
+    runs: Lifts, profile: str, sensor: str, title: str, label: str, factor: float
+) -> Figure:
     """One reading over time, with axes per lifted leg, and lines without and with compensation."""
     page = FigurePage(title, (9.4, 5.9), 2, 2, sharex=True, sharey="row")
     handles, note = spine_strokes(_SBC), ""
@@ -743,7 +1023,13 @@ def _over_time(runs: Lifts, profile: str, sensor: str, title: str, label: str, f
         for sbc in (False, True):
             if (limb, sbc) in runs:
                 run = runs[limb, sbc]
-                ax.plot(run.time, factor * np.asarray(run.sensors[sensor]), color=SPINE[sbc], lw=1.7, zorder=3 + sbc)
+                ax.plot(
+                    run.time,
+                    factor * np.asarray(run.sensors[sensor]),
+                    color=SPINE[sbc],
+                    lw=1.7,
+                    zorder=3 + sbc,
+                )
                 shade_phases(ax, run.metadata["phases"], named=not sbc or (limb, False) not in runs)
         ax.set_title(f"{plain(limb)} leg", pad=16)
         ax.margins(y=0.08)
@@ -754,27 +1040,38 @@ def _over_time(runs: Lifts, profile: str, sensor: str, title: str, label: str, f
             ax.axhline(0, color=INK, lw=1.1)
             ax.set_ylim(bottom=low)
     if sensor == "com_margin":
-        handles += [stroke("support diagonal", INK, lw=1.1), swatch("beyond it the robot tips", FAIL, alpha=0.45)]
+        handles += [
+            stroke("support diagonal", INK, lw=1.1),
+            swatch("beyond it the robot tips", FAIL, alpha=0.45),
+        ]
     else:
         note = "positive: nose down; "
     for ax in page.axes[:, 0]:
         ax.set_ylabel(label)
     for ax in page.axes[-1]:
         ax.set_xlabel("time [s]")
-    return page.finish(handles, f"{profile}, first repeat; {note}compensation bends the spine in the shift")
+    return page.finish(
+        handles, f"{profile}, first repeat; {note}compensation bends the spine in the shift"
+    )
 
 
 def _forces(runs: Lifts, profile: str) -> Figure:
-    page = FigurePage("Forces on the feet over time", (9.4, 9.2), len(LIMBS), 2, sharex=True, sharey=True)
+    page = FigurePage(
+        "Forces on the feet over time", (9.4, 9.2), len(LIMBS), 2, sharex=True, sharey=True
+    )
     highest = max(float(np.nanpercentile(run.sensors["foot_force"], 99.5)) for run in runs.values())
-    for ax, (limb, sbc) in zip(page.axes.ravel(), itertools.product(LIMBS, (False, True)), strict=True):
+    for ax, (limb, sbc) in zip(
+        page.axes.ravel(), itertools.product(LIMBS, (False, True)), strict=True
+    ):
         ax.set_title(f"{plain(limb)} leg, {_SBC[sbc]}", pad=16)
         ax.set_ylim(-0.03 * highest, 1.12 * highest)
         ax.grid(axis="y", color=GRID, lw=0.8)
         if (limb, sbc) in runs:
             run = runs[limb, sbc]
             for foot, force in zip(LIMBS, np.asarray(run.sensors["foot_force"]).T, strict=True):
-                ax.plot(run.time, force, color=FOOT[foot], lw=2.0 if foot == limb else 1.2, zorder=3)
+                ax.plot(
+                    run.time, force, color=FOOT[foot], lw=2.0 if foot == limb else 1.2, zorder=3
+                )
             shade_phases(ax, run.metadata["phases"])
         ax.set(ylabel="" if sbc else "force [N]", xlabel="time [s]" if limb == LIMBS[-1] else "")
     note = f"{profile}, first repeat; thick: the lifted foot; impacts above the axes are cut off"
@@ -783,7 +1080,12 @@ def _forces(runs: Lifts, profile: str) -> Figure:
 
 # --- maze
 
-_TITLES: Final = {"time": "time", "mean_speed": "mean speed", "roll_std": "roll, std", "pitch_std": "pitch, std"}
+_TITLES: Final = {
+    "time": "time",
+    "mean_speed": "mean speed",
+    "roll_std": "roll, std",
+    "pitch_std": "pitch, std",
+}
 #: The part of the walk whose sway is shown, starting at this share of it [s of the controller's clock].
 _FROM, _SECONDS = 0.3, 12.0
 #: Seconds of the controller's clock between two dots on a path, and samples between two of its points.
@@ -796,7 +1098,11 @@ def _maze(outcome: CaseRuns, lines: Lines) -> Drawn:
         labels = run.metadata.get("labels", {})
         if {"profile", "spine"} <= set(labels):
             found.setdefault(str(labels["profile"]), {})[bool(labels["spine"])] = run
-    runs = {name: dict(sorted(found[name].items())) for name in (*reversed(SIMULATED), "as_built") if name in found}
+    runs = {
+        name: dict(sorted(found[name].items()))
+        for name in (*reversed(SIMULATED), "as_built")
+        if name in found
+    }
     yield "ways", _ways(outcome, runs) if runs else None
     yield "sway", _sway(outcome, runs) if runs else None
 
@@ -806,10 +1112,15 @@ def _maze(outcome: CaseRuns, lines: Lines) -> Drawn:
         for on, profile in itertools.product((False, True), names):
             mark = published(lines, f"{plain(column)} {WITH[on]}") if profile == names[0] else None
             values = repeats(outcome, column, profile=profile, spine=on)
-            groups["with" if on else "without"].append(Bar(values, tone(SPINE[on], profile), published=mark))
+            groups["with" if on else "without"].append(
+                Bar(values, tone(SPINE[on], profile), published=mark)
+            )
         panels.append(Panel(groups, xlabel="spine", ylabel=axis_label(outcome, column, title)))
     note = f"{{spread}}; {CLOCK}; the published path is another one of about 5 m"
-    yield "walk", bar_page("The walk through the maze", (9.6, 4.0), [panels], profile_swatches(names), note)
+    yield (
+        "walk",
+        bar_page("The walk through the maze", (9.6, 4.0), [panels], profile_swatches(names), note),
+    )
 
 
 def _arrival(outcome: CaseRuns, profile: str, on: bool) -> float:
@@ -818,11 +1129,19 @@ def _arrival(outcome: CaseRuns, profile: str, on: bool) -> float:
 
 
 def _ways(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Figure:
-    page = FigurePage("Through the maze, seen from above", (0.9 + 5.2 * len(runs), 5.6), 1, len(runs), sharey=True)
+    page = FigurePage(
+        "Through the maze, seen from above", (0.9 + 5.2 * len(runs), 5.6), 1, len(runs), sharey=True
+    )
     course = walks.maze_course()
     drawn = np.stack([course.x, course.y], axis=-1)
     boxes = walks.box_outlines(load_robot(scene="maze"))
-    name_at = {"textcoords": "offset points", "va": "center", "fontsize": 9, "fontweight": "bold", "color": INK}
+    name_at = {
+        "textcoords": "offset points",
+        "va": "center",
+        "fontsize": 9,
+        "fontweight": "bold",
+        "color": INK,
+    }
     arrived = True
     for ax, (profile, ways) in zip(page.axes[0], runs.items(), strict=True):
         corners = np.stack(seen_from_above(ax, boxes), axis=-1)
@@ -859,14 +1178,22 @@ def _ways(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
 
 def _sway(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Figure:
     """Roll and pitch over a part of the walk, starting at the same point of the course."""
-    page = FigurePage("How the torso sways in the maze", (9.4, 1.2 + 2.6 * len(runs)), 2 * len(runs), 1, sharex=True)
+    page = FigurePage(
+        "How the torso sways in the maze",
+        (9.4, 1.2 + 2.6 * len(runs)),
+        2 * len(runs),
+        1,
+        sharex=True,
+    )
     for i, (profile, ways) in enumerate(runs.items()):
         pair = page.axes[2 * i : 2 * i + 2, 0]
         for on, run in ways.items():
             time, end = run.time / clock(profile), _arrival(outcome, profile, on)
             begin = _FROM * (end if np.isfinite(end) else time[-1])
             part = (time >= begin) & (time <= begin + _SECONDS)
-            for ax, angle in zip(pair, attitude_of(run.sensors["orientation"])[part].T, strict=False):
+            for ax, angle in zip(
+                pair, attitude_of(run.sensors["orientation"])[part].T, strict=False
+            ):
                 ax.plot(time[part] - begin, angle, color=SPINE[on], lw=1.2)
         for ax, name in zip(pair, ("roll", "pitch"), strict=True):
             ax.set_ylabel(f"{name} [deg]")
@@ -887,14 +1214,25 @@ def _stand(outcome: CaseRuns, lines: Lines) -> Drawn:
     about, profile = texts("stand_figures")[outcome.experiment], outcome.columns["profile"][0]
     panels = []
     for column, measure in about["columns"].items():
-        groups, shown = {}, in_shown_unit(column, outcome.about[column].unit, outcome.columns[column]).values
+        groups, shown = (
+            {},
+            in_shown_unit(column, outcome.about[column].unit, outcome.columns[column]).values,
+        )
         for group, common in about["groups"].items():
-            chosen = [outcome.where(profile=profile, **common, **{about["over"]: name}) for name in about["names"]]
-            groups[group] = [Bar(shown[rows], colour) for rows, colour in zip(chosen, SERIES, strict=False)]
+            chosen = [
+                outcome.where(profile=profile, **common, **{about["over"]: name})
+                for name in about["names"]
+            ]
+            groups[group] = [
+                Bar(shown[rows], colour) for rows, colour in zip(chosen, SERIES, strict=False)
+            ]
         panels.append(Panel(groups, ylabel=axis_label(outcome, column, measure)))
     handles = [swatch(name, colour) for name, colour in zip(about["names"], SERIES, strict=False)]
     note = "on the test stand, without gravity; no such numbers are published"
-    yield about["name"], bar_page(about["title"], (7.2, 5.2), [panels[:2], panels[2:]], handles, note)
+    yield (
+        about["name"],
+        bar_page(about["title"], (7.2, 5.2), [panels[:2], panels[2:]], handles, note),
+    )
 
 
 _DRAWERS: Final[dict[str, Callable[[CaseRuns, Lines], Drawn]]] = {

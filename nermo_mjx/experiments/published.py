@@ -86,7 +86,9 @@ class Figure:
     def __post_init__(self) -> None:
         for name, allowed in (("kind", KINDS), ("rule", get_args(Rule)), ("profile", PROFILES)):
             if getattr(self, name) not in allowed:
-                raise ValueError(f"{self.figure}: {name} is {getattr(self, name)!r}: allowed is {', '.join(allowed)}.")
+                raise ValueError(
+                    f"{self.figure}: {name} is {getattr(self, name)!r}: allowed is {', '.join(allowed)}."
+                )
 
     @property
     def reference(self) -> Any:
@@ -109,7 +111,10 @@ class Figure:
             return None
         try:
             # A quick run has no cases for some figures: the mean of nothing is not finite, so not measured.
-            with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+            with (
+                np.errstate(all="ignore"),
+                warnings.catch_warnings(action="ignore", category=RuntimeWarning),
+            ):
                 value = self.measure(ProfileOutcome(outcome, profile))
         except NotMeasured:
             return None
@@ -132,9 +137,15 @@ class Figure:
         if self.rule == "range":
             low, high = self.reference
             share = self.tolerance or 0.0
-            return low - share * abs(low - 1) - self.rounding <= value <= high + share * abs(high - 1) + self.rounding
+            return (
+                low - share * abs(low - 1) - self.rounding
+                <= value
+                <= high + share * abs(high - 1) + self.rounding
+            )
         size = abs(self.reference - self.neutral)
-        return abs(value - self.reference) <= max((self.tolerance or AGREES) * size + _ROUNDING, self.rounding)
+        return abs(value - self.reference) <= max(
+            (self.tolerance or AGREES) * size + _ROUNDING, self.rounding
+        )
 
     def ratio(self, value: Value) -> float | None:
         """Measured over published; of an effect, the sizes; of an interval, over its nearer end, or 1 inside of it."""
@@ -157,7 +168,9 @@ class Figure:
             return None
         if self.rule == "at_most":
             return low <= self.reference + self.rounding
-        least, most = self.reference if isinstance(self.reference, list) else (self.reference, self.reference)
+        least, most = (
+            self.reference if isinstance(self.reference, list) else (self.reference, self.reference)
+        )
         return low <= most + self.rounding and least - self.rounding <= high
 
 
@@ -171,7 +184,8 @@ def published_figures(experiment: str) -> tuple[Figure, ...]:
     """The published figures of an experiment, in the order of the report."""
     measures = MEASURES.get(experiment, {})
     return tuple(
-        Figure(**entry, measure=measures[entry["figure"]]) for entry in _content()["figures"].get(experiment, [])
+        Figure(**entry, measure=measures[entry["figure"]])
+        for entry in _content()["figures"].get(experiment, [])
     )
 
 
@@ -202,7 +216,9 @@ class Shot:
     def choose(self, outcome: CaseRuns) -> str | None:
         """Name of the recording that is shown; None if there is none."""
         names = list(outcome.recordings)
-        return next((name for name in names if self.recording in name), names[-1] if names else None)
+        return next(
+            (name for name in names if self.recording in name), names[-1] if names else None
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -297,14 +313,22 @@ def published_lines(
     if bodies is not None:
         samples = [outcome.only(repeat=int(i)) for i in np.unique(outcome.columns["repeat"])]
         samples += [bodies.only(**{BODY: int(i)}) for i in np.unique(bodies.columns[BODY])]
-    copied = {field.name for field in dataclasses.fields(Line)} & {field.name for field in dataclasses.fields(Figure)}
+    copied = {field.name for field in dataclasses.fields(Line)} & {
+        field.name for field in dataclasses.fields(Figure)
+    }
     lines = []
     for figure in published_figures(outcome.experiment) if chosen is None else chosen:
-        values: dict[str, Any] = {profile: figure.measured(outcome, profile) for profile in PROFILES}
+        values: dict[str, Any] = {
+            profile: figure.measured(outcome, profile) for profile in PROFILES
+        }
         own = values[figure.profile]
         spread = [figure.measured(each, figure.profile) for each in samples]
         # Measured numbers, by order statistics (Weibull), which end at the extremes.
-        numbers = [float(value) for value in spread if value is not None and not isinstance(value, bool | str)]
+        numbers = [
+            float(value)
+            for value in spread
+            if value is not None and not isinstance(value, bool | str)
+        ]
         tail, low, high = (1.0 - INTERVAL) / 2, None, None
         if len(numbers) > 1:
             low, high = np.quantile(numbers, [tail, 1.0 - tail], method="weibull").tolist()
@@ -318,7 +342,9 @@ def published_lines(
                 low=low,
                 high=high,
                 covered=figure.covered(low, high),
-                ensemble=sum(figure.holds(value) is True for value in spread) / len(spread) if judged else None,
+                ensemble=sum(figure.holds(value) is True for value in spread) / len(spread)
+                if judged
+                else None,
                 holds=figure.holds(own),
                 **{name: getattr(figure, name) for name in copied},
                 **values,
@@ -334,5 +360,14 @@ def line_counts(lines: Sequence[Mapping[str, Any]]) -> dict[str, int]:
         lines: of report.json.
     """
     holds, covered = ([line[name] for line in lines] for name in ("holds", "covered"))
-    counted = {"hold": holds.count(True), "do_not_hold": holds.count(False), "not_measured": holds.count(None)}
-    return {"lines": len(lines), **counted, "covered": covered.count(True), "not_covered": covered.count(False)}
+    counted = {
+        "hold": holds.count(True),
+        "do_not_hold": holds.count(False),
+        "not_measured": holds.count(None),
+    }
+    return {
+        "lines": len(lines),
+        **counted,
+        "covered": covered.count(True),
+        "not_covered": covered.count(False),
+    }

@@ -36,10 +36,14 @@ def table_of(outcome: CaseRuns, about: Mapping[str, Any], code: str) -> pa.Table
     """
     columns, cases = Columns(), case_columns(outcome)
     for name, values in outcome.columns.items():
-        role = {REPEAT: "index", "row": "index", "status": "status"}.get(name, "case" if name in cases else "metric")
+        role = {REPEAT: "index", "row": "index", "status": "status"}.get(
+            name, "case" if name in cases else "metric"
+        )
         column = outcome.about.get(name, Column("1", name.replace("_", " ")))
         columns.add(name, np.asarray(values), role, column.unit or "1", column.doc)
-    columns.add(CODE, np.full(len(outcome), code), CODE, "1", "the code that made the row, see run.json")
+    columns.add(
+        CODE, np.full(len(outcome), code), CODE, "1", "the code that made the row, see run.json"
+    )
     return columns.table({"experiment": outcome.experiment, **about})
 
 
@@ -48,7 +52,9 @@ def outcome_of(content: pa.Table, recordings: Mapping[str, Recording]) -> CaseRu
     fields = [field for field in content.schema if meta(field).get("role") != CODE]
     # Texts become string arrays again instead of object arrays.
     columns = {field.name: np.array(content.column(field.name).to_pylist()) for field in fields}
-    about = {field.name: Column(meta(field)["unit"], meta(field)["description"]) for field in fields}
+    about = {
+        field.name: Column(meta(field)["unit"], meta(field)["description"]) for field in fields
+    }
     return CaseRuns(content.schema.metadata[b"experiment"].decode(), columns, about, recordings)
 
 
@@ -58,7 +64,9 @@ def case_columns(outcome: CaseRuns) -> list[str]:
     return names[: names.index(REPEAT)] if REPEAT in names else [PROFILE]
 
 
-def case_table(outcome: CaseRuns, profile: str, metrics: Sequence[str], needs: Mapping[str, str]) -> tuple[str, int]:
+def case_table(
+    outcome: CaseRuns, profile: str, metrics: Sequence[str], needs: Mapping[str, str]
+) -> tuple[str, int]:
     """A Markdown table of the cases of a profile, mean and standard deviation of `metrics` over their repeats, and
     the number of cases.
 
@@ -78,12 +86,19 @@ def case_table(outcome: CaseRuns, profile: str, metrics: Sequence[str], needs: M
 
     cases: dict[tuple[Any, ...], list[int]] = {}
     for row in np.flatnonzero(outcome.where(profile=profile)):
-        cases.setdefault(tuple(outcome.columns[name][row].item() for name in labels), []).append(int(row))
+        cases.setdefault(tuple(outcome.columns[name][row].item() for name in labels), []).append(
+            int(row)
+        )
     rows = [
-        [*map(label, case), *(_over_repeats(outcome, name, members, needs.get(name, "")) for name in metrics)]
+        [
+            *map(label, case),
+            *(_over_repeats(outcome, name, members, needs.get(name, "")) for name in metrics),
+        ]
         for case, members in cases.items()
     ]
-    return table([*map(heading, (*labels, *metrics))], rows, "l" * len(labels) + "r" * len(metrics)), len(rows)
+    return table(
+        [*map(heading, (*labels, *metrics))], rows, "l" * len(labels) + "r" * len(metrics)
+    ), len(rows)
 
 
 def _over_repeats(outcome: CaseRuns, name: str, rows: list[int], need: str) -> str:
@@ -122,24 +137,33 @@ def rounded(value: float, digits: int = 3) -> str:
 #: Headings of a table of lines, and their alignment.
 HEADINGS = (
     *((name, "left") for name in ("figure", "kind")),
-    *((name, "right") for name in ("published", "author's model", "as published", "exact", "as built", "90 %")),
+    *(
+        (name, "right")
+        for name in ("published", "author's model", "as published", "exact", "as built", "90 %")
+    ),
     *((name, "left") for name in ("in it", "holds")),
 )
 
 
-def entry_of(title: str, outcome: CaseRuns, about: Mapping[str, Any], lines: Sequence[Line]) -> dict[str, Any]:
+def entry_of(
+    title: str, outcome: CaseRuns, about: Mapping[str, Any], lines: Sequence[Line]
+) -> dict[str, Any]:
     """The stored entry of an experiment: its lines, its settings, and its size.
 
     Args:
         about: its settings, engine, code, session and duration.
     """
     cases = [name for name in case_columns(outcome) if name != PROFILE]
-    status, number_of = np.unique(outcome.columns.get("status", np.array([], str)), return_counts=True)
+    status, number_of = np.unique(
+        outcome.columns.get("status", np.array([], str)), return_counts=True
+    )
     return {
         "experiment": outcome.experiment,
         "title": title,
         "worlds": len(outcome),
-        "cases": len(set(zip(*(outcome.columns[name].tolist() for name in cases), strict=True))) if cases else 1,
+        "cases": len(set(zip(*(outcome.columns[name].tolist() for name in cases), strict=True)))
+        if cases
+        else 1,
         "status": dict(zip(status.tolist(), number_of.tolist(), strict=True)),
         **{name: value for name, value in about.items() if name != "recordings"},
         "lines": [dataclasses.asdict(line) for line in lines],
@@ -158,11 +182,21 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
     def summary(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in KINDS}
-        return line_counts(lines) | {"by_kind": {kind: line_counts(found) for kind, found in by_kind.items() if found}}
+        return line_counts(lines) | {
+            "by_kind": {kind: line_counts(found) for kind, found in by_kind.items() if found}
+        }
 
     def conditions(entry: Mapping[str, Any]) -> dict[str, Any]:
-        made = {f"version of {name}": entry["versions"].get(name, "unknown") for name in ("nermo-mjx", "mujoco", "jax")}
-        return {**entry["settings"], "engine": entry["engine"], "code": entry.get("code", "unknown"), **made}
+        made = {
+            f"version of {name}": entry["versions"].get(name, "unknown")
+            for name in ("nermo-mjx", "mujoco", "jax")
+        }
+        return {
+            **entry["settings"],
+            "engine": entry["engine"],
+            "code": entry.get("code", "unknown"),
+            **made,
+        }
 
     lines = [line for entry in entries.values() for line in entry["lines"]]
     latest = max(entries.values(), key=lambda entry: entry["started"], default={})
@@ -176,7 +210,8 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         "summary": summary(lines)
         | {"by_experiment": {name: summary(entry["lines"]) for name, entry in entries.items()}},
         "experiments": {
-            name: {key: value for key, value in entry.items() if key not in hidden} for name, entry in entries.items()
+            name: {key: value for key, value in entry.items() if key not in hidden}
+            for name, entry in entries.items()
         },
         "set_ups": set_ups(),
         "differences": unlike,
@@ -190,7 +225,9 @@ def cells(line: Mapping[str, Any]) -> list[str]:
     name = f"{line['figure']} [{line['unit']}]" if line["unit"] not in ("", "1") else line["figure"]
     published = published_text(line["published"], at_most=line["rule"] == "at_most")
     values = [_value(line[profile]) for profile in ("as_published", "exact", "as_built")]
-    spread = MISSING if line["low"] is None else f"{rounded(line['low'])} to {rounded(line['high'])}"
+    spread = (
+        MISSING if line["low"] is None else f"{rounded(line['low'])} to {rounded(line['high'])}"
+    )
     if line["low"] is None and line["ensemble"] is not None:
         spread = f"{line['ensemble']:.0%} of the bodies"
     judged = (_value(line["covered"]), _value(line["holds"]))
@@ -203,7 +240,11 @@ def published_text(value: Any, *, at_most: bool = False) -> str:
         digits = max(len(f"{each:g}".partition(".")[2]) for each in value)
         ends = [value[0], value[-1]] if len(value) == 2 else [min(value), max(value)]
         return " to ".join(f"{each:.{digits}f}" for each in ends)
-    text = f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else _value(value)
+    text = (
+        f"{value:g}"
+        if isinstance(value, int | float) and not isinstance(value, bool)
+        else _value(value)
+    )
     return f"at most {text}" if at_most else text
 
 
@@ -238,7 +279,9 @@ def setting_text(value: Any) -> str:
 
 # --- report.md
 
-_SOURCE: Final = 'A. Rohregger, "Digital Nermo", Master\'s thesis, TU Munich, December 2021, chapters 6 and 7'
+_SOURCE: Final = (
+    'A. Rohregger, "Digital Nermo", Master\'s thesis, TU Munich, December 2021, chapters 6 and 7'
+)
 _COUNTS: Final = ("lines", "hold", "do_not_hold", "not_measured")
 _MEANING: Final = {
     "predicted": "not used in any decision about the twin",
@@ -249,7 +292,9 @@ _MEANING: Final = {
 
 
 def report_page(
-    content: Mapping[str, Any], experiments: Mapping[str, Experiment], outcomes: Mapping[str, CaseRuns]
+    content: Mapping[str, Any],
+    experiments: Mapping[str, Experiment],
+    outcomes: Mapping[str, CaseRuns],
 ) -> str:
     """The text of report.md.
 
@@ -273,7 +318,11 @@ def headline(summary: Mapping[str, Any]) -> str:
     predicted = summary["by_kind"].get("predicted", line_counts([]))
     text = f"{predicted['hold']} of {_judged(predicted)} predicted figures hold"
     spread = predicted["covered"] + predicted["not_covered"]
-    return f"{text}; {predicted['covered']} of {spread} published values lie in the 90 % interval" if spread else text
+    return (
+        f"{text}; {predicted['covered']} of {spread} published values lie in the 90 % interval"
+        if spread
+        else text
+    )
 
 
 def _judged(counted: Mapping[str, Any]) -> int:
@@ -292,12 +341,16 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
 
     headings = ["figures", "hold", "do not hold", "not judged or measured"]
     rows = [[kind, _MEANING[kind], *counted(by_kind[kind])] for kind in KINDS if kind in by_kind]
-    yield table(["kind", "what it is", *headings], [*rows, ["all", "", *counted(summary)]], "llrrrr")
+    yield table(
+        ["kind", "what it is", *headings], [*rows, ["all", "", *counted(summary)]], "llrrrr"
+    )
     rows = []
     for each in chosen:
         own = summary["by_experiment"][each.name]
         held = [own["by_kind"].get(kind) for kind in KINDS]
-        anchor = "".join(c for c in each.title.lower().replace(" ", "-") if c.isalnum() or c == "-")  # as GitHub's
+        anchor = "".join(
+            c for c in each.title.lower().replace(" ", "-") if c.isalnum() or c == "-"
+        )  # as GitHub's
         held_texts = [f"{of['hold']} of {_judged(of)}" if of else MISSING for of in held]
         rows.append([f"[{each.title}](#{anchor})", *held_texts, *counted(own)])
     yield table(["experiment", *KINDS, *headings], rows, f"l{'r' * len(KINDS)}rrrr")
@@ -314,7 +367,9 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
         yield f"> **Run in different ways.** {sentence}\n"
 
 
-def _experiment(content: Mapping[str, Any], each: Experiment, outcome: CaseRuns | None) -> Iterator[str]:
+def _experiment(
+    content: Mapping[str, Any], each: Experiment, outcome: CaseRuns | None
+) -> Iterator[str]:
     about = content["experiments"][each.name]
     lines = [line for line in content["lines"] if line["experiment"] == each.name]
     yield f"## {each.title}\n"
@@ -346,7 +401,11 @@ def _experiment(content: Mapping[str, Any], each: Experiment, outcome: CaseRuns 
             caption = path.stem.removeprefix(f"{each.name}-").replace("-", " ")
             yield f"![{each.title}: {caption}]({path})\n"
     for video in about["videos"]:
-        pace = "in real time" if video["speed"] == 1 else f"{video['speed']:g} times as fast as real time"
+        pace = (
+            "in real time"
+            if video["speed"] == 1
+            else f"{video['speed']:g} times as fast as real time"
+        )
         yield f"Video: [{video['file']}]({video['file']}), {video['shows']}, {pace}.\n"
     yield from (f"{note}\n" for note in about["notes"])
     recordings = ", ".join(f"[{path}]({path})" for path in about["recordings"])
@@ -363,11 +422,14 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
         row = {
             "experiment": each.name,
             "cases": about["cases"],
-            "profiles": setting_text([n for n in PROFILES if n in settings["profiles"]]).replace("_", " "),
+            "profiles": setting_text([n for n in PROFILES if n in settings["profiles"]]).replace(
+                "_", " "
+            ),
             "repeats": settings["repeats"],
             "seed": settings["seed"],
             "worlds": about["worlds"],
-            "went": ", ".join(f"{count} {status}" for status, count in about["status"].items()) or MISSING,
+            "went": ", ".join(f"{count} {status}" for status, count in about["status"].items())
+            or MISSING,
             "engine": about["engine"],
             "code": about.get("code", MISSING),
             "parameters": setting_text(settings["values"]),
@@ -375,11 +437,15 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
             "on": local_time(about["started"]),
         }
         rows.append(row)
-    yield table(list(rows[0]) if rows else [], [[*map(str, row.values())] for row in rows], "lrlrrrllllrl")
+    yield table(
+        list(rows[0]) if rows else [], [[*map(str, row.values())] for row in rows], "lrlrrrllllrl"
+    )
     for each in chosen:
         if content["experiments"][each.name]["settings"]["quick"]:
             yield f"- {each.name} was a quick run: {each.quick}."
-    shift = f"{1e3 * START_SPREAD['start.x']:g} mm, {math.degrees(START_SPREAD['start.yaw']):g} degree"
+    shift = (
+        f"{1e3 * START_SPREAD['start.x']:g} mm, {math.degrees(START_SPREAD['start.yaw']):g} degree"
+    )
     yield (
         f"- Repeats differ by a seeded shift of the start: at most {shift} and {START_SPREAD['start.phase']:g} of a "
         "gait cycle; in the balance test, of pose and servo angles. All profiles have the same starts."

@@ -34,7 +34,14 @@ from pydantic import BaseModel
 from nermo_mjx.experiments import balance, cases, stands, walks
 from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, ReplacementPolicy, Settings
 from nermo_mjx.experiments.published import Experiment, Line, Shot, published_lines
-from nermo_mjx.experiments.report import collect, differences, entry_of, outcome_of, report_page, table_of
+from nermo_mjx.experiments.report import (
+    collect,
+    differences,
+    entry_of,
+    outcome_of,
+    report_page,
+    table_of,
+)
 from nermo_mjx.files import MOST_FILE, TEMPORARY, FileError, json_of, read_bytes
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures
@@ -42,10 +49,26 @@ from nermo_mjx.progress import shows_progress
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import choice
-from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
+from nermo_mjx.runs import (
+    CodeStamp,
+    DirectoryError,
+    RunDirectory,
+    Written,
+    codes_of,
+    engine_of,
+    session,
+    stamp,
+)
 from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.directory import SessionRecord, read_record
-from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json, to_json
+from nermo_mjx.runs.files import (
+    clear_errors,
+    parquet_bytes,
+    parquet_table,
+    replace_file,
+    stored_json,
+    to_json,
+)
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
@@ -65,8 +88,14 @@ def _catalogue() -> Iterator[Experiment]:
         ("spine-stand", stands.run_spine, stands.STAND_SETTABLE, False),
     ):
         about = cases.texts("catalogue")[name]
-        run = run if run.__module__ == stands.__name__ else functools.partial(cases.in_each_robot, run)
-        yield Experiment(name, run, settable, walks=walking, **about | {"shot": Shot(**about.get("shot", {}))})
+        run = (
+            run
+            if run.__module__ == stands.__name__
+            else functools.partial(cases.in_each_robot, run)
+        )
+        yield Experiment(
+            name, run, settable, walks=walking, **about | {"shot": Shot(**about.get("shot", {}))}
+        )
 
 
 EXPERIMENTS: Final[dict[str, Experiment]] = {each.name: each for each in _catalogue()}
@@ -123,7 +152,9 @@ class Directory:
         """The table of an experiment, or of the identified bodies in it."""
         return self.out / "results" / f"{experiment}{'-bodies' if bodies else ''}.parquet"
 
-    def save(self, outcome: CaseRuns, about: Mapping[str, Any], written: Written, *, bodies: bool = False) -> Stored:
+    def save(
+        self, outcome: CaseRuns, about: Mapping[str, Any], written: Written, *, bodies: bool = False
+    ) -> Stored:
         """Store an experiment's results, replacing earlier ones; the table is written last and makes them valid.
 
         Args:
@@ -141,16 +172,27 @@ class Directory:
             written.remove([file for file in written.known if file.startswith(own)])
             for title, recording in outcome.recordings.items():
                 # "trot, 0.67 Hz, with spine" is trot-0.67-hz-with-spine.
-                slug = re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-.").removeprefix(f"{name}-") or "run"
+                slug = (
+                    re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-.").removeprefix(f"{name}-")
+                    or "run"
+                )
                 file = self.out / "recordings" / f"{name}-{slug}.npz"
-                files[title] = file if file not in files.values() else file.with_stem(f"{file.stem}-{len(files)}")
+                files[title] = (
+                    file
+                    if file not in files.values()
+                    else file.with_stem(f"{file.stem}-{len(files)}")
+                )
                 written.write(files[title], recording.content())
-        notes = to_json({**about, "recordings": {title: file.name for title, file in files.items()}}).decode()
+        notes = to_json(
+            {**about, "recordings": {title: file.name for title, file in files.items()}}
+        ).decode()
         written.write(path, parquet_bytes(table_of(outcome, {"about": notes}, about["code"])))
         written.note()
         stored = self.load(name, bodies=bodies)
         if stored is None:
-            raise DirectoryError(f"{path} was written but cannot be read back: run the same command again.")
+            raise DirectoryError(
+                f"{path} was written but cannot be read back: run the same command again."
+            )
         return stored
 
     def load(self, experiment: str, *, bodies: bool = False) -> Stored | None:
@@ -161,7 +203,10 @@ class Directory:
             return None
         try:
             about = json_of((table.schema.metadata or {})[b"about"], _About, path)
-            files = {name: self.out / "recordings" / Path(file).name for name, file in about["recordings"].items()}
+            files = {
+                name: self.out / "recordings" / Path(file).name
+                for name, file in about["recordings"].items()
+            }
             outcome = outcome_of(table, _Recordings(files))
         except (KeyError, FileError):
             return None
@@ -180,14 +225,18 @@ class Directory:
 
     def entry(self, experiment: str) -> dict[str, Any] | None:
         """The entry that `write_entry` stored for an experiment, or None."""
-        entry: dict[str, Any] | None = stored_json(self.out / "results" / f"{experiment}.json", _Entry)
+        entry: dict[str, Any] | None = stored_json(
+            self.out / "results" / f"{experiment}.json", _Entry
+        )
         return entry or None
 
     def report(self, written: Written) -> dict[str, Any]:
         """Write the report of all experiments that the directory holds, and return the content of report.json."""
         entries = {name: entry for name in EXPERIMENTS if (entry := self.entry(name)) is not None}
         content = collect(entries)
-        outcomes = {name: stored.outcome for name in entries if (stored := self.load(name)) is not None}
+        outcomes = {
+            name: stored.outcome for name in entries if (stored := self.load(name)) is not None
+        }
         written.write(self.out / "report.json", to_json(content))
         written.write(self.out / "report.md", report_page(content, EXPERIMENTS, outcomes).encode())
         written.note()
@@ -198,10 +247,16 @@ def experiments_status(out: Path) -> Status:
     """The experiments in a directory, out of the requested ones."""
     directory, sessions = Directory(out), read_record(out).get("sessions", [])
     found = {name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
-    bodies = {name: stored for name in found if (stored := directory.load(name, bodies=True)) is not None}
+    bodies = {
+        name: stored for name in found if (stored := directory.load(name, bodies=True)) is not None
+    }
     requested = {name: None for each in sessions for name in each.get("experiments", [])} or found
     # Files derived from the tables are made last.
-    missing = [name for name in requested if name not in found or not (directory.entry(name) or {}).get("finished")]
+    missing = [
+        name
+        for name in requested
+        if name not in found or not (directory.entry(name) or {}).get("finished")
+    ]
     notes = []
     for name, stored in found.items():
         about, runs = stored.about, f"{name}: {len(stored.outcome)} runs"
@@ -211,11 +266,15 @@ def experiments_status(out: Path) -> Status:
     rows = sum(len(stored.outcome) for stored in (*found.values(), *bodies.values()))
     complete = bool(found) and not missing
     command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
-    engine = ", ".join(dict.fromkeys(stored.about["engine"] for stored in found.values())) or engine_of(out)
+    engine = ", ".join(
+        dict.fromkeys(stored.about["engine"] for stored in found.values())
+    ) or engine_of(out)
     notes += [f"{name} is not finished." for name in missing]
     made = [stored.about for stored in found.values()]
     total = rows if complete else None
-    return Status("runs", rows, total, complete, command, engine=engine, sessions=made, notes=tuple(notes))
+    return Status(
+        "runs", rows, total, complete, command, engine=engine, sessions=made, notes=tuple(notes)
+    )
 
 
 def images(out: Path) -> Figures:
@@ -227,13 +286,19 @@ def images(out: Path) -> Figures:
     from nermo_mjx.experiments.plots import figures_of_experiment
 
     directory = Directory(out)
-    found = {name: stored.outcome for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
+    found = {
+        name: stored.outcome for name in EXPERIMENTS if (stored := directory.load(name)) is not None
+    }
     if not found:
-        raise DirectoryError(f"{out} holds no experiment whose table and recordings can be read: run it again.")
+        raise DirectoryError(
+            f"{out} holds no experiment whose table and recordings can be read: run it again."
+        )
     return (
         named
         for name, outcome in found.items()
-        for named in figures_of_experiment(outcome, published_lines(outcome, None, EXPERIMENTS[name].figures))
+        for named in figures_of_experiment(
+            outcome, published_lines(outcome, None, EXPERIMENTS[name].figures)
+        )
     )
 
 
@@ -346,14 +411,18 @@ def run_experiments(
             )
         for name in settings.values:
             if name not in each.settable:
-                raise ParameterError(f"{name} cannot be set for {each.name}, whose cases decide it or do not use it.")
+                raise ParameterError(
+                    f"{name} cannot be set for {each.name}, whose cases decide it or do not use it."
+                )
     resolve_engine(engine)
     directory = Directory(out)
     with RunDirectory(out, "experiments") as held, resumable(directory.out):
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = Simulation(resolve_engine(engine)).stamp()
-        call = _Call(Written(held), directory, settings, code, several, again, video and not quick, watch)
+        call = _Call(
+            Written(held), directory, settings, code, several, again, video and not quick, watch
+        )
         # All are looked up before anything runs, so that an error costs no simulation.
         kept = {each.name: None if again else call.kept(each) for each in chosen}
         holds_rows = any((directory.out / "results").glob("*.parquet"))
@@ -363,7 +432,11 @@ def run_experiments(
         if several or None in kept.values():
             held.note_session(session(experiments=list(kept)))
         parts = [part for each in chosen for part in call.missing(each, kept[each.name])]
-        stored, left, results = call.simulated(parts, workers or LocalWorkers()), {part.label for part in parts}, []
+        stored, left, results = (
+            call.simulated(parts, workers or LocalWorkers()),
+            {part.label for part in parts},
+            [],
+        )
         for each in chosen:
             while any(part.name == each.name and part.label in left for part in parts):
                 left.remove(next(stored))
@@ -429,10 +502,14 @@ class Simulation:
         """Stamp of the code, the model and the engine that simulate here."""
         return stamp(load_robot().fingerprint, self.engine)
 
-    def __call__(self, part: Part, progress: Callable[[float], None] | None = None) -> tuple[CaseRuns, float]:
+    def __call__(
+        self, part: Part, progress: Callable[[float], None] | None = None
+    ) -> tuple[CaseRuns, float]:
         """The result of a part, and its duration [s]."""
         begun = time.monotonic()
-        outcome = part.run(part.settings.but(engine=self.engine, progress=progress or (lambda share: None)))
+        outcome = part.run(
+            part.settings.but(engine=self.engine, progress=progress or (lambda share: None))
+        )
         return outcome, time.monotonic() - begun
 
 
@@ -452,7 +529,9 @@ class _Call:
     def kept(self, chosen: Experiment) -> Stored | None:
         """The directory's results of an experiment, if they match the request; raises otherwise."""
         stored = self.directory.load(chosen.name)
-        if stored is not None and (differing := differences(stored.about["settings"], self.settings.as_dict())):
+        if stored is not None and (
+            differing := differences(stored.about["settings"], self.settings.as_dict())
+        ):
             raise ParameterError(
                 f"{self.directory.out} holds {chosen.name} run with other settings ({'; '.join(differing)}): choose "
                 "another directory, or replace it with --again (again=True)."
@@ -468,15 +547,23 @@ class _Call:
         if not self.bodies:
             return parts
         held = self.directory.load(chosen.name, bodies=True)
-        if held is not None and held.about["drawn"] == self.drawn and not (parts and self._outdated(held)):
+        if (
+            held is not None
+            and held.about["drawn"] == self.drawn
+            and not (parts and self._outdated(held))
+        ):
             return parts
         judged = {figure.profile for figure in chosen.figures}
-        profiles = [name for name in self.settings.profiles if name in judged] or list(self.settings.profiles)
+        profiles = [name for name in self.settings.profiles if name in judged] or list(
+            self.settings.profiles
+        )
         count = self.settings.but(bodies=self.bodies).body_count
         for profile in profiles:
             for k in range(0, count, AT_ONCE):
                 some = {name: of[k : k + AT_ONCE] for name, of in self.bodies.items()}
-                once = self.settings.but(profiles=[profile], repeats=1, seed=self.settings.seed + k, bodies=some)
+                once = self.settings.but(
+                    profiles=[profile], repeats=1, seed=self.settings.seed + k, bodies=some
+                )
                 parts.append(Part(chosen.name, chosen.run, once, count, k))
         return parts
 
@@ -508,7 +595,9 @@ class _Call:
         def tell(key: int, share: float) -> None:
             label = parts[key].label
             total = sum(part.worlds for part in parts if part.label == label)
-            done = sum(parts[k].worlds for k in came[label]) + share * parts[key].worlds * (key not in came[label])
+            done = sum(parts[k].worlds for k in came[label]) + share * parts[key].worlds * (
+                key not in came[label]
+            )
             self._tell(label, done / total)
 
         try:
@@ -527,21 +616,30 @@ class _Call:
                 if part.bodies:
                     about |= {"bodies": part.bodies, "drawn": self.drawn}
                     batches = [(several[k][0].columns, parts[k].begin) for k in sorted(several)]
-                    columns = {name: np.concatenate([of[name] for of, _ in batches]) for name in batches[0][0]}
+                    columns = {
+                        name: np.concatenate([of[name] for of, _ in batches])
+                        for name in batches[0][0]
+                    }
                     # Each batch is numbered from the position of its first body.
                     columns[BODY] = np.concatenate([of[BODY] + begin for of, begin in batches])
-                    outcome = dataclasses.replace(several[min(several)][0], columns=columns, recordings={})
+                    outcome = dataclasses.replace(
+                        several[min(several)][0], columns=columns, recordings={}
+                    )
                     self.directory.save(outcome, about, self.written, bodies=True)
                     fresh.add(part.name)
                 else:
-                    if part.name not in fresh and self._outdated(self.directory.load(part.name, bodies=True)):
+                    if part.name not in fresh and self._outdated(
+                        self.directory.load(part.name, bodies=True)
+                    ):
                         self.written.clear(self.directory.path(part.name, bodies=True))
                     self.directory.save(found[0], about, self.written)
                 yield part.label
         except TaskFailed as failed:
             error = failed.error
             text = f"{parts[failed.key].name} failed: {error} What was done before is kept in {self.directory.out}."
-            if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(error, ParameterError):
+            if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(
+                error, ParameterError
+            ):
                 if type(error).__module__.startswith("nermo_mjx"):
                     raise JobFailed(text) from error
                 error.add_note(text)
@@ -552,18 +650,32 @@ class _Call:
         from nermo_mjx.experiments.plots import figures_of_experiment
         from nermo_mjx.plotting.files import write_figures
 
-        written, out, stored = self.written, self.directory.out, kept or self.directory.load(chosen.name)
+        written, out, stored = (
+            self.written,
+            self.directory.out,
+            kept or self.directory.load(chosen.name),
+        )
         assert stored is not None, "it was read back when it was saved"
         if kept is not None:
             made = codes_of(out).get(kept.about.get("code", ""))
             unlike = "" if made is None else made.unlike(self.code)
-            other = " by code that is not known" if made is None else f" by other code ({unlike})" if unlike else ""
+            other = (
+                " by code that is not known"
+                if made is None
+                else f" by other code ({unlike})"
+                if unlike
+                else ""
+            )
             self.watch.warn(
                 f"{chosen.name}: kept as run on {local_time(kept.about['started'])}{other}; --again reruns it."
             )
         several = self.directory.load(chosen.name, bodies=True)
-        lines = published_lines(stored.outcome, several.outcome if several else None, chosen.figures)
-        if stored.about["settings"].get("controller"):  # reasons were found for the published controller
+        lines = published_lines(
+            stored.outcome, several.outcome if several else None, chosen.figures
+        )
+        if stored.about["settings"].get(
+            "controller"
+        ):  # reasons were found for the published controller
             lines = [dataclasses.replace(line, reason="") for line in lines]
         former = (self.directory.entry(chosen.name) if kept is not None else None) or {}
         # The files derived from the results are added once they exist.
@@ -576,7 +688,9 @@ class _Call:
         }
         self._publish(chosen, entry)
         self._tell(f"{chosen.name}, plots", 0.0)
-        plots = write_figures(figures_of_experiment(stored.outcome, lines), out / "plots", written.write)
+        plots = write_figures(
+            figures_of_experiment(stored.outcome, lines), out / "plots", written.write
+        )
         entry["plots"] = [written.name(plot) for plot in plots]
         old = [name for name in written.known if name.startswith(f"plots/{chosen.name}-")]
         written.remove([name for name in old if name not in entry["plots"]])
@@ -610,7 +724,12 @@ class _Call:
         path = self.directory.out / "videos" / f"{chosen.name}.mp4"
         partial = path.with_name(f".{chosen.name}{TEMPORARY}.mp4")
         try:
-            speed = shoot(outcome, chosen.shot, partial, lambda share: self._tell(f"{chosen.name}, video", share))
+            speed = shoot(
+                outcome,
+                chosen.shot,
+                partial,
+                lambda share: self._tell(f"{chosen.name}, video", share),
+            )
             self.written.write(path, read_bytes(partial, MOST_FILE))
         except (VideoError, RecordingError) as error:
             note = f"There is no video of {chosen.name}. {error}"
@@ -625,7 +744,9 @@ class _Call:
 FPS, WIDTH, HEIGHT, LONGEST = 20, 480, 360, 8.0
 
 
-def shoot(outcome: CaseRuns, shot: Shot, path: Path, progress: Callable[[float], None] | None = None) -> float:
+def shoot(
+    outcome: CaseRuns, shot: Shot, path: Path, progress: Callable[[float], None] | None = None
+) -> float:
     """Render the video of an experiment that has a recording, and return its speed.
 
     Raises:
@@ -643,6 +764,12 @@ def shoot(outcome: CaseRuns, shot: Shot, path: Path, progress: Callable[[float],
     began = float(recording.time[0])
     shown = recording.between(began, began + min(speed * LONGEST, end))
     report = None if progress is None else lambda done, frames: progress(done / frames)
-    look: dict[str, Any] = {"fps": FPS, "width": WIDTH, "height": HEIGHT, "camera": shot.camera, "speed": speed}
+    look: dict[str, Any] = {
+        "fps": FPS,
+        "width": WIDTH,
+        "height": HEIGHT,
+        "camera": shot.camera,
+        "speed": speed,
+    }
     render(shown, robot_of(recording).model, path, progress=report, **look)
     return speed

@@ -18,17 +18,32 @@ import numpy as np
 from nermo_mjx.experiments.cases import BODY, CaseRuns, Settings
 from nermo_mjx.kinematics import leg
 from nermo_mjx.kinematics.spine import joint_angle
-from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, assemble_leg, assemble_spine, load_robot
+from nermo_mjx.robot import (
+    LIMBS,
+    ModelParameters,
+    ParameterError,
+    assemble_leg,
+    assemble_spine,
+    load_robot,
+)
 from nermo_mjx.robot.equipment import VISUAL_GROUP, chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.parameters import LEGS, ROUTINGS, SERVO_RANGE, SPINE
-from nermo_mjx.robot.quantity import check_quantities, choice, quantities, replace_quantities, values_of
+from nermo_mjx.robot.quantity import (
+    check_quantities,
+    choice,
+    quantities,
+    replace_quantities,
+    values_of,
+)
 
 #: Torque of the published load case [N m].
 TORQUE: Final = 0.125
 #: Parameters that may be set: of the body, and on the stands without those of motors and gears, which they do not have.
-BODY_SETTABLE: Final = frozenset(name for name, _ in quantities(ModelParameters) if not name.startswith("geometry."))
+BODY_SETTABLE: Final = frozenset(
+    name for name, _ in quantities(ModelParameters) if not name.startswith("geometry.")
+)
 STAND_SETTABLE: Final = BODY_SETTABLE - {
     f"servo.{name}" for name in ("supply_voltage", "back_emf", "dead_band", "backlash")
 }
@@ -66,7 +81,9 @@ class Stand:
             mujoco.mj_forward(self.model, self.data)
             if waited >= times and np.abs(self.data.qvel).max() < 1e-2:
                 return self
-        raise ParameterError(f"the stand of {self.name} does not come to rest with these parameters.")
+        raise ParameterError(
+            f"the stand of {self.name} does not come to rest with these parameters."
+        )
 
     def site(self, name: str) -> np.ndarray:
         """Where a site is [m]."""
@@ -126,7 +143,11 @@ def bend(spec: Any, joints: Sequence[str], torque: float = TORQUE) -> float:
 
 
 def _measured(
-    name: str, settings: Settings, cases: Sequence[Mapping[str, Any]], measure: Any, settable: frozenset[str]
+    name: str,
+    settings: Settings,
+    cases: Sequence[Mapping[str, Any]],
+    measure: Any,
+    settable: frozenset[str],
 ) -> CaseRuns:
     """All cases, once for each profile, with the same values; there are no repeats, and the engine is MuJoCo C.
 
@@ -141,16 +162,25 @@ def _measured(
     rows: list[dict[str, Any]] = []
     count = max(settings.body_count, 1)
     for i in range(count):
-        values = {**settings.values} | {parameter: float(of[i]) for parameter, of in (settings.bodies or {}).items()}
-        parameters = replace_quantities(ModelParameters(), {of: np.asarray(value) for of, value in values.items()})
+        values = {**settings.values} | {
+            parameter: float(of[i]) for parameter, of in (settings.bodies or {}).items()
+        }
+        parameters = replace_quantities(
+            ModelParameters(), {of: np.asarray(value) for of, value in values.items()}
+        )
         check_quantities(parameters)
         numbered = {BODY: i + 1} if settings.bodies else {}
         for case in cases:
             found = measure(parameters, **case)
-            rows += [{"profile": profile, **numbered, **case, "repeat": 0, **found} for profile in settings.profiles]
+            rows += [
+                {"profile": profile, **numbered, **case, "repeat": 0, **found}
+                for profile in settings.profiles
+            ]
             if settings.progress:
                 settings.progress(len(rows) / len(settings.profiles) / (count * len(cases)))
-    return CaseRuns.of(name, {column: np.array([row[column] for row in rows]) for column in rows[0]})
+    return CaseRuns.of(
+        name, {column: np.array([row[column] for row in rows]) for column in rows[0]}
+    )
 
 
 # --- the body alone
@@ -163,11 +193,16 @@ def run_body(settings: Settings) -> CaseRuns:
 
     def measure(parameters: ModelParameters) -> dict[str, float]:
         bends = {
-            f"bend_{pair}_knee": bend(assemble_leg(f"{pair}_left", parameters=parameters), [f"{pair}_left_knee"])
+            f"bend_{pair}_knee": bend(
+                assemble_leg(f"{pair}_left", parameters=parameters), [f"{pair}_left_knee"]
+            )
             for pair in ("front", "rear")
         }
         bends["bend_spine"] = bend(assemble_spine(parameters=parameters), _LATERAL)
-        sizes, limit = _dimensions(), float(joint_angle(np.asarray(SERVO_RANGE["spine"][1]), Geometry()))
+        sizes, limit = (
+            _dimensions(),
+            float(joint_angle(np.asarray(SERVO_RANGE["spine"][1]), Geometry())),
+        )
         mass = float(parameters.mass.front + parameters.mass.rear)
         return {"mass": mass, **sizes, **bends, "spine_joint_limit": limit}
 
@@ -189,7 +224,10 @@ def _dimensions() -> dict[str, float]:
             points = place + model.mesh_vert[first : first + count] @ turned.T
             ends.append([points.min(axis=0), points.max(axis=0)])
         else:
-            centre, half = place + turned @ model.geom_aabb[geom][:3], np.abs(turned) @ model.geom_aabb[geom][3:]
+            centre, half = (
+                place + turned @ model.geom_aabb[geom][:3],
+                np.abs(turned) @ model.geom_aabb[geom][3:],
+            )
             ends.append([centre - half, centre + half])
     corners = np.array(ends)
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
@@ -216,7 +254,10 @@ _STRIDE, _LIFT = 0.060, 0.010
 LEG_CASES: Final = tuple(
     {"pair": pair, "routing": routing, "hinges": hinges}
     for pair in LEGS
-    for routing, hinges in (*((routing, 1) for routing in ROUTINGS), *(("type3", n) for n in HINGES[1:]))
+    for routing, hinges in (
+        *((routing, 1) for routing in ROUTINGS),
+        *(("type3", n) for n in HINGES[1:]),
+    )
 )
 _inverse: Final = jax.jit(leg.inverse_kinematics, static_argnames="routing")
 
@@ -224,14 +265,19 @@ _inverse: Final = jax.jit(leg.inverse_kinematics, static_argnames="routing")
 def run_leg(settings: Settings) -> CaseRuns:
     """Measure all routings of a leg, and chains of hinges; see `_measured`."""
 
-    def measure(parameters: ModelParameters, pair: str, routing: Any, hinges: int) -> dict[str, float]:
+    def measure(
+        parameters: ModelParameters, pair: str, routing: Any, hinges: int
+    ) -> dict[str, float]:
         limb, joints = f"{pair}_left", (f"{pair}_left_hip", f"{pair}_left_knee")
 
         def settled(servo: Any) -> Stand:
             return Stand(assemble_leg(limb, routing, parameters, hinges)).settle(servo)
 
         rest = servo_angles(pair, np.array(LEGS[pair].neutral_foot), routing)
-        higher, lower = (settled(rest + np.array([0.0, step])).site(f"{limb}_foot")[2] for step in (_STEP, -_STEP))
+        higher, lower = (
+            settled(rest + np.array([0.0, step])).site(f"{limb}_foot")[2]
+            for step in (_STEP, -_STEP)
+        )
         swung = [settled(rest + np.array([angle, 0.0])) for angle in (_SWING, -_SWING)]
         hip, knee = (swung[0].angle(joint) - swung[1].angle(joint) for joint in joints)
         swing = swing_of(pair, routing)
@@ -278,10 +324,16 @@ SPINE_CASES: Final[tuple[dict[str, Any], ...]] = (
 def run_spine(settings: Settings) -> CaseRuns:
     """Measure all planes of the spine, and chains of hinges; see `_measured`."""
 
-    def measure(parameters: ModelParameters, robot: Any, plane: str, hinges: int) -> dict[str, float]:
+    def measure(
+        parameters: ModelParameters, robot: Any, plane: str, hinges: int
+    ) -> dict[str, float]:
         # The robot's masses, unless they are set.
         default, now = dict(values_of(ModelParameters())), dict(values_of(parameters))
-        own = {name: np.asarray(value) for name, value in mass_values(robot).items() if now[name] == default[name]}
+        own = {
+            name: np.asarray(value)
+            for name, value in mass_values(robot).items()
+            if now[name] == default[name]
+        }
         parameters = replace_quantities(parameters, own)
         shares, joints, way = PLANES[plane]
         share = np.array(shares[: 2 if robot == "nermo_41" else 1])
@@ -295,7 +347,9 @@ def run_spine(settings: Settings) -> CaseRuns:
             "joint_angle": float(np.mean([ends[0].angle(joint) for joint in joints])),
             "range": float(np.linalg.norm(ends[0].site("spine_end") - ends[1].site("spine_end"))),
             "force": settled(0.0 * share).held("spine_end", way, _MOST_SPINE),
-            "speed": float(np.linalg.norm(near[0] - near[1]) / (2 * _STEP) * parameters.servo.speed),
+            "speed": float(
+                np.linalg.norm(near[0] - near[1]) / (2 * _STEP) * parameters.servo.speed
+            ),
             "work": settled(0.0 * share).work(lambda at: at * SPINE.max_servo_angle * share)[0],
             "bend": bend(assemble_spine(parameters, robot, hinges), joints),
         }

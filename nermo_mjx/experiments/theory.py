@@ -67,13 +67,19 @@ def theory_radius(steering: str, stride: float = 0.06) -> float:
     legs, spine = STEERING[steering]
     theta_v = spine * SPINE.max_joint_angle
     if not legs:
-        return float(turning.spine_radius(jnp.asarray(theta_v), *map(jnp.asarray, turning.spine_lengths(_ROBOT)))[0])
+        return float(
+            turning.spine_radius(
+                jnp.asarray(theta_v), *map(jnp.asarray, turning.spine_lengths(_ROBOT))
+            )[0]
+        )
     return float(_smallest_radius(stride, theta_v))
 
 
 @jax.jit
 def _smallest_radius(stride: ArrayLike, theta_v: ArrayLike) -> Array:
-    return turning.smallest_radius(jnp.asarray(stride), ControlParameters().stance, jnp.asarray(theta_v), _ROBOT)
+    return turning.smallest_radius(
+        jnp.asarray(stride), ControlParameters().stance, jnp.asarray(theta_v), _ROBOT
+    )
 
 
 @functools.cache
@@ -93,11 +99,15 @@ def equal_stride_radius(servo: float, stride: float = 0.06) -> float:
     back = np.stack([[0.0, 1.0], np.asarray(transform(theta_v, _ROBOT), float)[:2, 1]])
     neutral = np.asarray(neutral_feet(ControlParameters().stance), float)
     motions, moments = [], np.linspace(-0.5, 0.5, _MOMENTS) * stride
-    all_feet = feet_positions(theta_v, neutral + np.stack([moments, 0.0 * moments], axis=-1)[:, None], _ROBOT)
+    all_feet = feet_positions(
+        theta_v, neutral + np.stack([moments, 0.0 * moments], axis=-1)[:, None], _ROBOT
+    )
     for feet in np.asarray(all_feet, float)[..., :2]:
         for pair in _DIAGONALS:
             # Rows: speed of a foot on the ground, along x and y, for the body's speeds along x and y and its turn.
-            rows = np.array([[[1.0, 0.0, -y], [0.0, 1.0, x]] for x, y in feet[list(pair)]]).reshape(4, 3)
+            rows = np.array([[[1.0, 0.0, -y], [0.0, 1.0, x]] for x, y in feet[list(pair)]]).reshape(
+                4, 3
+            )
             motions.append(np.linalg.lstsq(rows, -back.ravel(), rcond=None)[0])
     along_x, along_y, turn = np.mean(motions, axis=0)
     return float(np.hypot(along_x, along_y) / abs(turn))

@@ -19,7 +19,16 @@ from scipy.signal import find_peaks
 
 from nermo_mjx.control.path import Course, course_through
 from nermo_mjx.experiments import cases, theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, SIMULATED, Case, CaseRuns, Label, Settings, Worlds
+from nermo_mjx.experiments.cases import (
+    AMPLITUDE,
+    FREQUENCIES,
+    SIMULATED,
+    Case,
+    CaseRuns,
+    Label,
+    Settings,
+    Worlds,
+)
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, Robot
@@ -33,7 +42,9 @@ _GUIDED: Final = {"pilot.guidance": 1.0, "pilot.error_gain": 0.0, "pilot.change_
 _BUILT: Final = ("as_built",)
 
 
-def _record(simulator: Simulator, chosen: list[Case], settings: Settings, length: Any, names: list[str]) -> Any:
+def _record(
+    simulator: Simulator, chosen: list[Case], settings: Settings, length: Any, names: list[str]
+) -> Any:
     """Recordings of the first start of cases in the first profile, by the names given; none of identified bodies."""
     one = settings.but(profiles=settings.profiles[:1], repeats=1)
     chosen = [case for case in chosen if one.profiles[0] in case.profiles]
@@ -57,10 +68,19 @@ _RECORDED: Final = 8.0
 def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **other: Any) -> Case:
     """A case of the straight line; `other`: whether it is `compensated`, and its `profiles`."""
     compensated = other.get("compensated", False)
-    labels: dict[str, Label] = {"gait": gait, "frequency": frequency, "stride": stride, "spine": spine}
+    labels: dict[str, Label] = {
+        "gait": gait,
+        "frequency": frequency,
+        "stride": stride,
+        "spine": spine,
+    }
     # Without the author's PD pilot, as his own model beside it. The guidance of the other profiles has no such gains.
     values = {"frequency": frequency, "stride": stride, "spine.amplitude": AMPLITUDE * spine}
-    values |= {"spine.offset_compensation": float(compensated), "pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
+    values |= {
+        "spine.offset_compensation": float(compensated),
+        "pilot.error_gain": 0.0,
+        "pilot.change_gain": 0.0,
+    }
     profiles = other.get("profiles", SIMULATED)
     return Case(labels | {"compensated": compensated}, gait, values=values, profiles=profiles)
 
@@ -71,13 +91,29 @@ def line_cases(quick: bool = False) -> tuple[Case, ...]:
     both = (False, True)
     still = {"stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
     stands = _line("trot", 0.8, False, 0.0)  # on its neutral feet
-    stands = Case({**stands.labels, "gait": "stand"}, "trot", values={**stands.values, **still}, profiles=SIMULATED)
-    gaits = [_line(gait, f, spine) for f in frequencies for gait in ("trot", "walking_trot") for spine in both]
+    stands = Case(
+        {**stands.labels, "gait": "stand"},
+        "trot",
+        values={**stands.values, **still},
+        profiles=SIMULATED,
+    )
+    gaits = [
+        _line(gait, f, spine)
+        for f in frequencies
+        for gait in ("trot", "walking_trot")
+        for spine in both
+    ]
     lateral = [_line("lateral_walk", f, False) for f in frequencies]
     strides = [_line("trot", 0.8, spine, stride) for stride in (0.0, 0.5, 0.8) for spine in both]
-    compensated = [_line("trot", 0.67, True, compensated=True)] + ([_line("trot", 0.67, True)] if quick else [])
+    compensated = [_line("trot", 0.67, True, compensated=True)] + (
+        [_line("trot", 0.67, True)] if quick else []
+    )
     hardware = (("trot", False), ("trot", True), ("lateral_walk", False))
-    built = [_line(gait, f, spine, HARDWARE_STRIDE, profiles=_BUILT) for f in FREQUENCIES for gait, spine in hardware]
+    built = [
+        _line(gait, f, spine, HARDWARE_STRIDE, profiles=_BUILT)
+        for f in FREQUENCIES
+        for gait, spine in hardware
+    ]
     return (stands, *gaits, *lateral, *strides, *compensated, *built)
 
 
@@ -86,18 +122,31 @@ def walk_line(settings: Settings) -> CaseRuns:
 
     Quick: fewer cases, and half a metre.
     """
-    simulator = Simulator(settings.setup("straight_line", spine="stride_extension"), engine=settings.engine)
+    simulator = Simulator(
+        settings.setup("straight_line", spine="stride_extension"), engine=settings.engine
+    )
     defaults, quick = simulator.setup.defaults(), settings.quick
     batch = cases.worlds(line_cases(quick), defaults, settings)
-    length = Run(cycles=_LONGEST / (4 if quick else 1), warmup_cycles=_WARMUP, distance=0.5 if quick else DISTANCE)
+    length = Run(
+        cycles=_LONGEST / (4 if quick else 1),
+        warmup_cycles=_WARMUP,
+        distance=0.5 if quick else DISTANCE,
+    )
     columns = cases.measured(batch, simulator.run(batch.values, length, progress=settings.progress))
     columns["theory_speed"] = theory.speed(batch.all_values(defaults))
     # The publication describes the gait cycle of the trot at 0.8 Hz, with two strides.
-    described = [_line("trot", 0.8, spine, stride).labels for stride in (0.8, 1.0) for spine in (False, True)]
+    described = [
+        _line("trot", 0.8, spine, stride).labels for stride in (0.8, 1.0) for spine in (False, True)
+    ]
     looked_into = np.logical_or.reduce(
-        [np.logical_and.reduce([batch.labels[name] == labels[name] for name in labels]) for labels in described]
+        [
+            np.logical_and.reduce([batch.labels[name] == labels[name] for name in labels])
+            for labels in described
+        ]
     )
-    columns |= gait_cycle(simulator, batch, looked_into, Run(_WARMUP + (4.0 if quick else _RECORDED), _WARMUP))
+    columns |= gait_cycle(
+        simulator, batch, looked_into, Run(_WARMUP + (4.0 if quick else _RECORDED), _WARMUP)
+    )
     names = [f"trot, 0.67 Hz, {which} spine" for which in ("without", "with")]
     shown = [_line("trot", 0.67, spine) for spine in (False, True)]
     recordings = _record(simulator, shown, settings, Run(cycles=4.0 if quick else _RECORDED), names)
@@ -127,7 +176,9 @@ _SLIP: Final = ("slip_rear_touch_down", "slip_rear_mid_stance", "slip_rear_lift_
 CYCLE: Final = ("pitch_peaks", "pitch_peak_up", "pitch_lift_off", "yaw_spine_correlation", *_SLIP)
 
 
-def gait_cycle(simulator: Simulator, batch: Worlds, wanted: np.ndarray, run: Run) -> dict[str, np.ndarray]:
+def gait_cycle(
+    simulator: Simulator, batch: Worlds, wanted: np.ndarray, run: Run
+) -> dict[str, np.ndarray]:
     """`CYCLE` of the wanted worlds of a batch, which are simulated again and recorded; NaN for the others.
 
     Args:
@@ -138,7 +189,9 @@ def gait_cycle(simulator: Simulator, batch: Worlds, wanted: np.ndarray, run: Run
     everything, rows = batch.all_values(simulator.setup.defaults()), np.flatnonzero(wanted)
     for begin in range(0, len(rows), _AT_ONCE):
         chosen = rows[begin : begin + _AT_ONCE]
-        result = simulator.run({name: values[chosen] for name, values in batch.values.items()}, run, record=True)
+        result = simulator.run(
+            {name: values[chosen] for name, values in batch.values.items()}, run, record=True
+        )
         assert result.trace is not None
         for i, row in enumerate(chosen):
             if result.status[i] == "ok":
@@ -171,7 +224,9 @@ def of_world(trace: History, world: int, values: Mapping[str, float], run: Run) 
     }
 
 
-def folded(phase: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) -> Float[np.ndarray, " parts"]:
+def folded(
+    phase: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, " parts"]:
     """Mean course over a gait cycle, minus its mean and the drift over the walk; phase in cycles."""
     drift = np.polynomial.Polynomial.fit(phase, values, 1)(phase)
     part = np.floor((phase % 1.0) * PARTS).astype(int) % PARTS
@@ -180,7 +235,9 @@ def folded(phase: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) -> F
     return course - course.mean()
 
 
-def pitch_course(pitch: Float[np.ndarray, " parts"], duty: float, offsets: list[float]) -> dict[str, float]:
+def pitch_course(
+    pitch: Float[np.ndarray, " parts"], duty: float, offsets: list[float]
+) -> dict[str, float]:
     """The pitch's part of `CYCLE`, from its mean course.
 
     Args:
@@ -189,7 +246,11 @@ def pitch_course(pitch: Float[np.ndarray, " parts"], duty: float, offsets: list[
     """
     up = -pitch
     twice = np.tile(up, 3)
-    peaks, _ = find_peaks(twice, prominence=PROMINENT * np.ptp(up)) if np.ptp(up) > 0.0 else (np.zeros(0), {})
+    peaks, _ = (
+        find_peaks(twice, prominence=PROMINENT * np.ptp(up))
+        if np.ptp(up) > 0.0
+        else (np.zeros(0), {})
+    )
     middle = (np.arange(PARTS) + 0.5) / PARTS
     after = [((middle - offset - duty) % 1.0) < LIFT_OFF for offset in offsets]
     return {
@@ -238,15 +299,31 @@ _LOCK_CYCLES: Final = 14.0
 
 
 def _turn(
-    gait: str, frequency: float, radius: float, strategy: str, side: str = "left", stride: float = 1.0, **other: Any
+    gait: str,
+    frequency: float,
+    radius: float,
+    strategy: str,
+    side: str = "left",
+    stride: float = 1.0,
+    **other: Any,
 ) -> Case:
     """A case of the turning test; `other`: its `profiles`."""
-    values = {"frequency": frequency, "stride": stride, "spine.amplitude": 0.0, "spine.max_servo_angle": AMPLITUDE}
+    values = {
+        "frequency": frequency,
+        "stride": stride,
+        "spine.amplitude": 0.0,
+        "spine.max_servo_angle": AMPLITUDE,
+    }
     if radius == FULL_LOCK:
         values["pilot.turn_rate"] = SIDES[side]
     else:
         values |= {"pilot.radius": radius, "pilot.direction": SIDES[side], **_GUIDED}
-    labels: dict[str, Label] = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy}
+    labels: dict[str, Label] = {
+        "gait": gait,
+        "frequency": frequency,
+        "radius": radius,
+        "strategy": strategy,
+    }
     labels |= {"side": side, "stride": stride}
     return Case(labels, gait, strategy, values, other.get("profiles", SIMULATED))
 
@@ -259,8 +336,14 @@ def turn_cases(quick: bool = False) -> tuple[Case, ...]:
     gaits, frequencies = (("trot",), (0.67,)) if quick else (GAITS, FREQUENCIES)
     radii = (0.5, FULL_LOCK) if quick else (*RADII, FULL_LOCK)
     left = [_turn(*case) for case in itertools.product(gaits, frequencies, radii, STRATEGIES)]
-    right = [_turn(*case) for case in itertools.product(gaits[:2], (0.67,), radii, STRATEGIES, ("right",))]
-    built = [_turn("trot", 0.67, 0.5, name, stride=HARDWARE_STRIDE, profiles=_BUILT) for name in STRATEGIES]
+    right = [
+        _turn(*case)
+        for case in itertools.product(gaits[:2], (0.67,), radii, STRATEGIES, ("right",))
+    ]
+    built = [
+        _turn("trot", 0.67, 0.5, name, stride=HARDWARE_STRIDE, profiles=_BUILT)
+        for name in STRATEGIES
+    ]
     return (*left, *right, *built)
 
 
@@ -282,13 +365,18 @@ def walk_turns(settings: Settings) -> CaseRuns:
         ]
         if not chosen:
             continue
-        simulator = Simulator(settings.setup("quarter_circles", pilot=pilot), engine=settings.engine)
+        simulator = Simulator(
+            settings.setup("quarter_circles", pilot=pilot), engine=settings.engine
+        )
         defaults = simulator.setup.defaults()
         batch = cases.worlds(chosen, defaults, settings)
         # Right turns are mirror images of left ones: they also start on the other pair of legs. Only trot and walking
         # trot turn right, whose two diagonal pairs are half a cycle apart.
         right = batch.labels["side"] == "right"
-        start = {name: np.where(right, -batch.values[name], batch.values[name]) for name in ("start.x", "start.yaw")}
+        start = {
+            name: np.where(right, -batch.values[name], batch.values[name])
+            for name in ("start.x", "start.yaw")
+        }
         start["start.phase"] = batch.values["start.phase"] + 0.5 * right
         batch = Worlds(batch.labels, batch.values | start)
         values = batch.all_values(defaults)
@@ -299,11 +387,16 @@ def walk_turns(settings: Settings) -> CaseRuns:
 
         result = simulator.run(batch.values, length, progress=tell)
         warmup, end = length.seconds(values["frequency"] / values["tracking.clock_ratio"])
-        parts.append(_judged(cases.measured(batch, result), end - warmup, values["stance.max_stride"]))
+        parts.append(
+            _judged(cases.measured(batch, result), end - warmup, values["stance.max_stride"])
+        )
         before += share
         if pilot == "arc":
             stride = HARDWARE_STRIDE if settings.profiles[0] == "as_built" else 1.0
-            shown = [_turn("trot", 0.67, 0.5, name, "left", stride, profiles=settings.profiles) for name in STRATEGIES]
+            shown = [
+                _turn("trot", 0.67, 0.5, name, "left", stride, profiles=settings.profiles)
+                for name in STRATEGIES
+            ]
             names = [f"trot, 0.67 Hz, R = 0.5 m, {name}" for name in STRATEGIES]
 
             def length_of(one: Worlds, defaults: Mapping[str, float] = defaults) -> Run:
@@ -320,17 +413,23 @@ def _turn_length(values: Mapping[str, np.ndarray], radius: np.ndarray) -> Run:
         return Run(cycles=_LOCK_CYCLES, warmup_cycles=2.0)
     arc = radius * np.pi / 2
     cycle_length = theory.speed(values) / values["frequency"] * values["tracking.clock_ratio"]
-    return Run(cycles=1.0 + np.ceil(arc / (_IN_TIME * cycle_length)), warmup_cycles=1.0, distance=arc)
+    return Run(
+        cycles=1.0 + np.ceil(arc / (_IN_TIME * cycle_length)), warmup_cycles=1.0, distance=arc
+    )
 
 
-def _judged(columns: dict[str, np.ndarray], longest: np.ndarray, max_stride: np.ndarray) -> dict[str, np.ndarray]:
+def _judged(
+    columns: dict[str, np.ndarray], longest: np.ndarray, max_stride: np.ndarray
+) -> dict[str, np.ndarray]:
     """Adds time, `followed` and the radii of theory; a world that has not arrived was measured for `longest` [s]."""
     radius, strategy = columns["radius"], columns["strategy"]
     lock = radius == FULL_LOCK
     near = columns["cross_track_peak"] <= bound(radius)
     arrived = columns["duration"] < longest - 0.05
     strides = columns["stride"] * max_stride
-    theory_radius = [theory.theory_radius(str(name), l_s) for name, l_s in zip(strategy, strides, strict=True)]
+    theory_radius = [
+        theory.theory_radius(str(name), l_s) for name, l_s in zip(strategy, strides, strict=True)
+    ]
     equal = [theory.equal_stride_radius(AMPLITUDE, l_s) for l_s in strides.tolist()]
     return columns | {
         "time": np.where(lock, np.nan, radius * np.pi / 2 / columns["speed"]),
@@ -349,7 +448,9 @@ def bound(radius: np.ndarray) -> np.ndarray:
 
 MAZE_FREQUENCY: Final = 0.67
 #: Way points (x, y) of the maze's path [m]; see `experiments.yaml`.
-MAZE_COURSE: Final[tuple[tuple[float, float], ...]] = tuple((x, y) for x, y in cases.texts("maze_course"))
+MAZE_COURSE: Final[tuple[tuple[float, float], ...]] = tuple(
+    (x, y) for x, y in cases.texts("maze_course")
+)
 #: The end is reached if the torso passes it within this distance [m], half the robot's length.
 _PASSES: Final = 0.1
 #: Ticks between two checks of the contacts: a touch lasts longer than 20 ms.
@@ -372,7 +473,12 @@ def maze_cases() -> tuple[Case, ...]:
     chosen = []
     for profiles, stride in ((SIMULATED, 1.0), (_BUILT, HARDWARE_STRIDE)):
         for spine, steering in ((False, "leg"), (True, "mix")):
-            values = {"frequency": MAZE_FREQUENCY, "spine.amplitude": AMPLITUDE * spine, "stride": stride, **_GUIDED}
+            values = {
+                "frequency": MAZE_FREQUENCY,
+                "spine.amplitude": AMPLITUDE * spine,
+                "stride": stride,
+                **_GUIDED,
+            }
             chosen.append(Case({"spine": spine}, "trot", steering, values, profiles))
     return tuple(chosen)
 
@@ -382,19 +488,28 @@ def walk_maze(settings: Settings) -> CaseRuns:
 
     Quick: the first metre only, so that no run reaches the end.
     """
-    setup = settings.setup("maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE)
+    setup = settings.setup(
+        "maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE
+    )
     simulator = Simulator(setup, engine=settings.engine)
     batch = cases.worlds(maze_cases(), setup.defaults(), settings)
     length = 1.0 if settings.quick else maze_course().length + 2 * _PASSES
     walk = Run(cycles=np.ceil(length / (_SLOWEST * 0.12)), warmup_cycles=2.0, distance=length)
     result = simulator.run(batch.values, walk, record=True, progress=settings.progress)
     assert result.trace is not None
-    columns = cases.measured(batch, result) | _arrivals(result.trace) | touches(simulator.robot, result.trace)
+    columns = (
+        cases.measured(batch, result)
+        | _arrivals(result.trace)
+        | touches(simulator.robot, result.trace)
+    )
     if settings.quick:
         columns["reached"] = np.full(len(columns["reached"]), np.nan)
     labels = batch.labels
     shown = np.flatnonzero((labels["repeat"] == 0) & (settings.bodies is None)).tolist()
-    names = {i: f"{labels['profile'][i]}, {'with' if labels['spine'][i] else 'without'} spine" for i in shown}
+    names = {
+        i: f"{labels['profile'][i]}, {'with' if labels['spine'][i] else 'without'} spine"
+        for i in shown
+    }
     return CaseRuns.of("maze", columns, cases.recordings_of(simulator, batch, result, names))
 
 
@@ -428,7 +543,9 @@ def touches(robot: Robot, trace: History) -> dict[str, np.ndarray]:
             boxes |= hit
             time += bool(hit) * _LOOK * float(trace.time[0])
         seconds.append(time)
-        names.append(" ".join(robot.model.geom(box).name.removeprefix("obstacle_") for box in sorted(boxes)))
+        names.append(
+            " ".join(robot.model.geom(box).name.removeprefix("obstacle_") for box in sorted(boxes))
+        )
     return {"touched": np.array(seconds), "boxes": np.array(names)}
 
 

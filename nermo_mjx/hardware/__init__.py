@@ -7,5 +7,14 @@ from nermo_mjx.hardware.signals import findings_of
 from nermo_mjx.hardware.table import ServoTable, recorded_table, servo_table
 from nermo_mjx.hardware.twin import replay_log, with_log
 
-__all__ = ["Channel", "Channels", "Log", "ServoChannel", "ServoTable", "connected", "findings_of", "read_channels"]
+__all__ = [
+    "Channel",
+    "Channels",
+    "Log",
+    "ServoChannel",
+    "ServoTable",
+    "connected",
+    "findings_of",
+    "read_channels",
+]
 __all__ += ["read_log", "recorded_table", "replay_log", "send_table", "servo_table", "with_log"]

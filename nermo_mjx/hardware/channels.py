@@ -45,11 +45,15 @@ class ChannelFields(Fields):
     expected: ClassVar = "a mapping such as {channel: 0, direction: 1, zero: 90}"
     example: ClassVar = expected
     channel: Annotated[int, Whole(0, 65_535)] = Field(description="on the servo board, from 0")
-    direction: float = optional("-1 where the servo turns against the controller's angle", enum=[1, -1])
+    direction: float = optional(
+        "-1 where the servo turns against the controller's angle", enum=[1, -1]
+    )
     zero: Finite = optional("servo angle where the controller says 0 [deg]")
     low: Finite = optional("least that the servo may be given [deg]")
     high: Finite = optional("most that the servo may be given [deg]")
-    missing: Finite = optional("servo angle where the simulated robot has no such servo [deg]; else it is refused")
+    missing: Finite = optional(
+        "servo angle where the simulated robot has no such servo [deg]; else it is refused"
+    )
 
 
 class Servos(Fields):
@@ -57,7 +61,9 @@ class Servos(Fields):
 
     what: ClassVar = "a servo"
     rate: float = optional("how often the servos are given angles [Hz]", exclusiveMinimum=0)
-    whole_degrees: str = optional("angles are given in whole degrees: to the nearest, or cut", enum=[*WHOLE])
+    whole_degrees: str = optional(
+        "angles are given in whole degrees: to the nearest, or cut", enum=[*WHOLE]
+    )
 
 
 _NAMED: dict[str, Any] = {name: (ChannelFields, optional()) for name in SERVOS}
@@ -117,12 +123,20 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
     Raises:
         SpecError: a sentence with file, line, field, value and what is allowed.
     """
-    of_type("channels", source, (Mapping, str, os.PathLike), "the path of a file, or a mapping of its fields")
+    of_type(
+        "channels",
+        source,
+        (Mapping, str, os.PathLike),
+        "the path of a file, or a mapping of its fields",
+    )
     if isinstance(source, Mapping):
         doc = read_mapping(source, "channels")
     else:
         shipped = os.fspath(source) == PUBLISHED
-        doc = read_file(Path(__file__).with_name(f"{PUBLISHED}.yaml") if shipped else source, "table of channels")
+        doc = read_file(
+            Path(__file__).with_name(f"{PUBLISHED}.yaml") if shipped else source,
+            "table of channels",
+        )
     file = read(doc, ChannelsFile)
     found: dict[int, ServoChannel] = {}
     for servo in (key for key in doc.data if key not in Servos.model_fields):
@@ -131,7 +145,10 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
         if channel.direction not in (1, -1):
             doc.fail((servo, "direction"), f"is {channel.direction:g}: allowed is 1 or -1.")
         if channel.number in found:
-            doc.fail((servo, "channel"), f"is {channel.number}, which {found[channel.number].servo} has already.")
+            doc.fail(
+                (servo, "channel"),
+                f"is {channel.number}, which {found[channel.number].servo} has already.",
+            )
         if channel.low >= channel.high:
             doc.fail(
                 (servo, "low" if "low" in given else "high"),

@@ -115,11 +115,17 @@ def send_table(
             except SendError as error:
                 lost = str(error).rstrip(".")
                 if not isinstance(error, NotSentError) or clock() - reached > PATIENCE:
-                    row = row + 1 if seconds is None else max(row + 1, math.ceil(seconds * table.rate - 1e-9))
+                    row = (
+                        row + 1
+                        if seconds is None
+                        else max(row + 1, math.ceil(seconds * table.rate - 1e-9))
+                    )
                     break
             row += 1
     if lost:
-        raise SendError(f"{lost}: {messages} messages were sent, {row - skipped - messages} were not.")
+        raise SendError(
+            f"{lost}: {messages} messages were sent, {row - skipped - messages} were not."
+        )
     return Sent(messages, skipped, clock() - begun, latest)
 
 
@@ -139,15 +145,28 @@ def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
         yield lambda angles, given: publish(servo_message(url, angles, given))
 
 
-def servo_message(url: str, angles: Float[np.ndarray, " channels"], given: Float[np.ndarray, " channels"]) -> Any:
+def servo_message(
+    url: str, angles: Float[np.ndarray, " channels"], given: Float[np.ndarray, " channels"]
+) -> Any:
     """The message with the angles of a row [deg], as the robot behind this URL takes it."""
     if url.startswith(("mqtt", PRINT)):
-        return [int(angle) if angle == int(angle) else round(float(angle), 3) for angle in given.tolist()]
-    return {"layout": {"dim": [], "data_offset": 0}, "data": [round(a, 6) for a in np.radians(angles).tolist()]}
+        return [
+            int(angle) if angle == int(angle) else round(float(angle), 3)
+            for angle in given.tolist()
+        ]
+    return {
+        "layout": {"dim": [], "data_offset": 0},
+        "data": [round(a, 6) for a in np.radians(angles).tolist()],
+    }
 
 
 def linked(
-    url: str, topic: str, kind: str, heard: str = "", receive: Receiver | None = None, field: str = "send"
+    url: str,
+    topic: str,
+    kind: str,
+    heard: str = "",
+    receive: Receiver | None = None,
+    field: str = "send",
 ) -> AbstractContextManager[Callable[[Any], None]]:
     """A connection over which messages go both ways, as a context manager that gives the function to publish one.
 
@@ -166,7 +185,9 @@ def linked(
     """
     parts = address(url, field)
     if parts.scheme == "print":
-        return contextlib.nullcontext(lambda message: print(f"{topic}: {json.dumps(message)}", flush=True))
+        return contextlib.nullcontext(
+            lambda message: print(f"{topic}: {json.dumps(message)}", flush=True)
+        )
     for name in (topic, heard or topic):
         if not name or (parts.scheme == "mqtt" and any(mark in name for mark in "+#\0")):
             raise ParameterError(f"topic is {name!r}: expected a name, without + and #.")
@@ -215,7 +236,9 @@ def _mqtt(
     where = _place(url)
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     if url.username:
-        client.username_pw_set(unquote(url.username), None if url.password is None else unquote(url.password))
+        client.username_pw_set(
+            unquote(url.username), None if url.password is None else unquote(url.password)
+        )
     answered, answer = threading.Event(), []
 
     def on_connect(client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
@@ -244,7 +267,9 @@ def _mqtt(
 
         yield publish
     except (OSError, UnicodeError) as error:
-        raise SendError(f"{where}: no MQTT broker answers there ({getattr(error, 'strerror', '') or error}).") from None
+        raise SendError(
+            f"{where}: no MQTT broker answers there ({getattr(error, 'strerror', '') or error})."
+        ) from None
     finally:
         client.disconnect()
         client.loop_stop()
@@ -258,7 +283,9 @@ def _rosbridge(
     from websockets.sync import client
 
     where, failures = _place(url), (OSError, UnicodeError, WebSocketException)
-    topic, heard = (name if name.startswith("/") or not name else f"/{name}" for name in (topic, heard))
+    topic, heard = (
+        name if name.startswith("/") or not name else f"/{name}" for name in (topic, heard)
+    )
 
     def listen(socket: Any, receive: Receiver) -> None:
         with contextlib.suppress(*failures):
@@ -271,7 +298,9 @@ def _rosbridge(
 
     try:
         address = url._replace(netloc=url.netloc[: url.netloc.rfind("@") + 1] + where).geturl()
-        with client.connect(address, open_timeout=PATIENCE, ping_interval=PATIENCE, ping_timeout=PATIENCE) as socket:
+        with client.connect(
+            address, open_timeout=PATIENCE, ping_interval=PATIENCE, ping_timeout=PATIENCE
+        ) as socket:
             socket.send(json.dumps({"op": "advertise", "topic": topic, "type": kind}))
             if receive is not None:
                 threading.Thread(target=listen, args=(socket, receive), daemon=True).start()

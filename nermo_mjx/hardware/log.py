@@ -101,7 +101,11 @@ class SignalFields(Fields):
     @classmethod
     def written_out(cls, given: Any) -> Any:
         """With a force, which former versions called a contact, as one."""
-        if isinstance(given, dict) and given.get("quantity") == "contact" and given.get("unit") in [*_FORCE]:
+        if (
+            isinstance(given, dict)
+            and given.get("quantity") == "contact"
+            and given.get("unit") in [*_FORCE]
+        ):
             return given | {"quantity": "force"}
         return given
 
@@ -110,9 +114,13 @@ class LogFields(Fields):
     """A file for `nermo-mjx log --channels`: the columns of a robot's log."""
 
     what: ClassVar = "a field of the channels of a log"
-    example: ClassVar = "time: {column: t, unit: s} and channels: {NAME: {quantity: angle, of: JOINT, unit: deg}}"
+    example: ClassVar = (
+        "time: {column: t, unit: s} and channels: {NAME: {quantity: angle, of: JOINT, unit: deg}}"
+    )
     time: ClockFields = Field(description="the clock of the rows")
-    channels: dict[str, SignalFields] = Field(description="by name, which is that of a column or of several")
+    channels: dict[str, SignalFields] = Field(
+        description="by name, which is that of a column or of several"
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -205,18 +213,31 @@ def _csv(path: Path) -> Any:
     try:
         text = read_bytes(path, MOST_ARRAYS).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise SpecError(f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start}).") from None
+        raise SpecError(
+            f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start})."
+        ) from None
     # A line is one row: no cell of numbers goes over several.
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    lines = [
+        (i, line)
+        for i, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.startswith("#")
+    ]
     if len(lines) < 2:
         return pd.DataFrame()
     mark = max(",;\t", key=lines[0][1].count)
     names = [name.strip() for name in next(csv.reader([lines[0][1]], delimiter=mark))]
     for number, line in lines[1:]:
         if '"' not in line and (cells := line.count(mark) + 1) != len(names):
-            raise SpecError(f"{path}:{number}: it has {cells} cells, but there are {len(names)} columns.")
+            raise SpecError(
+                f"{path}:{number}: it has {cells} cells, but there are {len(names)} columns."
+            )
     rows = io.StringIO("\n".join(line for _, line in lines[1:]))
-    how = {"sep": mark, "decimal": "," if mark == ";" else ".", "skipinitialspace": True, "low_memory": False}
+    how = {
+        "sep": mark,
+        "decimal": "," if mark == ";" else ".",
+        "skipinitialspace": True,
+        "low_memory": False,
+    }
     try:
         frame = pd.read_csv(rows, header=None, index_col=False, names=range(len(names)), **how)
         if len(frame) != len(lines) - 1:
@@ -235,10 +256,14 @@ def _parquet(path: Path) -> Any:
         with parquet_file(path, ours=False) as file:
             return file.read().to_pandas(ignore_metadata=True)
     except (pa.ArrowException, ValueError) as error:
-        raise SpecError(f"{path}: not a Parquet file, or a damaged one ({str(error).splitlines()[0]}).") from None
+        raise SpecError(
+            f"{path}: not a Parquet file, or a damaged one ({str(error).splitlines()[0]})."
+        ) from None
 
 
-def read_log(file: str | os.PathLike[str], channels: str | os.PathLike[str] | Mapping[str, Any]) -> Log:
+def read_log(
+    file: str | os.PathLike[str], channels: str | os.PathLike[str] | Mapping[str, Any]
+) -> Log:
     """Read a robot's log.
 
     >>> import pathlib, tempfile
@@ -258,7 +283,9 @@ def read_log(file: str | os.PathLike[str], channels: str | os.PathLike[str] | Ma
             sensor's column never changes; one sentence with file, line or row, field, value and what is allowed.
     """
     what = "file of a log's channels"
-    doc = read_mapping(channels, what) if isinstance(channels, Mapping) else read_file(channels, what)
+    doc = (
+        read_mapping(channels, what) if isinstance(channels, Mapping) else read_file(channels, what)
+    )
     fields, table = read(doc, LogFields), table_of_log(file)
     if not fields.channels:
         doc.fail(("channels",), "names no channel: at least one is needed.")
@@ -267,9 +294,14 @@ def read_log(file: str | os.PathLike[str], channels: str | os.PathLike[str] | Ma
         quantity = entry.quantity
         key = (quantity, entry.of or _OF.get(quantity, ""))
         if not key[1]:
-            doc.fail(("channels", name), "has no 'of': expected the name of its servo, joint or foot.")
+            doc.fail(
+                ("channels", name), "has no 'of': expected the name of its servo, joint or foot."
+            )
         if key in made:
-            doc.fail(("channels", name, "of"), f"is {key[1]!r}: its {quantity} is channel {made[key].name!r} already.")
+            doc.fail(
+                ("channels", name, "of"),
+                f"is {key[1]!r}: its {quantity} is channel {made[key].name!r} already.",
+            )
         times, values, unit = reader.samples(name, entry)
         made[key] = Channel(name, *key, times, values, unit)
     for (quantity, of), each in made.items():
@@ -338,17 +370,28 @@ class _Reader:
             self.doc.fail(path, f"asks for the column {name!r}, but {allowed}")
         given = self.table.iloc[:, names.index(name)]
         dated = given.dtype.kind in "mM"
-        found = np.full(len(given), np.inf) if dated else pd.to_numeric(given, errors="coerce").to_numpy(float)
+        found = (
+            np.full(len(given), np.inf)
+            if dated
+            else pd.to_numeric(given, errors="coerce").to_numpy(float)
+        )
         wrong = np.isinf(found) | (np.isnan(found) & ~given.isna().to_numpy())
         if wrong.any():
             row = int(np.argmax(wrong))
             text = describe(str(given.iloc[row]))
-            raise SpecError(f"{self.where(row)}: column {name!r} is {text}: expected a finite number, or nothing.")
+            raise SpecError(
+                f"{self.where(row)}: column {name!r} is {text}: expected a finite number, or nothing."
+            )
         return found
 
     def factor(self, unit: Any, units: Mapping[str, float], *path: str) -> float:
         """SI units per number of a column."""
-        if isinstance(unit, int | float) and not isinstance(unit, bool) and unit > 0 and np.isfinite(unit):
+        if (
+            isinstance(unit, int | float)
+            and not isinstance(unit, bool)
+            and unit > 0
+            and np.isfinite(unit)
+        ):
             return float(unit)
         if not isinstance(unit, str) or unit not in units:
             allowed = f"{', '.join(units)}, or how many {next(iter(units))} a count is"
@@ -365,7 +408,9 @@ class _Reader:
         for field in ("column", "unit"):
             if field not in own:
                 self.doc.fail(path, f"has no '{field}': expected {ClockFields.expected}.")
-        stamps = self.column(own["column"], *path, "column") * self.factor(own["unit"], _SECONDS, *path)
+        stamps = self.column(own["column"], *path, "column") * self.factor(
+            own["unit"], _SECONDS, *path
+        )
         first = stamps[np.argmax(np.isfinite(stamps))]
         return first + own.get("offset", 0.0) + own.get("scale", 1.0) * (stamps - first)
 
@@ -375,9 +420,14 @@ class _Reader:
         names = [entry.column or name] if entry.columns is None else entry.columns
         if len(names) not in axes or (entry.column is not None and entry.columns is not None):
             allowed = " or ".join(map(str, axes))
-            self.doc.fail(("channels", name), f"has {len(names)} columns: allowed for its quantity is {allowed}.")
+            self.doc.fail(
+                ("channels", name),
+                f"has {len(names)} columns: allowed for its quantity is {allowed}.",
+            )
         if len({*names}) < len(names):
-            self.doc.fail(("channels", name, "columns"), "names a column twice: expected one for each axis.")
+            self.doc.fail(
+                ("channels", name, "columns"), "names a column twice: expected one for each axis."
+            )
         return names
 
     def samples(self, name: str, entry: SignalFields) -> tuple[np.ndarray, np.ndarray, str]:
@@ -385,7 +435,11 @@ class _Reader:
         path, units = ("channels", name), QUANTITIES[entry.quantity]
         factor = self.factor(entry.unit, units, *path)
         # Those that are 1 begin a kind of units; a count is of the first kind.
-        upto = list(units)[: list(units).index(entry.unit) + 1] if isinstance(entry.unit, str) else [*units][:1]
+        upto = (
+            list(units)[: list(units).index(entry.unit) + 1]
+            if isinstance(entry.unit, str)
+            else [*units][:1]
+        )
         unit = [each for each in upto if units[each] == 1.0][-1]
         if (sign := 1.0 if entry.sign is None else entry.sign) not in (1, -1):
             self.doc.fail((*path, "sign"), f"is {entry.sign:g}: allowed is 1 or -1.")
@@ -399,7 +453,10 @@ class _Reader:
         late = times < np.maximum.accumulate(times)
         if late.any():
             most = float(np.max(np.maximum.accumulate(times) - times))
-            self.note(name, f"{late.sum()} samples came late, by up to {most:.3g} s, and were brought in order")
+            self.note(
+                name,
+                f"{late.sum()} samples came late, by up to {most:.3g} s, and were brought in order",
+            )
         order = np.argsort(times, kind="stable")
         times, values = times[order], values[order]
         last = np.append(np.diff(times) > 0.0, True)
@@ -407,7 +464,9 @@ class _Reader:
             self.note(name, f"{(~last).sum()} stamps are doubled; the last sample of each counts")
         times, values = times[last], values[last]
         if len(times) < 2:
-            raise SpecError(f"{self.file}: the time of channel {name!r} is {times[0]:g} s in all rows.")
+            raise SpecError(
+                f"{self.file}: the time of channel {name!r} is {times[0]:g} s in all rows."
+            )
         values = values if entry.columns else values[:, 0]
         return times, np.unwrap(values) if entry.quantity == "yaw" else values, unit
 
@@ -428,4 +487,6 @@ class _Reader:
 def several(names: Sequence[str]) -> str:
     """Names in a sentence, at most three of them."""
     more = len(names) - 3
-    return ", ".join(names[:3]) + (f" and {more} other{'s' if more > 1 else ''}" if more > 0 else "")
+    return ", ".join(names[:3]) + (
+        f" and {more} other{'s' if more > 1 else ''}" if more > 0 else ""
+    )

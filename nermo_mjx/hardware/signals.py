@@ -44,7 +44,9 @@ class Difference:
 def values_at(channel: Channel, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n ..."]:
     """A channel's values at other times, linear between its samples; NaN before, after, and in its gaps."""
     flat = channel.values.reshape(len(channel.times), -1)
-    found = np.stack([np.interp(times, channel.times, each, np.nan, np.nan) for each in flat.T], axis=-1)
+    found = np.stack(
+        [np.interp(times, channel.times, each, np.nan, np.nan) for each in flat.T], axis=-1
+    )
     for begin, end in channel.gaps:
         found[(times > begin) & (times < end)] = np.nan
     return found.reshape(len(times), *channel.values.shape[1:])
@@ -59,18 +61,26 @@ def lag_of(channel: Channel, other: Channel) -> tuple[float, float]:
     step = max(channel.interval, other.interval)
     count = max(2, int(LONGEST_LAG / step))
     lags = step * np.arange(-count, count + 1)
-    found = np.array([_correlation(channel.values, values_at(other, channel.times - lag)) for lag in lags])
+    found = np.array(
+        [_correlation(channel.values, values_at(other, channel.times - lag)) for lag in lags]
+    )
     sign = 1.0 if found[count] >= 0.0 else -1.0
     found = sign * found
     if found.max() <= 0.0:
         return 0.0, sign * float(found[count])
     # Each hill around a maximum, of those that are as high as the highest the nearest: signals may be periodic.
-    edges = np.flatnonzero(np.diff(found >= _HILL * found.max(), prepend=False, append=False)).reshape(-1, 2)
+    edges = np.flatnonzero(
+        np.diff(found >= _HILL * found.max(), prepend=False, append=False)
+    ).reshape(-1, 2)
     hills = [hill for hill in edges if found[slice(*hill)].max() >= _ALIKE * found.max()]
     begin, end = min(hills, key=lambda hill: abs(lags[slice(*hill)].mean()))
     best = begin + int(np.argmax(found[begin:end]))
     near = slice(max(0, min(begin, best - 1)), max(end, best + 2))
-    bend, slope, _ = np.polyfit(lags[near] - lags[best], found[near], 2) if np.ptp(found[near]) else (0.0, 0.0, 0.0)
+    bend, slope, _ = (
+        np.polyfit(lags[near] - lags[best], found[near], 2)
+        if np.ptp(found[near])
+        else (0.0, 0.0, 0.0)
+    )
     vertex = lags[best] - (0.5 * slope / bend if bend < 0.0 else 0.0)
     return float(np.clip(vertex, *lags[near][[0, -1]])), sign * float(found[best])
 
@@ -95,7 +105,9 @@ def channel_differences(log: Log, other: Log) -> list[Difference]:
             continue
         coarse, fine = sorted((channel, twin), key=_fineness)
         sign = 1.0 if coarse is channel else -1.0
-        pairs = zip(axes_of(channel), axes_of(coarse), axes_of(in_frame_of(fine, coarse)), strict=False)
+        pairs = zip(
+            axes_of(channel), axes_of(coarse), axes_of(in_frame_of(fine, coarse)), strict=False
+        )
         for (name, _), (_, one), (_, two) in pairs:
             residual = one.values - values_at(two, one.times)
             residual = residual[np.isfinite(residual)]
@@ -121,9 +133,15 @@ def in_frame_of(twin: Channel, channel: Channel) -> Channel:
     both = np.isfinite(there).reshape(len(there), -1).all(axis=1)
     if not both.any():
         return twin
-    here, there, moved = (each.reshape(len(each), -1) for each in (channel.values[both], there[both], twin.values))
+    here, there, moved = (
+        each.reshape(len(each), -1) for each in (channel.values[both], there[both], twin.values)
+    )
     axes = min(here.shape[1], there.shape[1])
-    seen, shown, moved = here - here.mean(axis=0), there - there.mean(axis=0), moved - there.mean(axis=0)
+    seen, shown, moved = (
+        here - here.mean(axis=0),
+        there - there.mean(axis=0),
+        moved - there.mean(axis=0),
+    )
     if channel.quantity == "position":
         turn = np.vdot(shown[:, 0] + 1j * shown[:, 1], seen[:, 0] + 1j * seen[:, 1])
         ground = (moved[:, 0] + 1j * moved[:, 1]) * turn / max(abs(turn), 1e-300)
@@ -135,8 +153,15 @@ def in_frame_of(twin: Channel, channel: Channel) -> Channel:
 def axes_of(channel: Channel) -> list[tuple[str, Channel]]:
     """A channel of each axis, with its name."""
     flat = channel.values.reshape(len(channel.times), -1).T
-    names = [f"{channel.name} {axis}" for axis in "xyz"[: len(flat)]] if channel.values.ndim > 1 else [channel.name]
-    return [(name, dataclasses.replace(channel, values=each)) for name, each in zip(names, flat, strict=True)]
+    names = (
+        [f"{channel.name} {axis}" for axis in "xyz"[: len(flat)]]
+        if channel.values.ndim > 1
+        else [channel.name]
+    )
+    return [
+        (name, dataclasses.replace(channel, values=each))
+        for name, each in zip(names, flat, strict=True)
+    ]
 
 
 # ---
@@ -171,7 +196,11 @@ _OFTEN: Final = 10
 def findings_of(log: Log) -> tuple[str, ...]:
     """What looks wrong with a log's channels, in sentences; nothing of a log that is in order."""
     commands, angles = log.of_quantity("command"), log.of_quantity("angle")
-    pairs = [(angles[of], commands[of]) for of in angles if of in commands and np.ptp(commands[of].values) > MOVED]
+    pairs = [
+        (angles[of], commands[of])
+        for of in angles
+        if of in commands and np.ptp(commands[of].values) > MOVED
+    ]
     lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
     found = [*log.findings]
     for angle, command in pairs:
@@ -183,19 +212,32 @@ def findings_of(log: Log) -> tuple[str, ...]:
             found.append(f"{name} seems mirrored ({correlation:.2f}).")
         there = values_at(command, angle.times - lag)
         both = np.isfinite(there)
-        gain, apart = np.polyfit(there[both], angle.values[both], 1)[0], (angle.values - there)[both].mean()
+        gain, apart = (
+            np.polyfit(there[both], angle.values[both], 1)[0],
+            (angle.values - there)[both].mean(),
+        )
         if not _GAINS[0] < abs(gain) < _GAINS[1]:
-            found.append(f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit.")
+            found.append(
+                f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
+            )
         elif correlation > 0.0 and abs(apart) > _OFF:
-            found.append(f"{name} stands {apart:.2g} {angle.unit} off its command: one of the two has another zero.")
+            found.append(
+                f"{name} stands {apart:.2g} {angle.unit} off its command: one of the two has another zero."
+            )
         others = [each for of, (each, _) in lags.items() if of != angle.of]
         if lag < -max(angle.interval, command.interval):
-            found.append(f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock.")
+            found.append(
+                f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
+            )
         elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
             most = f"{1e3 * max(others):.0f} ms at most"
-            found.append(f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}.")
+            found.append(
+                f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}."
+            )
     found += _drifts(log, pairs)
-    alone, unled = ([of for of in a if of not in b] for a, b in ((commands, angles), (angles, commands)))
+    alone, unled = (
+        [of for of in a if of not in b] for a, b in ((commands, angles), (angles, commands))
+    )
     for of in alone:
         for other in difflib.get_close_matches(of, unled, 1, 0.8):
             found.append(
@@ -203,10 +245,14 @@ def findings_of(log: Log) -> tuple[str, ...]:
             )
     if slow := [each.name for each in log.channels if each.interval > _SLOWEST]:
         every = max(each.interval for each in log.channels)
-        found.append(f"{several(slow)}: a sample comes every {every:.3g} s: has the time another unit?")
+        found.append(
+            f"{several(slow)}: a sample comes every {every:.3g} s: has the time another unit?"
+        )
     for channel in log.channels:
         led = channel.quantity == "angle" and channel.of in lags
-        expected = values_at(commands[channel.of], channel.times - lags[channel.of][0]) if led else None
+        expected = (
+            values_at(commands[channel.of], channel.times - lags[channel.of][0]) if led else None
+        )
         found += _own_findings(channel, expected)
     return tuple(found)
 
@@ -224,9 +270,17 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
         few, many = sorted((each.times.round(9) for each in (channel, other)), key=len)
         if np.isin(few, many).mean() > 0.5:
             continue
-        parts = [part for part in np.array_split(np.arange(len(channel.times)), _PARTS) if len(part) > 2]
-        pieces = [dataclasses.replace(channel, times=channel.times[p], values=channel.values[p]) for p in parts]
-        lags, middle = np.array([lag_of(each, other) for each in pieces]).T[0], [each.times.mean() for each in pieces]
+        parts = [
+            part for part in np.array_split(np.arange(len(channel.times)), _PARTS) if len(part) > 2
+        ]
+        pieces = [
+            dataclasses.replace(channel, times=channel.times[p], values=channel.values[p])
+            for p in parts
+        ]
+        lags, middle = (
+            np.array([lag_of(each, other) for each in pieces]).T[0],
+            [each.times.mean() for each in pieces],
+        )
         (slope, _), (variance, *_) = np.polyfit(middle, lags, 1, cov=True)
         change = abs(slope) * np.ptp(channel.times)
         if change > _DRIFTED and abs(slope) > _CERTAIN * np.sqrt(variance[0]):
@@ -268,6 +322,8 @@ def _is_saturated(values: np.ndarray, expected: np.ndarray | None) -> bool:
     width = float(np.median(np.diff(levels)))
     if expected is not None:
         going = expected[at & np.isfinite(expected)]
-        return len(going) > 0 and bool(np.ptp(going) > max(_STAYS * width, _BEYOND * np.nanstd(expected)))
+        return len(going) > 0 and bool(
+            np.ptp(going) > max(_STAYS * width, _BEYOND * np.nanstd(expected))
+        )
     near = ((values < values.max()) & (values >= values.max() - 3.0 * width)).sum() / 3.0
     return bool(at.sum() > _OFTEN * max(near, 1.0))

@@ -107,7 +107,9 @@ class ServoTable:
             for name, speed in zip(self.names, self.speed, strict=True)
             if speed > self.servo_speed
         ]
-        what = f"asked for more than the {self.servo_speed:.0f} deg/s that the model's servos can do: "
+        what = (
+            f"asked for more than the {self.servo_speed:.0f} deg/s that the model's servos can do: "
+        )
         return f"{what}{', '.join(names)}." if names else ""
 
     def to_csv(self, about: str = "") -> str:
@@ -168,7 +170,9 @@ def servo_table(
     of_type("rate", rate, (float, int, type(None)), "rows per second [Hz]")
     of_type("cycles", cycles, (float, int), "a whole number")
     if setup.controller is not None:
-        raise ParameterError(f"controller is {setup.controller!r}: a servo table is of the published controller.")
+        raise ParameterError(
+            f"controller is {setup.controller!r}: a servo table is of the published controller."
+        )
     if setup.schedule:
         raise ParameterError(
             "schedule is given: a servo table is of a steady gait; record the walk and take `recorded_table`."
@@ -180,13 +184,17 @@ def servo_table(
         *(("spine", mode) for mode in modes),
     ):
         if choice in _ANSWERING:
-            raise ParameterError(f"{name} is {choice!r}, which answers to sensors: a servo table reads none.")
+            raise ParameterError(
+                f"{name} is {choice!r}, which answers to sensors: a servo table reads none."
+            )
     setup = dataclasses.replace(setup, pilot="open_loop", waypoints=None, command=None)
     values = setup.numbers({} if values is None else values)
     world = setup.world({name: np.asarray(value, float) for name, value in values.items()})
     for name, value in values.items():
         if np.ndim(value):
-            raise ParameterError(f"{name} has shape {np.shape(value)}: a servo table is of one gait, so of one number.")
+            raise ParameterError(
+                f"{name} has shape {np.shape(value)}: a servo table is of one gait, so of one number."
+            )
     setup.check(world)
     params, phase = world.control, float(np.asarray(world.start.phase))
     robot = setup.load()
@@ -199,10 +207,14 @@ def servo_table(
     frequency = float(np.asarray(params.gait.frequency))
     rows = max(1, round(rate * cycles / frequency))
     if rows > MOST_ROWS:
-        raise ParameterError(f"cycles is {cycles}: with {rate:g} rows/s this would be {rows:,} rows, of {MOST_ROWS:,}.")
+        raise ParameterError(
+            f"cycles is {cycles}: with {rate:g} rows/s this would be {rows:,} rows, of {MOST_ROWS:,}."
+        )
     rate = rows * frequency / cycles
     if rows < 4 * cycles:
-        raise ParameterError(f"rate is {rate:g} Hz: a gait cycle of {1 / frequency:g} s needs at least four rows.")
+        raise ParameterError(
+            f"rate is {rate:g} Hz: a gait cycle of {1 / frequency:g} s needs at least four rows."
+        )
     angles = _steady(setup, params, phase, rows, cycles, rate)
     return _table(connected, robot, angles, rate, world.model, cycles, frequency)
 
@@ -215,7 +227,9 @@ def _rate_of(channels: Channels, rate: float | None) -> float:
     return rate
 
 
-def _table(channels: Channels, robot: Robot, angles: np.ndarray, rate: float, model: Any, *gait: Any) -> ServoTable:
+def _table(
+    channels: Channels, robot: Robot, angles: np.ndarray, rate: float, model: Any, *gait: Any
+) -> ServoTable:
     """The table of the controller's angles (rows, n_servos) [rad] of a robot with these parameters of the model.
 
     Raises:
@@ -237,7 +251,9 @@ def _table(channels: Channels, robot: Robot, angles: np.ndarray, rate: float, mo
     return ServoTable(channels, columns, rate, math.degrees(float(model.servo.top_speed)), *gait)
 
 
-def check_clearance(model: mujoco.MjModel, angles: Float[np.ndarray, "rows servos"], rate: float) -> None:
+def check_clearance(
+    model: mujoco.MjModel, angles: Float[np.ndarray, "rows servos"], rate: float
+) -> None:
     """Refuse angles [rad] at which parts of the robot would touch, played on a robot in the air without gravity.
 
     Its tendons and springs place knees and spine. Parts are convex hulls of the drawn ones; neighbours are left out.
@@ -253,7 +269,11 @@ def check_clearance(model: mujoco.MjModel, angles: Float[np.ndarray, "rows servo
     drawn = np.flatnonzero(of_robot & (model.geom_group == VISUAL_GROUP))
     first, second = drawn[np.array(np.triu_indices(len(drawn), 1))]
     parents = model.body_parentid[body]
-    apart = (body[first] != body[second]) & (parents[first] != body[second]) & (body[first] != parents[second])
+    apart = (
+        (body[first] != body[second])
+        & (parents[first] != body[second])
+        & (body[first] != parents[second])
+    )
     pairs = np.stack([first, second], axis=-1)[apart]
     reach = model.geom_rbound[pairs].sum(axis=-1)
     data.ctrl[:] = angles[0]
@@ -294,11 +314,15 @@ def _steady(
             if before is not None and np.abs(found - before).max() < _ALIKE:
                 return found
             before = found
-    raise ParameterError("the controller does not settle into a periodic gait with these parameters.")
+    raise ParameterError(
+        "the controller does not settle into a periodic gait with these parameters."
+    )
 
 
 @jax.jit(static_argnums=0)
-def _begin(controller: Controller, params: ControlParameters, sensors: Sensors, phase: float) -> Any:
+def _begin(
+    controller: Controller, params: ControlParameters, sensors: Sensors, phase: float
+) -> Any:
     """The state at the start, compiled: op by op it would take seconds."""
     return controller.init(params, sensors, phase)
 
@@ -332,29 +356,41 @@ def sent_angles(
     columns = []
     for channel in channels:
         if channel.servo in servos:
-            columns.append(channel.zero + channel.direction * angles[:, servos.index(channel.servo)])
+            columns.append(
+                channel.zero + channel.direction * angles[:, servos.index(channel.servo)]
+            )
         else:
             columns.append(np.full(len(angles), channel.missing))  # see `channels_of`
     return np.stack(columns, axis=-1)
 
 
-def channels_of(channels: Channels | Mapping[str, Any] | str | os.PathLike[str] | None, robot: Robot) -> Channels:
+def channels_of(
+    channels: Channels | Mapping[str, Any] | str | os.PathLike[str] | None, robot: Robot
+) -> Channels:
     """The channels of a robot's servos as they are given; by default in its own order and angles, with its limits.
 
     Raises:
         ParameterError: a servo that it has not.
     """
     if channels is None:
-        limits = [np.degrees(servo_range(servo, robot.config.routing)).tolist() for servo in robot.servos]
+        limits = [
+            np.degrees(servo_range(servo, robot.config.routing)).tolist() for servo in robot.servos
+        ]
         return Channels(
-            tuple(ServoChannel(robot.servos[i], i, low=low, high=high) for i, (low, high) in enumerate(limits))
+            tuple(
+                ServoChannel(robot.servos[i], i, low=low, high=high)
+                for i, (low, high) in enumerate(limits)
+            )
         )
     connected = channels if isinstance(channels, Channels) else read_channels(channels)
     for channel in connected:
         if channel.servo not in robot.servos and channel.missing is None:
             whose, remedy = f"the robot {robot.config.robot!r}", "take 'nermo_41'"
             if channel.servo == "tail":
-                whose, remedy = f"the robot with tail {robot.config.tail!r}", "take the articulated tail"
+                whose, remedy = (
+                    f"the robot with tail {robot.config.tail!r}",
+                    "take the articulated tail",
+                )
             raise ParameterError(
                 f"{channel.servo} is no servo of {whose}: {remedy}, leave the servo out, or give it what is 'missing'."
             )
@@ -384,14 +420,20 @@ def recorded_table(
         parts of the robot that would touch.
     """
     if recording.ctrl.shape[1] != len(robot.servos):
-        raise ParameterError(f"recording has {recording.ctrl.shape[1]} servos, and the robot has {len(robot.servos)}.")
+        raise ParameterError(
+            f"recording has {recording.ctrl.shape[1]} servos, and the robot has {len(robot.servos)}."
+        )
     connected = channels_of(channels, robot)
     rate = _rate_of(connected, rate)
     rows = math.floor(recording.duration * rate + 1e-6) + 1
     if rows < 2:
-        raise ParameterError(f"rate is {rate:g} Hz: a recording of {recording.duration:g} s has one row then.")
+        raise ParameterError(
+            f"rate is {rate:g} Hz: a recording of {recording.duration:g} s has one row then."
+        )
     time = np.arange(rows) / rate
-    commanded = [np.interp(recording.time[0] + time, recording.time, column) for column in recording.ctrl.T]
+    commanded = [
+        np.interp(recording.time[0] + time, recording.time, column) for column in recording.ctrl.T
+    ]
     known = dict(quantities(ModelParameters))
     given = {
         name: float(value)

@@ -12,7 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.hardware.signals import Difference, axes_of, channel_differences, in_frame_of, values_at
+from nermo_mjx.hardware.signals import (
+    Difference,
+    axes_of,
+    channel_differences,
+    in_frame_of,
+    values_at,
+)
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import BESIDE, Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
@@ -68,7 +74,9 @@ class LoggedCommands:
         return 1.0
 
 
-def command_table(log: Log, servos: tuple[str, ...], dt: float) -> Float[np.ndarray, "ticks servos"]:
+def command_table(
+    log: Log, servos: tuple[str, ...], dt: float
+) -> Float[np.ndarray, "ticks servos"]:
     """A log's commands for each tick: of each servo the last one that was given by then, and before it the first one.
 
     Servos without a channel are at 0.
@@ -78,12 +86,18 @@ def command_table(log: Log, servos: tuple[str, ...], dt: float) -> Float[np.ndar
     """
     commands = log.of_quantity("command")
     if not commands:
-        raise ParameterError(f"{log.file}: no channel is a command, by which the twin could be driven.")
+        raise ParameterError(
+            f"{log.file}: no channel is a command, by which the twin could be driven."
+        )
     table = np.zeros((math.ceil(log.duration / dt) + 1, len(servos)))
     ticks = dt * np.arange(len(table)) + 1e-9
     for of, channel in commands.items():
-        place = servos.index(choice(f"{log.file}: the servo of channel {channel.name!r}", of, servos))
-        table[:, place] = channel.values[np.maximum(np.searchsorted(channel.times, ticks, "right") - 1, 0)]
+        place = servos.index(
+            choice(f"{log.file}: the servo of channel {channel.name!r}", of, servos)
+        )
+        table[:, place] = channel.values[
+            np.maximum(np.searchsorted(channel.times, ticks, "right") - 1, 0)
+        ]
     return table
 
 
@@ -110,7 +124,9 @@ def replay_log(
     setup = setup or Setup()
     servos, dt = setup.load().servos, setup.timestep
     table, before = command_table(log, servos, dt), round(SETTLING / dt)
-    commands = LoggedCommands(np.concatenate([np.repeat(table[:1], before, axis=0), table]), servos, dt)
+    commands = LoggedCommands(
+        np.concatenate([np.repeat(table[:1], before, axis=0), table]), servos, dt
+    )
     run = Run(duration=len(commands.table) * dt, warmup=before * dt)
     simulator = Simulator(dataclasses.replace(setup, controller=commands), engine)
     made = simulator.run(values or {}, run, record=True, progress=progress).recording()
@@ -124,12 +140,20 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     A sample stands for the tick before it: its commands act since the tick's begin, and its sensors were read before
     the last step.
     """
-    sensors, made = {name: np.asarray(values) for name, values in recording.sensors.items()}, list[Channel]()
+    sensors, made = (
+        {name: np.asarray(values) for name, values in recording.sensors.items()},
+        list[Channel](),
+    )
     times = recording.time - robot.model.opt.timestep
     begin = recording.time - (np.median(np.diff(recording.time)) if len(times) > 1 else 0.0)
 
-    def add(quantity: str, unit: str, columns: Mapping[str, np.ndarray], at: np.ndarray = times) -> None:
-        made.extend(Channel(f"{quantity} {of}", quantity, of, at, values, unit) for of, values in columns.items())
+    def add(
+        quantity: str, unit: str, columns: Mapping[str, np.ndarray], at: np.ndarray = times
+    ) -> None:
+        made.extend(
+            Channel(f"{quantity} {of}", quantity, of, at, values, unit)
+            for of, values in columns.items()
+        )
 
     def each(names: tuple[str, ...], values: np.ndarray) -> dict[str, np.ndarray]:
         return dict(zip(names, values.T, strict=True))
@@ -139,7 +163,11 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
         add(last, READINGS[f"servo_{last}"].unit, each(robot.servos, sensors[f"servo_{last}"]))
     for name, of in (("gyro", "imu"), ("accelerometer", "imu"), ("position", "torso")):
         add(name, READINGS[name].unit, {of: sensors[name]})
-    add("yaw", "rad", {"torso": np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])})
+    add(
+        "yaw",
+        "rad",
+        {"torso": np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])},
+    )
     add("force", "N", each(LIMBS, sensors["foot_force"]))
     add("contact", "switch", each(LIMBS, (sensors["foot_force"] > _SWITCH).astype(float)))
     return Log(tuple(made), "the twin")
@@ -167,7 +195,12 @@ def with_log(recording: Recording, log: Log, robot: Robot) -> tuple[Recording, l
     for channel in log.channels:
         if (other := twin.of_quantity(channel.quantity).get(channel.of)) is not None:
             for (name, one), (_, two) in zip(axes_of(channel), axes_of(other), strict=False):
-                sensors[BESIDE + name] = np.stack([values_at(each, recording.time) for each in (one, two)], axis=-1)
-    about, shown = {each.name: dataclasses.asdict(each) for each in found}, [each.name for each in twin.channels]
+                sensors[BESIDE + name] = np.stack(
+                    [values_at(each, recording.time) for each in (one, two)], axis=-1
+                )
+    about, shown = (
+        {each.name: dataclasses.asdict(each) for each in found},
+        [each.name for each in twin.channels],
+    )
     metadata = {**recording.metadata, "log": {"file": log.file, "shown": shown, "channels": about}}
     return dataclasses.replace(recording, sensors=sensors, metadata=metadata), found

@@ -30,7 +30,9 @@ def shoulders(geometry: Geometry) -> Float[Array, "*batch 2 3"]:
     return _both_sides(geometry.shoulder)
 
 
-def hips(theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None) -> Float[Array, "*batch 2 3"]:
+def hips(
+    theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None
+) -> Float[Array, "*batch 2 3"]:
     """Left and right hip axis."""
     return from_hip_frame(theta_v, _both_sides(geometry.hip), geometry, vertical)
 
@@ -39,7 +41,9 @@ def from_hip_frame(
     theta_v: ArrayLike, points: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None
 ) -> Float[Array, "*batch n 3"]:
     """Points (..., n, 3) of the hip's frame, from the spine end, seen from the spine base."""
-    all_four = None if vertical is None else jnp.repeat(jnp.asarray(vertical)[..., None], 4, axis=-1)
+    all_four = (
+        None if vertical is None else jnp.repeat(jnp.asarray(vertical)[..., None], 4, axis=-1)
+    )
     pose = spine.transform(theta_v, geometry, all_four)
     points = jnp.asarray(points, pose.dtype)
     turned = jnp.sum(pose[..., None, :3, :3] * points[..., None, :], axis=-1)
@@ -52,12 +56,16 @@ def feet_positions(
     """The feet, given as (y, z) from their own axis, shape (..., 4, 2); rear feet turn with the hip's frame."""
     feet = jnp.asarray(feet)
     placed = jnp.stack([jnp.zeros_like(feet[..., 0]), feet[..., 0], feet[..., 1]], axis=-1)
-    rear = from_hip_frame(theta_v, _both_sides(geometry.hip) + placed[..., 2:, :], geometry, vertical)
+    rear = from_hip_frame(
+        theta_v, _both_sides(geometry.hip) + placed[..., 2:, :], geometry, vertical
+    )
     front = jnp.broadcast_to(shoulders(geometry) + placed[..., :2, :], rear.shape)
     return jnp.concatenate([front, rear], axis=-2)
 
 
-def hip_height_offset(theta_v: ArrayLike, geometry: Geometry, feet: ArrayLike | None = None) -> Planar:
+def hip_height_offset(
+    theta_v: ArrayLike, geometry: Geometry, feet: ArrayLike | None = None
+) -> Planar:
     """How much higher each hip is than with a straight spine (5.31), or each rear foot, which turns with the hip.
 
     The published code's function returns the rise, which is subtracted from the height of the rear foot: a foot that is
@@ -70,12 +78,16 @@ def hip_height_offset(theta_v: ArrayLike, geometry: Geometry, feet: ArrayLike | 
         feet: (y, z) of the four feet from their own axis, shape (..., 4, 2) [m]; None for the hips.
     """
     if feet is not None:
-        bent, straight = (feet_positions(bend, feet, geometry) for bend in (theta_v, jnp.zeros_like(theta_v)))
+        bent, straight = (
+            feet_positions(bend, feet, geometry) for bend in (theta_v, jnp.zeros_like(theta_v))
+        )
         return bent[..., 2:, 2] - straight[..., 2:, 2]
     return hips(theta_v, geometry)[..., 2] - hips(0.0, geometry)[..., 2]
 
 
-def rear_foot_rise(theta_v: ArrayLike, feet: ArrayLike, vertical: ArrayLike, geometry: Geometry) -> Planar:
+def rear_foot_rise(
+    theta_v: ArrayLike, feet: ArrayLike, vertical: ArrayLike, geometry: Geometry
+) -> Planar:
     """Rise of each rear foot due to the vertical joints, which lift the hip and turn the legs with it.
 
     Args:
@@ -123,7 +135,9 @@ def centre_of_mass(
 
 def _both_sides(axis: Shoulder | Hip) -> Float[Array, "*batch 2 3"]:
     """A left axis and its mirror image."""
-    left = jnp.stack(jnp.broadcast_arrays(*(_constant(each) for each in (axis.x, axis.y, axis.z))), axis=-1)
+    left = jnp.stack(
+        jnp.broadcast_arrays(*(_constant(each) for each in (axis.x, axis.y, axis.z))), axis=-1
+    )
     return _constant(_MIRROR) * left[..., None, :]
 
 
@@ -194,15 +208,21 @@ def balance_angle(
 
     def distance(theta_v: ArrayLike) -> Array:
         _, front_foot, rear_foot = line(theta_v)
-        return diagonal_distance(centre_of_mass(masses, theta_v, geometry)[..., :2], front_foot, rear_foot)
+        return diagonal_distance(
+            centre_of_mass(masses, theta_v, geometry)[..., :2], front_foot, rear_foot
+        )
 
     ground, front_foot, rear_foot = line(0.0)
     has_third = jnp.any(third > 0, axis=(-2, -1))
     side = jnp.sign(diagonal_distance(jnp.sum(third * ground, axis=-2), front_foot, rear_foot))
     limit = jnp.broadcast_to(jnp.asarray(limit, feet.dtype), supported.shape)
     ends = distance(jnp.stack([-limit, limit]))
-    wanted = jnp.clip(jnp.where(has_third, side * lift, 0.0), jnp.min(ends, axis=0), jnp.max(ends, axis=0))
-    angle = bracketed_root(lambda theta_v: distance(theta_v) - wanted, -limit, limit, slope_floor=1e-3)
+    wanted = jnp.clip(
+        jnp.where(has_third, side * lift, 0.0), jnp.min(ends, axis=0), jnp.max(ends, axis=0)
+    )
+    angle = bracketed_root(
+        lambda theta_v: distance(theta_v) - wanted, -limit, limit, slope_floor=1e-3
+    )
     return jnp.where(supported, angle, 0.0)
 
 
@@ -213,7 +233,10 @@ def _support(stance: TruthPerLimb) -> tuple[Array, Array, Array, Array]:
     diagonally opposite: with three feet, only one diagonal supports.
     """
     fronts, rears = stance[..., :2], stance[..., 2:]
-    n_front, n_rear = jnp.sum(fronts, axis=-1, keepdims=True), jnp.sum(rears, axis=-1, keepdims=True)
+    n_front, n_rear = (
+        jnp.sum(fronts, axis=-1, keepdims=True),
+        jnp.sum(rears, axis=-1, keepdims=True),
+    )
     front_foot = jnp.where(n_front == 1, fronts, rears[..., ::-1] & (n_front == 2))
     rear_foot = jnp.where(n_rear == 1, rears, fronts[..., ::-1] & (n_rear == 2))
     none = jnp.zeros_like(fronts)
@@ -237,7 +260,9 @@ def attitude(quaternion: Quaternion) -> Spatial:
     r01, r11 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
     r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
     level = jnp.sqrt(r20**2 + r22**2 + 1e-12)
-    return jnp.stack([jnp.arctan2(-r20, r22), jnp.arctan2(r21, level), jnp.arctan2(-r01, r11)], axis=-1)
+    return jnp.stack(
+        [jnp.arctan2(-r20, r22), jnp.arctan2(r21, level), jnp.arctan2(-r01, r11)], axis=-1
+    )
 
 
 def uprightness(quaternion: Quaternion) -> Scalars:

@@ -26,7 +26,15 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
-from nermo_mjx.robot.geometry import TINY, Geometry, check_routing, lead_height, leg_geometry, pull, shank
+from nermo_mjx.robot.geometry import (
+    TINY,
+    Geometry,
+    check_routing,
+    lead_height,
+    leg_geometry,
+    pull,
+    shank,
+)
 from nermo_mjx.robot.parameters import IDLER_RADIUS, SERVOS, LegGeometry, servo_range
 from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
 
@@ -68,13 +76,24 @@ def bracketed_root(
     """
     low, high = jnp.broadcast_arrays(low, high)
     value = jax.eval_shape(residual, low)
-    shape, dtype = jnp.broadcast_shapes(low.shape, value.shape), jnp.promote_types(low.dtype, value.dtype)
-    low, high = (jax.lax.stop_gradient(jnp.broadcast_to(end.astype(dtype), shape)) for end in (low, high))
-    guess = 0.5 * (low + high) if start is None else jax.lax.stop_gradient(jnp.broadcast_to(start, shape).astype(dtype))
+    shape, dtype = (
+        jnp.broadcast_shapes(low.shape, value.shape),
+        jnp.promote_types(low.dtype, value.dtype),
+    )
+    low, high = (
+        jax.lax.stop_gradient(jnp.broadcast_to(end.astype(dtype), shape)) for end in (low, high)
+    )
+    guess = (
+        0.5 * (low + high)
+        if start is None
+        else jax.lax.stop_gradient(jnp.broadcast_to(start, shape).astype(dtype))
+    )
     slack, small = 8 * jnp.finfo(dtype).eps, 0.1 * float(jnp.finfo(dtype).eps) ** 0.5
 
     def divide(value: Array, slope: Array) -> Array:
-        return value / jnp.where(jnp.abs(slope) < slope_floor, jnp.where(slope < 0, -slope_floor, slope_floor), slope)
+        return value / jnp.where(
+            jnp.abs(slope) < slope_floor, jnp.where(slope < 0, -slope_floor, slope_floor), slope
+        )
 
     def solve(f: Callable[[Array], Array], start: Array) -> Array:
         at_low, at_high = f(low), f(high)
@@ -105,7 +124,9 @@ def bracketed_root(
         return jax.lax.platform_dependent(
             first,
             cpu=lambda search: jax.lax.while_loop(goes_on, step, search).root,
-            default=lambda search: jax.lax.fori_loop(0, STEPS, lambda _, each: step(each), search).root,
+            default=lambda search: (
+                jax.lax.fori_loop(0, STEPS, lambda _, each: step(each), search).root
+            ),
         )
 
     def tangent_solve(linear: Callable[[Array], Array], value: Array) -> Array:
@@ -174,7 +195,9 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     angle = math.pi + jnp.arctan2(across, towards)
     if routing == "type2":
         return angle, jnp.asarray(True)
-    if routing == "type3_idler":  # on the other side of the axis than type 1 of the pulley, or straight past the idler
+    if (
+        routing == "type3_idler"
+    ):  # on the other side of the axis than type 1 of the pulley, or straight past the idler
         return jnp.maximum(math.pi + jnp.arcsin(IDLER_RADIUS / leg.l1), angle), jnp.asarray(True)
     distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, TINY**2))
     turned = jnp.arcsin(jnp.minimum(leg.pulley_radius / distance, 0.9))
@@ -239,7 +262,12 @@ class LegSolution(NamedTuple):
 
 def leg_of(geometry: LegGeometry) -> Leg:
     """The leg with these numbers, leaves of shape () (numpy float64, so that either precision can use them)."""
-    return Leg(**{field.name: np.asarray(getattr(geometry, field.name), float) for field in dataclasses.fields(Leg)})
+    return Leg(
+        **{
+            field.name: np.asarray(getattr(geometry, field.name), float)
+            for field in dataclasses.fields(Leg)
+        }
+    )
 
 
 def four_legs(geometry: Geometry) -> Leg:
@@ -251,13 +279,18 @@ def four_legs(geometry: Geometry) -> Leg:
     xp: Any = jnp if traced else np
 
     def stacked(front: Any, rear: Any, axis: int) -> Any:
-        return xp.stack(xp.broadcast_arrays(*(xp.asarray(each, float) for each in (front, front, rear, rear))), axis)
+        return xp.stack(
+            xp.broadcast_arrays(*(xp.asarray(each, float) for each in (front, front, rear, rear))),
+            axis,
+        )
 
     front, rear = (leg_geometry(geometry, pair, xp) for pair in ("front", "rear"))
     return Leg(
         **{
             field.name: stacked(
-                getattr(front, field.name), getattr(rear, field.name), -2 if field.name == "guide" else -1
+                getattr(front, field.name),
+                getattr(rear, field.name),
+                -2 if field.name == "guide" else -1,
             )
             for field in dataclasses.fields(Leg)
         }
@@ -300,8 +333,12 @@ def forward_kinematics(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
         cosine = (length**2 - leg.l1**2 - leg.l2**2) / (2 * leg.l1 * leg.l2)
         knee_angle = jnp.arccos(jnp.clip(cosine, jnp.cos(high), jnp.cos(low)))
     else:
-        knee_angle = bracketed_root(lambda angle: pull(leg, q1, angle, routing) - length, low, high, slope_floor=1e-5)
-    reachable = works & (wanted >= shortest - REACH_TOLERANCE) & (wanted <= longest + REACH_TOLERANCE)
+        knee_angle = bracketed_root(
+            lambda angle: pull(leg, q1, angle, routing) - length, low, high, slope_floor=1e-5
+        )
+    reachable = (
+        works & (wanted >= shortest - REACH_TOLERANCE) & (wanted <= longest + REACH_TOLERANCE)
+    )
     return LegPose(points(leg, q1, knee_angle).foot, knee_angle, reachable)
 
 
@@ -349,7 +386,9 @@ def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
     if routing == "type3":
         ends = [[servo_range(servo)[end] for servo in SERVOS[4:8]] for end in (0, 1)]
         held = [
-            forward_kinematics(leg, jnp.stack([jnp.zeros(4), jnp.asarray(end)], axis=-1), routing).knee_angle
+            forward_kinematics(
+                leg, jnp.stack([jnp.zeros(4), jnp.asarray(end)], axis=-1), routing
+            ).knee_angle
             for end in ends
         ]
         low, high = jnp.maximum(low, jnp.minimum(*held)), jnp.minimum(high, jnp.maximum(*held))
@@ -369,7 +408,9 @@ def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2
 def _arrays(leg: Leg) -> Leg:
     """The leg with numpy leaves in the current precision: JAX caches numpy constants across a change of it."""
     dtype = jnp.result_type(float)
-    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf, dtype), leg)
+    return jax.tree.map(
+        lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf, dtype), leg
+    )
 
 
 def _angle(angle: ArrayLike) -> Array:

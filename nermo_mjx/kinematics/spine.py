@@ -26,7 +26,9 @@ _LARGEST_ANGLE: Final = 1e6
 _SEGMENT: Final = 2 * SPINE.dh[SEGMENT_ROWS[0]][1]
 
 
-def transform(theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None) -> Float[Array, "*batch 4 4"]:
+def transform(
+    theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None
+) -> Float[Array, "*batch 4 4"]:
     """Homogeneous transform from spine base to spine end (the hip's frame), Table 5.3 and (5.23).
 
     Args:
@@ -76,7 +78,9 @@ def _links(moving: tuple[int, ...]) -> list[tuple[int | None, np.ndarray, np.nda
     return [*links, (None, fixed, more)]
 
 
-def _extended(fixed: np.ndarray, more: np.ndarray, row: int, link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _extended(
+    fixed: np.ndarray, more: np.ndarray, row: int, link: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """A pose and its slope by the segment's length, after one more row of the table."""
     slope = np.zeros((4, 4))
     slope[0, 3] = 0.5 * (row in SEGMENT_ROWS)
@@ -119,7 +123,9 @@ def joint_angle(servo: ArrayLike, geometry: Geometry) -> Scalars:
     radius, straight = _chord()
     size, sign = _magnitude(servo)
     size = jnp.minimum(size, _servo_magnitude(jnp.asarray(max_joint_angle(), size.dtype), geometry))
-    segment = SPINE.segment_length + jnp.asarray(geometry.spine.pulley_radius, size.dtype) * size / 4
+    segment = (
+        SPINE.segment_length + jnp.asarray(geometry.spine.pulley_radius, size.dtype) * size / 4
+    )
     return sign * (2 * jnp.arcsin(segment / (2 * radius)) - straight)
 
 
@@ -162,7 +168,11 @@ def _chord() -> tuple[float, float]:
 def _servo_magnitude(theta_v: Array, geometry: Geometry) -> Array:
     radius, straight = _chord()
     segment = 2 * radius * jnp.sin((theta_v + straight) / 2)
-    return 4 * (segment - SPINE.segment_length) / jnp.asarray(geometry.spine.pulley_radius, segment.dtype)
+    return (
+        4
+        * (segment - SPINE.segment_length)
+        / jnp.asarray(geometry.spine.pulley_radius, segment.dtype)
+    )
 
 
 def _magnitude(value: Array) -> tuple[Array, Array]:
@@ -205,5 +215,10 @@ def _matmul(left: Array, right: Array) -> Array:
 def _about_z(angle: Array) -> Float[Array, "*batch 4 4"]:
     angle = jnp.clip(angle, -_LARGEST_ANGLE, _LARGEST_ANGLE)
     cos, sin, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
-    rows = ([cos, -sin, zero, zero], [sin, cos, zero, zero], [zero, zero, zero + 1, zero], [zero, zero, zero, zero + 1])
+    rows = (
+        [cos, -sin, zero, zero],
+        [sin, cos, zero, zero],
+        [zero, zero, zero + 1, zero],
+        [zero, zero, zero, zero + 1],
+    )
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)

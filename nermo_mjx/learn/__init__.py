@@ -11,9 +11,17 @@ from typing import TYPE_CHECKING
 from nermo_mjx.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from nermo_mjx.learn.acting import Modulation as Modulation, Residual as Residual, Targets as Targets
+    from nermo_mjx.learn.acting import (
+        Modulation as Modulation,
+        Residual as Residual,
+        Targets as Targets,
+    )
     from nermo_mjx.learn.algorithms import PPO as PPO
-    from nermo_mjx.learn.environment import SENTENCES as SENTENCES, Environment as Environment, State as State
+    from nermo_mjx.learn.environment import (
+        SENTENCES as SENTENCES,
+        Environment as Environment,
+        State as State,
+    )
     from nermo_mjx.learn.evaluation import played_task as played_task
     from nermo_mjx.learn.observing import Sensed as Sensed
     from nermo_mjx.learn.policy import Policy as Policy, load_policy as load_policy

@@ -19,7 +19,13 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.parameters import SERVOS
-from nermo_mjx.robot.quantity import check_quantities, did_you_mean, quantities, replace_quantities, values_of
+from nermo_mjx.robot.quantity import (
+    check_quantities,
+    did_you_mean,
+    quantities,
+    replace_quantities,
+    values_of,
+)
 from nermo_mjx.shapes import Array, Scalar
 from nermo_mjx.specs.model import Spec, one_of
 from nermo_mjx.specs.values import Ends
@@ -70,7 +76,9 @@ class ServoAction(Spec, ActionKind):
             if not 0.0 <= value <= 1.6:
                 raise ParameterError(f"{called}.{name} is {value!r}: allowed is [0, 1.6] rad.")
         if not any(ranges.values()):
-            raise ParameterError(f"{called} has ranges of 0 only: give at least one of hip, knee and spine [rad].")
+            raise ParameterError(
+                f"{called} has ranges of 0 only: give at least one of hip, knee and spine [rad]."
+            )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -155,13 +163,19 @@ class Modulation(Spec, ActionKind):
     def check(self, controller: ControllerLike) -> None:
         known = dict(quantities(controller.parameters))
         if not self.ranges:
-            raise ParameterError("modulation has no ranges: name at least one parameter of the controller.")
+            raise ParameterError(
+                "modulation has no ranges: name at least one parameter of the controller."
+            )
         for name, (low, high) in self.ranges.items():
             if name not in known:
                 hint = did_you_mean(name, known)
-                raise ParameterError(f"modulation has {name!r}, which is no parameter of the controller{hint}")
+                raise ParameterError(
+                    f"modulation has {name!r}, which is no parameter of the controller{hint}"
+                )
             if not low < high:
-                raise ParameterError(f"modulation.{name} is [{low:g}, {high:g}]: expected a low end and a high end.")
+                raise ParameterError(
+                    f"modulation.{name} is [{low:g}, {high:g}]: expected a low end and a high end."
+                )
             check_quantities(replace_quantities(controller.parameters, {name: low}))
             check_quantities(replace_quantities(controller.parameters, {name: high}))
 
@@ -175,7 +189,11 @@ class Modulation(Spec, ActionKind):
 
 
 #: What an action does, by the name in files.
-ACTIONS: Final[dict[str, Any]] = {"residual": Residual, "modulation": Modulation, "targets": Targets}
+ACTIONS: Final[dict[str, Any]] = {
+    "residual": Residual,
+    "modulation": Modulation,
+    "targets": Targets,
+}
 #: A field that says what an action does.
 ActionField = Annotated[ActionKind, one_of("Action", "is not what an action does", ACTIONS)]
 
@@ -230,9 +248,15 @@ class Acting:
         return ActedState(self.base.init(params.control, sensors, phase), self._home(params))
 
     def initial_servo(self, params: Acted, phase: Scalar) -> ServoAngles:
-        return self._home(params) if isinstance(self.kind, Targets) else self.base.initial_servo(params.control, phase)
+        return (
+            self._home(params)
+            if isinstance(self.kind, Targets)
+            else self.base.initial_servo(params.control, phase)
+        )
 
-    def update(self, params: Acted, state: ActedState, sensors: Sensors) -> tuple[ActedState, ServoAngles]:
+    def update(
+        self, params: Acted, state: ActedState, sensors: Sensors
+    ) -> tuple[ActedState, ServoAngles]:
         action = jnp.clip(params.action, -1.0, 1.0)
         under = self.kind.parameters(params.control, action)
         control, servo = self.base.update(under, state.control, sensors)
@@ -241,10 +265,14 @@ class Acting:
     def cycle_rate(self, params: Acted) -> Any:
         if not isinstance(self.kind, Modulation):
             return self.base.cycle_rate(params.control)
-        action = jnp.moveaxis(jnp.clip(jnp.asarray(params.action), -1.0, 1.0), -1, 0)  # of a batch, each by itself
+        action = jnp.moveaxis(
+            jnp.clip(jnp.asarray(params.action), -1.0, 1.0), -1, 0
+        )  # of a batch, each by itself
         return self.base.cycle_rate(self.kind.parameters(params.control, action))
 
-    def path(self, params: Acted, state: ActedState, position: Float[Array, " 3"]) -> PathPoint | None:
+    def path(
+        self, params: Acted, state: ActedState, position: Float[Array, " 3"]
+    ) -> PathPoint | None:
         """See `FollowsPath`; None where the controller follows none."""
         if not isinstance(self.base, FollowsPath):
             return None
@@ -258,6 +286,11 @@ class Acting:
         """The standing robot: the mean of what the controller starts from, over a cycle."""
         if not isinstance(self.kind, Targets):
             zero = jnp.zeros(())
-            return ServoAngles(hip=jnp.zeros(4), knee=jnp.zeros(4), spine=zero, neck=zero, tail=zero)
-        starts = [self.base.initial_servo(params.control, jnp.asarray(phase)) for phase in (0.0, 0.25, 0.5, 0.75)]
+            return ServoAngles(
+                hip=jnp.zeros(4), knee=jnp.zeros(4), spine=zero, neck=zero, tail=zero
+            )
+        starts = [
+            self.base.initial_servo(params.control, jnp.asarray(phase))
+            for phase in (0.0, 0.25, 0.5, 0.75)
+        ]
         return jax.tree.map(lambda *angles: sum(angles[1:], angles[0]) / len(angles), *starts)

@@ -81,23 +81,41 @@ class PPO(Spec):
         update = jax.jit(functools.partial(self._updated, environment.observation_size))
         key = jax.jit(lambda learned: learned.random(ACTING))
 
-        def iterate(learned: Learned, state: Any) -> tuple[Learned, Any, Experience, dict[str, Any]]:
+        def iterate(
+            learned: Learned, state: Any
+        ) -> tuple[Learned, Any, Experience, dict[str, Any]]:
             began = time.process_time()
             state, experience = collect(learned.actor, learned.statistics, state, key(learned))
             spent = time.process_time() - began
             learned, numbers = update(learned, experience._replace(terms={}))
-            return learned, state, experience, numbers if environment.pure else numbers | {"environment_cpu": spent}
+            return (
+                learned,
+                state,
+                experience,
+                numbers if environment.pure else numbers | {"environment_cpu": spent},
+            )
 
         return iterate
 
-    def _updated(self, observed: int, learned: Learned, found: Experience) -> tuple[Learned, dict[str, Array]]:
+    def _updated(
+        self, observed: int, learned: Learned, found: Experience
+    ) -> tuple[Learned, dict[str, Array]]:
         statistics = learned.statistics.begun(found.seen)
         seen, then = (statistics.normalized(each) for each in (found.seen, found.then))
         value, next_value = (apply(learned.critic, each)[..., 0] for each in (seen, then))
-        gain = advantages(found.reward, value, next_value, found.terminated, found.truncated, self.discount, self.trace)
+        gain = advantages(
+            found.reward,
+            value,
+            next_value,
+            found.terminated,
+            found.truncated,
+            self.discount,
+            self.trace,
+        )
         old = learned.actor.log_density(seen[..., :observed], found.action)
         rows = jax.tree.map(
-            lambda each: each.reshape(-1, *each.shape[2:]), (seen, found.action, old, gain, value + gain)
+            lambda each: each.reshape(-1, *each.shape[2:]),
+            (seen, found.action, old, gain, value + gain),
         )
         count = len(rows[0])
 
@@ -110,7 +128,10 @@ class PPO(Spec):
                 scaled = (gain - gain.mean()) / (gain.std() + 1e-8)
                 ratio = jnp.exp(change)
                 clipped = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)
-                loss = -jnp.minimum(ratio * scaled, clipped * scaled).mean() - self.entropy * actor.entropy()
+                loss = (
+                    -jnp.minimum(ratio * scaled, clipped * scaled).mean()
+                    - self.entropy * actor.entropy()
+                )
                 return loss, (ratio - 1.0 - change).mean()
 
             slope, kl = jax.grad(policy_loss, has_aux=True)(actor)
@@ -129,7 +150,9 @@ class PPO(Spec):
         # The change by all steps of an iteration. Within one it grows from zero: a rate that followed it there would
         # first be raised with every step, and then be too high.
         kl, rate = numbers["kl"][-self.minibatches :].mean(), learned.rate
-        if self.kl is not None:  # lowered where the policy changes twice as much as aimed at, raised at half as much
+        if (
+            self.kl is not None
+        ):  # lowered where the policy changes twice as much as aimed at, raised at half as much
             slower, faster = kl > 2.0 * self.kl, kl < 0.5 * self.kl
             rate = jnp.where(slower, rate / _FACTOR, jnp.where(faster, rate * _FACTOR, rate))
             rate = jnp.clip(rate, _SLOWEST, _FASTEST)
@@ -140,5 +163,7 @@ class PPO(Spec):
             "rate": rate,
             "std": jnp.exp(actor.log_std).mean(),
         }
-        after = learned.after(found.seen, count, actor=actor, critic=critic, optimizers=optimizers, rate=rate)
+        after = learned.after(
+            found.seen, count, actor=actor, critic=critic, optimizers=optimizers, rate=rate
+        )
         return after, about

@@ -36,7 +36,13 @@ from nermo_mjx.learn.experience import Learned
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.runs import OtherCode, RunDirectory, engine_of, stamp
 from nermo_mjx.runs.checkpoints import Checkpoints
-from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, stored_table
+from nermo_mjx.runs.files import (
+    WrongDirectory,
+    clear_errors,
+    content_of,
+    parquet_bytes,
+    stored_table,
+)
 from nermo_mjx.runs.rows import Columns
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.specs.described import write_described
@@ -50,7 +56,11 @@ HISTORY: Final = "history.parquet"
 #: Role, unit and meaning of the history's columns that every training may have.
 _COLUMNS: Final[dict[str, tuple[str, str, str]]] = {
     "steps": ("index", "1", "control steps of all worlds so far"),
-    "episodes": ("return", "1", "episodes that ended in the iteration, but for the first of each world, cut short"),
+    "episodes": (
+        "return",
+        "1",
+        "episodes that ended in the iteration, but for the first of each world, cut short",
+    ),
     "return": ("return", "1", "mean sum of rewards of these episodes; NaN where none ended"),
     "length": ("return", "1", "mean control steps of these episodes"),
     "lasted": ("return", "1", "share of these episodes that their time limit ended, and no fall"),
@@ -60,7 +70,11 @@ _COLUMNS: Final[dict[str, tuple[str, str, str]]] = {
     "explained": ("learning", "1", "share of the returns' variance that the critic explains"),
     "rate": ("learning", "1", "learning rate of the actor"),
     "std": ("learning", "1", "mean standard deviation of the actions"),
-    "environment_cpu": ("effort", "s", "CPU time of the control steps; NaN where they and the rest are one program"),
+    "environment_cpu": (
+        "effort",
+        "s",
+        "CPU time of the control steps; NaN where they and the rest are one program",
+    ),
     "learner_cpu": ("effort", "s", "CPU time of the rest of the iteration"),
     "wall_seconds": ("effort", "s", "wall time of the iteration"),
 }
@@ -100,7 +114,11 @@ class Curves:
         count = self.column("episodes")
         total = np.cumsum(count[::-1])[::-1]
         recent = (count > 0) & (total - count < episodes)
-        return float(np.average(self.column(name)[recent], weights=count[recent])) if recent.any() else float("nan")
+        return (
+            float(np.average(self.column(name)[recent], weights=count[recent]))
+            if recent.any()
+            else float("nan")
+        )
 
     def table(self, units: Mapping[str, str], digest: str) -> pa.Table:
         """The history as a table; `units` are those of the reward's terms by name, `digest` is of the training."""
@@ -140,7 +158,11 @@ class TrainingDirectory:
     """
 
     def __init__(
-        self, out: str | os.PathLike[str], training: Training, engine: str, warn: Callable[[str], None]
+        self,
+        out: str | os.PathLike[str],
+        training: Training,
+        engine: str,
+        warn: Callable[[str], None],
     ) -> None:
         self.out, self.training, self.engine, self._warn = Path(out), training, engine, warn
         self.held = RunDirectory(out, "training")
@@ -213,7 +235,9 @@ class TrainingDirectory:
             "identity": self.training.identity(),
         }
         with clear_errors(self.out):
-            self._checkpoints.save(int(learned.iteration), {"learned": learned, "history": curves.rows}, about)
+            self._checkpoints.save(
+                int(learned.iteration), {"learned": learned, "history": curves.rows}, about
+            )
 
     def publish(self, curves: Curves, units: Mapping[str, str], policy: bytes | None) -> None:
         """Make history.parquet and policy.npz of the latest checkpoint."""
@@ -238,5 +262,13 @@ def training_status(out: Path) -> Status:
                 rows = done if summary.get("complete") is True else rows
     complete = rows is not None and done >= rows and (out / SUMMARY).exists()
     return status_of(
-        "iterations", out, done, rows, complete, command="train", spec=SPEC, engine=engine_of(out), notes=notes
+        "iterations",
+        out,
+        done,
+        rows,
+        complete,
+        command="train",
+        spec=SPEC,
+        engine=engine_of(out),
+        notes=notes,
     )

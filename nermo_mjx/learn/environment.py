@@ -61,7 +61,11 @@ class State(NamedTuple):
 
 def _state(seen: Observed, observation: Any, privileged: Any, engine: Any) -> State:
     """What a control step gave; observation and privileged input are those of new episodes where some ended."""
-    final = {"final_observation": seen.observation, "final_privileged": seen.privileged, "engine": engine}
+    final = {
+        "final_observation": seen.observation,
+        "final_privileged": seen.privileged,
+        "engine": engine,
+    }
     now = {**seen._asdict(), "observation": observation, "privileged": privileged}
     return State(**now, **final)
 
@@ -69,7 +73,9 @@ def _state(seen: Observed, observation: Any, privileged: Any, engine: Any) -> St
 class CWorlds:
     """Worlds of MuJoCo's C engine. The k-th episode of a world depends on key, world and k alone."""
 
-    def __init__(self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool, threads: Threads) -> None:
+    def __init__(
+        self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool, threads: Threads
+    ) -> None:
         self.loop, self.episodes, self.worlds = loop, episodes, worlds
         self.engine = CEngine(loop.robot, loop, threads)
         self.variation = Variation(loop.robot)
@@ -78,7 +84,9 @@ class CWorlds:
         self.newest: object = None
 
         def draw(key: Array, world: Array, episode: Array, steps: Array) -> Any:
-            own = jax.random.fold_in(jax.random.fold_in(jax.random.wrap_key_data(key), world), episode)
+            own = jax.random.fold_in(
+                jax.random.fold_in(jax.random.wrap_key_data(key), world), episode
+            )
             return episodes(own, staggered & (episode == 0), steps)
 
         self.draw = Lanes(draw)
@@ -93,7 +101,9 @@ class CWorlds:
 
     def step(self, state: State, action: Any) -> State:
         if self.session is None or state.engine is not self.newest:
-            raise ParameterError("state is not the newest one of this environment: on 'c' worlds cannot go back.")
+            raise ParameterError(
+                "state is not the newest one of this environment: on 'c' worlds cannot go back."
+            )
         action = np.asarray(action, np.float32)
         if not np.isfinite(action).all():
             raise ParameterError("action has numbers that are not finite.")
@@ -124,13 +134,17 @@ class CWorlds:
         if k not in self.drawn:
             n = self.worlds
             keys = np.broadcast_to(self.key, (n, self.key.shape[-1]))
-            places = np.arange(n) if self.key.ndim == 1 else np.zeros(n, int)  # where each has a key of its own
+            places = (
+                np.arange(n) if self.key.ndim == 1 else np.zeros(n, int)
+            )  # where each has a key of its own
             params, model, qpos = self.draw(keys, places, np.full(n, k), np.full(n, self.steps))
             fields = self.variation.batch(model, n, self.episodes.reached)
             self.drawn[k] = params, fields, np.asarray(qpos, float)
             for old in [each for each in self.drawn if each <= self.count.min() and each != k]:
                 del self.drawn[old]
-        chosen: tuple[Any, dict[str, np.ndarray], np.ndarray] = jax.tree.map(lambda leaf: leaf[worlds], self.drawn[k])
+        chosen: tuple[Any, dict[str, np.ndarray], np.ndarray] = jax.tree.map(
+            lambda leaf: leaf[worlds], self.drawn[k]
+        )
         return chosen
 
 
@@ -164,7 +178,9 @@ class MjxWorlds:
     @full_precision
     def reset(self, key: Any, steps: Any) -> State:
         keys = (
-            key if key.ndim == 2 else jax.random.key_data(jax.random.split(jax.random.wrap_key_data(key), self.worlds))
+            key
+            if key.ndim == 2
+            else jax.random.key_data(jax.random.split(jax.random.wrap_key_data(key), self.worlds))
         )
         world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered, steps=steps))(keys)
         seen = jax.vmap(self.seen)(world)
@@ -194,8 +210,12 @@ class MjxWorlds:
         params, model, qpos = self.episodes(jax.random.wrap_key_data(key), cut_short, steps)
         fields = self.variation.differentiable(model, self.episodes.reached)
         at_rest = self.loop.robot.sensordata_at_rest(qpos)
-        carry = self.engine.start(params, qpos, jnp.zeros((self.engine.model.nv,), qpos.dtype), at_rest)
-        return World(key, jnp.asarray(steps, float), params, fields, self.engine.playing(carry, fields))
+        carry = self.engine.start(
+            params, qpos, jnp.zeros((self.engine.model.nv,), qpos.dtype), at_rest
+        )
+        return World(
+            key, jnp.asarray(steps, float), params, fields, self.engine.playing(carry, fields)
+        )
 
     @full_precision
     def act(self, world: World, action: Array) -> World:
@@ -274,22 +294,41 @@ class Environment:
             raise ParameterError(f"engine is {engine!r}: an environment runs on c or mjx.")
         if not (isinstance(worlds, int) and worlds >= 1):
             raise ParameterError(f"worlds is {worlds!r}: allowed is a whole number from 1 on.")
-        self.setup, self.task, self.worlds, self.seed = setup or Setup(), task or Task(), worlds, seed
+        self.setup, self.task, self.worlds, self.seed = (
+            setup or Setup(),
+            task or Task(),
+            worlds,
+            seed,
+        )
         self.task.check(self.setup)
         self.robot = self.setup.load()
         self.controller = Acting(self.setup.make_controller(), self.task.action)
-        if not (isinstance(self.controller.base, Controller) and type(self.task.action) in ACTIONS.values()):
-            check_controller(self.robot, self.controller)  # the package's own are checked by its tests
+        if not (
+            isinstance(self.controller.base, Controller)
+            and type(self.task.action) in ACTIONS.values()
+        ):
+            check_controller(
+                self.robot, self.controller
+            )  # the package's own are checked by its tests
         self.episodes = Episodes(self.setup, self.robot, self.controller, self.task)
         self.loop = EpisodeLoop(self.robot, self.controller, self.task, self.episodes.drawn)
         self.engine = name
         shared = self.loop, self.episodes, worlds, staggered
         self._worlds: Any = CWorlds(*shared, threads) if name == "c" else MjxWorlds(*shared)
         self.pure = name == "mjx"
-        self.observation_names, self.privileged_names = self.loop.observation_names, self.loop.privileged_names
+        self.observation_names, self.privileged_names = (
+            self.loop.observation_names,
+            self.loop.privileged_names,
+        )
         self.action_names = self.task.action.names
-        self.observation_size, self.privileged_size = len(self.observation_names), len(self.privileged_names)
-        self.action_size, self.step_seconds = len(self.action_names), self.controller.dt * self.task.decimation
+        self.observation_size, self.privileged_size = (
+            len(self.observation_names),
+            len(self.privileged_names),
+        )
+        self.action_size, self.step_seconds = (
+            len(self.action_names),
+            self.controller.dt * self.task.decimation,
+        )
 
     def reset(self, key: Any = None, steps: Any = 0.0) -> State:
         """Begin an episode in every world.
@@ -342,7 +381,9 @@ def _raw_key(key: Any) -> Any:
     array = jnp.asarray(key)
     if jnp.issubdtype(array.dtype, jax.dtypes.prng_key):
         return jax.random.key_data(array)
-    return array if array.ndim else jax.random.key_data(jax.random.key(array))  # a traced whole number
+    return (
+        array if array.ndim else jax.random.key_data(jax.random.key(array))
+    )  # a traced whole number
 
 
 class Mixture:
@@ -387,7 +428,14 @@ class Mixture:
         # The blocks of all parts share the processors: a single part may have too few worlds for all of them.
         processors = ThreadPoolExecutor(thread_count(threads), thread_name_prefix="nermo_mjx")
         self.parts = tuple(
-            Environment(setup, engine=engine, worlds=count, task=task, staggered=staggered, threads=processors)
+            Environment(
+                setup,
+                engine=engine,
+                worlds=count,
+                task=task,
+                staggered=staggered,
+                threads=processors,
+            )
             for (setup, task), count in zip(parts, counts, strict=True)
         )
         check_alike({str(part.setup.scene): part.loop for part in self.parts})
@@ -396,10 +444,15 @@ class Mixture:
         told = dict.fromkeys(name for part in self.parts for name in part.privileged_names)
         self.privileged_names = (*told, *(f"part.{i}" for i in range(len(self.parts))))
         self._columns = [
-            np.array([self.privileged_names.index(name) for name in part.privileged_names]) for part in self.parts
+            np.array([self.privileged_names.index(name) for name in part.privileged_names])
+            for part in self.parts
         ]
         one = self.parts[0]
-        self.pure, self.observation_size, self.action_size = one.pure, one.observation_size, one.action_size
+        self.pure, self.observation_size, self.action_size = (
+            one.pure,
+            one.observation_size,
+            one.action_size,
+        )
         self.step_seconds, self.privileged_size = one.step_seconds, len(self.privileged_names)
         self._waiting = ThreadPoolExecutor(len(parts), thread_name_prefix="nermo_mjx_part")
 
@@ -407,7 +460,9 @@ class Mixture:
         """Begin an episode in every world; each part draws from a key of its own."""
         key = jax.random.key(key) if isinstance(key, int) else key
         keys = [jax.random.fold_in(key, i) for i in range(len(self.parts))]
-        return self.joined([part.reset(each, steps) for part, each in zip(self.parts, keys, strict=True)])
+        return self.joined(
+            [part.reset(each, steps) for part, each in zip(self.parts, keys, strict=True)]
+        )
 
     def step(self, state: State, action: Any) -> State:
         """One control step of all worlds; see `Environment.step`."""
@@ -428,11 +483,16 @@ class Mixture:
     def joined(self, states: Sequence[State]) -> State:
         """The state of all worlds from those of the parts."""
         numbers = jnp if self.pure else np
-        fields = {name: [getattr(state, name) for state in states] for name in State._fields if name != "engine"}
+        fields = {
+            name: [getattr(state, name) for state in states]
+            for name in State._fields
+            if name != "engine"
+        }
         for name in ("privileged", "final_privileged"):
             fields[name] = [self.told(i, each) for i, each in enumerate(fields[name])]
         joined = {
-            name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each) for name, each in fields.items()
+            name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each)
+            for name, each in fields.items()
         }
         return State(**joined, engine=tuple(states))
 
@@ -444,7 +504,9 @@ class Mixture:
             told = np.zeros(shape, np.float32)
             told[..., self._columns[i]], told[..., which] = own, 1.0
             return told
-        return jnp.zeros(shape, jnp.float32).at[..., self._columns[i]].set(own).at[..., which].set(1.0)
+        return (
+            jnp.zeros(shape, jnp.float32).at[..., self._columns[i]].set(own).at[..., which].set(1.0)
+        )
 
 
 def divided(worlds: int, shares: Sequence[float]) -> list[int]:
@@ -457,7 +519,11 @@ def divided(worlds: int, shares: Sequence[float]) -> list[int]:
     counts = np.maximum(np.floor(exact + 1e-9).astype(int), 1)
     while counts.sum() != worlds:
         missing = exact - counts
-        at = int(np.argmax(missing)) if counts.sum() < worlds else int(np.argmin(np.where(counts > 1, missing, np.inf)))
+        at = (
+            int(np.argmax(missing))
+            if counts.sum() < worlds
+            else int(np.argmin(np.where(counts > 1, missing, np.inf)))
+        )
         counts[at] += 1 if counts.sum() < worlds else -1
     return counts.tolist()
 

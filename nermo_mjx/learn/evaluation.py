@@ -100,7 +100,14 @@ class PolicyEvaluator:
         for i, (setup, task, who) in enumerate(cases):
             ends = own_terminations(setup.load().config, task.terminations)
             ending = tuple(
-                OwnMetric("1", "whether it ended", None, f"terminated_{name}", _as_number(ends[name]), "max")
+                OwnMetric(
+                    "1",
+                    "whether it ended",
+                    None,
+                    f"terminated_{name}",
+                    _as_number(ends[name]),
+                    "max",
+                )
                 for name in ends
             )
             there = _setup(setup, policy if who == POLICY else None)
@@ -113,17 +120,25 @@ class PolicyEvaluator:
             # As many walks where nothing that the simulator knows is drawn.
             values = {"start.x": 0.0} | _known(simulator.setup, {**task.set, **drawn})
             values = {name: np.broadcast_to(value, draws.number) for name, value in values.items()}
-            share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
+            share = (
+                None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
+            )
             own = there.make_controller().parameters if who == POLICY else None
             batch = simulator.prepare(values, training.run, own)
-            seeds = np.random.default_rng([training.seed, draws.key]).integers(1 << 24, size=draws.number)
+            seeds = np.random.default_rng([training.seed, draws.key]).integers(
+                1 << 24, size=draws.number
+            )
             push = pushes_of({**task.set, **drawn}, seeds.astype(np.int32))
-            push = default_precision(jax.tree.map(lambda leaf: np.broadcast_to(leaf, draws.number), push))
+            push = default_precision(
+                jax.tree.map(lambda leaf: np.broadcast_to(leaf, draws.number), push)
+            )
             batch = dataclasses.replace(batch, params=dataclasses.replace(batch.params, push=push))
             with shown_share("walk", share) as tell:
                 result = simulator.run_batch(batch, progress=tell)
             metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
-            well = (np.asarray(result.status) == "ok") & (metrics["distance"] >= training.evaluation.distance)
+            well = (np.asarray(result.status) == "ok") & (
+                metrics["distance"] >= training.evaluation.distance
+            )
             if task.corridor is not None:
                 well &= metrics["cross_track_peak"] <= task.corridor
             for each in ending:
@@ -141,10 +156,15 @@ def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.
     streams = (np.random.default_rng([training.seed, draws.key, walk]) for walk in walks)
     *shares, body = np.array([stream.random(len(ranges) + 1) for stream in streams]).T
     drawn = {
-        name: low + share * (high - low) for (name, (low, high)), share in zip(ranges.items(), shares, strict=True)
+        name: low + share * (high - low)
+        for (name, (low, high)), share in zip(ranges.items(), shares, strict=True)
     }
     key = jax.random.fold_in(jax.random.key(training.seed), draws.key)
-    given = [task.sample(jax.random.fold_in(key, walk), jnp.inf) for walk in walks] if task.commands else []
+    given = (
+        [task.sample(jax.random.fold_in(key, walk), jnp.inf) for walk in walks]
+        if task.commands
+        else []
+    )
     for name in task.sampled:
         if name not in {*task.set, *ranges}:  # where the evaluation says otherwise
             drawn[name] = np.array([float(each[name]) for each in given])
@@ -154,13 +174,20 @@ def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.
     return drawn
 
 
-def recorded(training: Training, policy: Policy, engine: str = "c") -> Iterator[tuple[str, Recording]]:
+def recorded(
+    training: Training, policy: Policy, engine: str = "c"
+) -> Iterator[tuple[str, Recording]]:
     """Each scene of a training's evaluation, and the policy's walk on its first unseen body from its first start."""
     for setup, task in training.evaluated():
         there = _setup(setup, policy)
         simulator = Simulator(there, engine=engine)
-        values = _known(simulator.setup, {**task.set, **unseen_bodies(training, task, Draws(1, UNSEEN))})
-        yield scene_name(str(setup.scene)), simulator.run(values, training.run, record=True).recording()
+        values = _known(
+            simulator.setup, {**task.set, **unseen_bodies(training, task, Draws(1, UNSEEN))}
+        )
+        yield (
+            scene_name(str(setup.scene)),
+            simulator.run(values, training.run, record=True).recording(),
+        )
 
 
 def played_task(
@@ -187,7 +214,9 @@ def played_task(
     scenes = (scene or str(training.evaluated()[0][0].scene),)
     for name in values:
         if name.startswith("terrain.") and name not in terrain_values(scenes[0]):
-            raise ParameterError(f"{name} is given, and {scene_name(scenes[0])!r} does not have it: leave it out.")
+            raise ParameterError(
+                f"{name} is given, and {scene_name(scenes[0])!r} does not have it: leave it out."
+            )
     evaluation = dataclasses.replace(evaluation, scenes=scenes, set={**evaluation.set, **values})
     run = training.run if seconds is None else Run(duration=seconds, warmup=0.0)
     training = dataclasses.replace(training, evaluation=evaluation, run=run)
@@ -199,13 +228,21 @@ def played_task(
         acting = RandomPolicy(**vars(acting)) if policy == RANDOM else acting
     else:
         acting = load_policy(policy, code_place(training.task.observe))
-    commands, late, noisy = acting.observer.commands, bool(acting.observer.delayed), acting.observer.noisy
+    commands, late, noisy = (
+        acting.observer.commands,
+        bool(acting.observer.delayed),
+        acting.observer.noisy,
+    )
     told = {f"command.{name}" for name in commands} | ({"sensing.delay"} if late else set())
     for name in values:
         if name in PUSHES:
-            raise ParameterError(f"{name} is given, and a walk that is played is not pushed: push it in drive.")
+            raise ParameterError(
+                f"{name} is given, and a walk that is played is not pushed: push it in drive."
+            )
         if name in GIVEN and name not in told and not (noisy and name.endswith("_noise")):
-            raise ParameterError(f"{name} is given, and the policy was not trained with it: leave it out.")
+            raise ParameterError(
+                f"{name} is given, and the policy was not trained with it: leave it out."
+            )
     return next(recorded(training, acting))[1]
 
 
@@ -216,14 +253,24 @@ def _as_number(ends: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 def summary_of(table: pa.Table) -> dict[str, Any]:
     """Share of successes and medians over all walks, for each scene and each of the two: scene -> who -> numbers."""
-    names = ("scene", "controller", "success", "speed", "distance", "cost_of_transport", "electrical_cost_of_transport")
+    names = (
+        "scene",
+        "controller",
+        "success",
+        "speed",
+        "distance",
+        "cost_of_transport",
+        "electrical_cost_of_transport",
+    )
     columns = {name: np.asarray(table.column(name).to_pylist()) for name in names}
     found: dict[str, Any] = {}
     for scene in dict.fromkeys(columns["scene"].tolist()):
         for who in dict.fromkeys(columns["controller"].tolist()):
             rows = (columns["scene"] == scene) & (columns["controller"] == who)
             about = {"success": float(columns["success"][rows].mean())}
-            about |= {name: float(np.nanmedian(columns[name][rows].astype(float))) for name in names[3:]}
+            about |= {
+                name: float(np.nanmedian(columns[name][rows].astype(float))) for name in names[3:]
+            }
             found.setdefault(scene, {})[who] = about
     return found
 
@@ -231,7 +278,18 @@ def summary_of(table: pa.Table) -> dict[str, Any]:
 def _setup(setup: Setup, policy: Policy | None) -> Setup:
     if policy is None:
         return setup
-    own = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep", "feet", "hinges", "metrics")
+    own = (
+        "robot",
+        "scene",
+        "tail",
+        "routing",
+        "cone",
+        "physics",
+        "timestep",
+        "feet",
+        "hinges",
+        "metrics",
+    )
     there = policy.upon(pilot=setup.pilot, waypoints=setup.waypoints)
     return Setup(**{name: getattr(setup, name) for name in own}, controller=there)
 
@@ -244,9 +302,15 @@ def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
     table, metrics = Columns(), training.metrics
-    known = {name: about for setup, _ in training.evaluated() for name, about in task_parameters(setup).items()}
+    known = {
+        name: about
+        for setup, _ in training.evaluated()
+        for name, about in task_parameters(setup).items()
+    }
 
-    scenes, walkers = (np.repeat(np.array([part[i] for part in parts], object), n) for i in range(2))
+    scenes, walkers = (
+        np.repeat(np.array([part[i] for part in parts], object), n) for i in range(2)
+    )
     table.add("scene", scenes, "index", "1", "where it walks")
     table.add("controller", walkers, "index", "1", "the policy, or what it acts on alone")
     table.add("body", np.tile(np.arange(n), len(parts)), "index", "1", "which body and start")
@@ -259,5 +323,11 @@ def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
     status = np.concatenate([np.asarray(part.result.status) for part in parts])
     table.add("status", status, "status", "1", "ok, or how the walk ended")
     success = np.concatenate([part.success for part in parts])
-    table.add("success", success, "status", "1", "whether it lasted, went far enough, and stayed in the corridor")
+    table.add(
+        "success",
+        success,
+        "status",
+        "1",
+        "whether it lasted, went far enough, and stayed in the corridor",
+    )
     return table.table({"training": training.digest(), "engine": parts[0].result.engine})

@@ -45,14 +45,18 @@ class Statistics:
     @classmethod
     def none(cls, size: int) -> Statistics:
         """Empty statistics, which leave values unchanged."""
-        return cls(jnp.zeros((), jnp.float32), jnp.zeros(size, jnp.float32), jnp.ones(size, jnp.float32))
+        return cls(
+            jnp.zeros((), jnp.float32), jnp.zeros(size, jnp.float32), jnp.ones(size, jnp.float32)
+        )
 
     def extended(self, values: Float[Array, "*batch k"]) -> Statistics:
         """With more values."""
         more = values.reshape(-1, values.shape[-1])
         count, mean, variance = jnp.float32(len(more)), more.mean(axis=0), more.var(axis=0)
         total, apart = self.count + count, mean - self.mean
-        spread = self.variance * self.count + variance * count + apart**2 * self.count * count / total
+        spread = (
+            self.variance * self.count + variance * count + apart**2 * self.count * count / total
+        )
         return Statistics(total, self.mean + apart * count / total, spread / total)
 
     def normalized(self, values: Float[Array, "*batch k"]) -> Float[Array, "*batch k"]:
@@ -86,25 +90,37 @@ class Actor:
         """The mean action, within (-1, 1), at normalized observations."""
         return jnp.tanh(apply(self.layers, seen))
 
-    def sample(self, seen: Float[Array, "*batch o"], noise: Float[Array, "*batch a"]) -> Float[Array, "*batch a"]:
+    def sample(
+        self, seen: Float[Array, "*batch o"], noise: Float[Array, "*batch a"]
+    ) -> Float[Array, "*batch a"]:
         """The action at standard normal noise; differentiable in policy and observation."""
         return self.mean(seen) + jnp.exp(self.log_std) * noise
 
-    def log_density(self, seen: Float[Array, "*batch o"], action: Float[Array, "*batch a"]) -> Float[Array, "*batch"]:
+    def log_density(
+        self, seen: Float[Array, "*batch o"], action: Float[Array, "*batch a"]
+    ) -> Float[Array, "*batch"]:
         """The logarithm of an action's probability density."""
         z = (action - self.mean(seen)) * jnp.exp(-self.log_std)
-        return -0.5 * (z**2).sum(axis=-1) - self.log_std.sum() - 0.5 * len(self.log_std) * jnp.log(2 * jnp.pi)
+        return (
+            -0.5 * (z**2).sum(axis=-1)
+            - self.log_std.sum()
+            - 0.5 * len(self.log_std) * jnp.log(2 * jnp.pi)
+        )
 
     def entropy(self) -> Float[Array, ""]:
         """Differential entropy [nat]."""
         return (self.log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e)).sum()
 
 
-def new_actor(key: PRNGKeyArray, observed: int, actions: int, hidden: Sequence[int], std: float) -> Actor:
+def new_actor(
+    key: PRNGKeyArray, observed: int, actions: int, hidden: Sequence[int], std: float
+) -> Actor:
     """An actor whose mean is zero everywhere."""
     layers = new_layers(key, (observed, *hidden, actions))
     last, bias = layers[-1]
-    return Actor((*layers[:-1], (jnp.zeros_like(last), bias)), jnp.full(actions, jnp.log(std), jnp.float32))
+    return Actor(
+        (*layers[:-1], (jnp.zeros_like(last), bias)), jnp.full(actions, jnp.log(std), jnp.float32)
+    )
 
 
 def new_layers(key: PRNGKeyArray, sizes: Sequence[int]) -> Layers:
@@ -223,7 +239,8 @@ class EpisodeScores:
     def tally(self, experience: Experience) -> dict[str, float]:
         """Numbers of the episodes that ended in these steps: how many, their return, length, and share that lasted."""
         reward, failed, cut = (
-            np.asarray(each) for each in (experience.reward, experience.terminated, experience.truncated)
+            np.asarray(each)
+            for each in (experience.reward, experience.terminated, experience.truncated)
         )
         returns, lengths, lasted = list[float](), list[int](), 0
         for t in range(len(reward)):
@@ -245,7 +262,9 @@ class EpisodeScores:
 
 def both(observation: Any, privileged: Any) -> Float[Array, "*batch k"]:
     """Observation and privileged, concatenated."""
-    return jnp.concatenate([jnp.asarray(observation, jnp.float32), jnp.asarray(privileged, jnp.float32)], axis=-1)
+    return jnp.concatenate(
+        [jnp.asarray(observation, jnp.float32), jnp.asarray(privileged, jnp.float32)], axis=-1
+    )
 
 
 def collector(
@@ -263,7 +282,9 @@ def collector(
     act = jax.jit(_act)
     draw = jax.jit(lambda key: jax.random.normal(key, shape, jnp.float32))
 
-    def collect(actor: Actor, statistics: Statistics, state: Any, key: PRNGKeyArray) -> tuple[Any, Experience]:
+    def collect(
+        actor: Actor, statistics: Statistics, state: Any, key: PRNGKeyArray
+    ) -> tuple[Any, Experience]:
         policy, noise = functools.partial(act, actor, statistics), np.asarray(draw(key))
         if isinstance(environment, Mixture):
             return _of_parts(environment, policy, state, noise)
@@ -273,7 +294,10 @@ def collector(
 
 
 def _stepped(
-    environment: EnvironmentLike, policy: Callable[[Any, Any], Array], state: Any, noise: Float[Values, "t n a"]
+    environment: EnvironmentLike,
+    policy: Callable[[Any, Any], Array],
+    state: Any,
+    noise: Float[Values, "t n a"],
 ) -> tuple[Any, Experience]:
     """Steps of an environment on the host, one by one."""
     rows = []
@@ -281,7 +305,9 @@ def _stepped(
         seen = np.concatenate([state.observation, state.privileged], axis=-1, dtype=np.float32)
         action = np.asarray(policy(state.observation, each))
         state = environment.step(state, action)
-        then = np.concatenate([state.final_observation, state.final_privileged], axis=-1, dtype=np.float32)
+        then = np.concatenate(
+            [state.final_observation, state.final_privileged], axis=-1, dtype=np.float32
+        )
         rows.append(
             Experience(
                 seen,
@@ -310,7 +336,10 @@ def _of_parts(
         observation, privileged = np.split(values, [mixture.observation_size], axis=-1)
         return np.concatenate([observation, mixture.told(i, privileged)], axis=-1)
 
-    parts = [each._replace(seen=told(i, each.seen), then=told(i, each.then)) for i, each in enumerate(found)]
+    parts = [
+        each._replace(seen=told(i, each.seen), then=told(i, each.then))
+        for i, each in enumerate(found)
+    ]
     return mixture.joined(states), jax.tree.map(lambda *each: np.concatenate(each, axis=1), *parts)
 
 
@@ -320,7 +349,11 @@ def _act(actor: Actor, statistics: Statistics, observation: Any, noise: Array) -
 
 
 def scanned(
-    environment: EnvironmentLike, actor: Actor, statistics: Statistics, state: Any, noise: Float[Array, "t n a"]
+    environment: EnvironmentLike,
+    actor: Actor,
+    statistics: Statistics,
+    state: Any,
+    noise: Float[Array, "t n a"],
 ) -> tuple[Any, Experience]:
     """Steps of a pure environment as one scan."""
 
@@ -373,7 +406,9 @@ class Learned:
         """One iteration later: what was seen in so many steps, and what has changed."""
         statistics = self.statistics.extended(seen)
         iteration, steps = self.iteration + 1, self.steps + steps
-        return dataclasses.replace(self, iteration=iteration, steps=steps, statistics=statistics, **changed)
+        return dataclasses.replace(
+            self, iteration=iteration, steps=steps, statistics=statistics, **changed
+        )
 
     def random(self, purpose: int) -> PRNGKeyArray:
         """A random key for one purpose of this iteration."""
@@ -385,7 +420,9 @@ class Learned:
 RESET, ACTING, SHUFFLING = range(3)
 
 
-def beginning(environment: EnvironmentLike, seed: int, hidden: tuple[int, ...], std: float, rate: float) -> Learned:
+def beginning(
+    environment: EnvironmentLike, seed: int, hidden: tuple[int, ...], std: float, rate: float
+) -> Learned:
     """The learning state before the first step."""
     observed, actions = environment.observation_size, environment.action_size
     size = observed + environment.privileged_size
@@ -424,5 +461,7 @@ def stepped(network: Any, gradient: Any, state: Any, rate: Any) -> Any:
     """
     change, after = descent().update(gradient, state)
     fine = jnp.isfinite(optax.global_norm(gradient))
-    moved = jax.tree.map(lambda x, d: jnp.where(fine, x - rate * d, x).astype(x.dtype), network, change)
+    moved = jax.tree.map(
+        lambda x, d: jnp.where(fine, x - rate * d, x).astype(x.dtype), network, change
+    )
     return moved, jax.tree.map(lambda new, old: jnp.where(fine, new, old), after, state)

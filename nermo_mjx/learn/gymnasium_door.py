@@ -43,7 +43,9 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         self.environment = Environment(**given) if environment is None else environment
         if self.environment.engine != "c":
-            raise ValueError(f"engine is {self.environment.engine!r}: Gymnasium's form runs on 'c'.")
+            raise ValueError(
+                f"engine is {self.environment.engine!r}: Gymnasium's form runs on 'c'."
+            )
         self.num_envs = self.environment.worlds
         bound = np.full(self.environment.observation_size, np.inf, np.float32)
         one = np.ones(self.environment.action_size, np.float32)
@@ -54,7 +56,10 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._state: State | None = None
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | np.ndarray | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | np.ndarray | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in all worlds; without a seed the episodes differ each time.
 
@@ -67,12 +72,18 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             ParameterError: another seed or number of seeds, or options, such as a mask of the worlds to reset.
         """
         if options:
-            raise ParameterError(f"options has {', '.join(options)}: none are known, and all worlds are reset.")
+            raise ParameterError(
+                f"options has {', '.join(options)}: none are known, and all worlds are reset."
+            )
         given: Any = seed.tolist() if isinstance(seed, np.ndarray) else seed
         seeds = list(given) if isinstance(given, (list, tuple)) else [given]
         for each in seeds:
-            if each is not None and (not isinstance(each, (int, np.integer)) or not 0 <= each < 1 << 64):
-                raise ParameterError(f"seed is {each!r}: allowed is a whole number from 0 to 2^64 - 1.")
+            if each is not None and (
+                not isinstance(each, (int, np.integer)) or not 0 <= each < 1 << 64
+            ):
+                raise ParameterError(
+                    f"seed is {each!r}: allowed is a whole number from 0 to 2^64 - 1."
+                )
         first = next((each for each in seeds if each is not None), None)
         super().reset(seed=None if first is None else int(first))
         # The generator of Gymnasium says which episodes come, so that a seed makes all that follow repeatable.
@@ -80,7 +91,9 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._state = self.environment.reset(keys if isinstance(given, (list, tuple)) else keys[0])
         return np.asarray(self._state.observation), {"privileged": self._state.privileged}
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step of all worlds."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("step was called before reset.")
@@ -88,12 +101,30 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         infos: dict[str, Any] = {"privileged": state.privileged, **state.terms}
         ended = state.terminated | state.truncated
         if ended.any():
-            told = {**state.episode, **state.terms, "status": np.array(SENTENCES)[np.asarray(state.status)]}
-            final = {name: np.where(ended, column, np.zeros_like(column)) for name, column in told.items()}
+            told = {
+                **state.episode,
+                **state.terms,
+                "status": np.array(SENTENCES)[np.asarray(state.status)],
+            }
+            final = {
+                name: np.where(ended, column, np.zeros_like(column))
+                for name, column in told.items()
+            }
             final |= {f"_{name}": ended for name in told}
             rows = np.empty(self.num_envs, object)
             for world in np.flatnonzero(ended):
                 rows[world] = state.final_observation[world]
-            infos |= {"final_obs": rows, "_final_obs": ended, "final_info": final, "_final_info": ended}
+            infos |= {
+                "final_obs": rows,
+                "_final_obs": ended,
+                "final_info": final,
+                "_final_info": ended,
+            }
         reward = np.asarray(state.reward, np.float64)
-        return np.asarray(state.observation), reward, np.asarray(state.terminated), np.asarray(state.truncated), infos
+        return (
+            np.asarray(state.observation),
+            reward,
+            np.asarray(state.terminated),
+            np.asarray(state.truncated),
+            infos,
+        )

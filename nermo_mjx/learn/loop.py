@@ -77,7 +77,9 @@ class EpisodeState:
 class EpisodeLoop:
     """Implements `physics.engine.DrivenLoop`: the run loop of a robot under a task."""
 
-    def __init__(self, robot: Robot, controller: Acting, task: Task, drawn: tuple[str, ...]) -> None:
+    def __init__(
+        self, robot: Robot, controller: Acting, task: Task, drawn: tuple[str, ...]
+    ) -> None:
         """
         Args:
             robot, controller: what walks, and what is acted on.
@@ -95,20 +97,26 @@ class EpisodeLoop:
         self.terminations = own_terminations(robot.config, task.terminations)
         for name in task.sampled:
             if name in {*task.set, *task.randomize}:
-                raise ParameterError(f"commands draws {name}, which stands under set or randomize: leave one out.")
+                raise ParameterError(
+                    f"commands draws {name}, which stands under set or randomize: leave one out."
+                )
 
         def first(data: Array) -> tuple[Any, Any]:
             """The gait's phase and the path's point, where the controller has them."""
             params, sensors = controller.parameters, robot.sensors(data)
             state = controller.init(params, sensors, jnp.zeros(()))
-            return getattr(state.control, "phase", None), controller.path(params, state, sensors.position)
+            return getattr(state.control, "phase", None), controller.path(
+                params, state, sensors.position
+            )
 
         data = jax.ShapeDtypeStruct((robot.model.nsensordata,), jnp.zeros(()).dtype)
         self.has_phase, self.has_path = (form is not None for form in jax.eval_shape(first, data))
         if task.corridor is not None and not self.has_path:
             raise ParameterError("corridor is given, and the pilot follows no path: leave it out.")
         named = {*task.set, *task.randomize, *task.sampled}
-        _, delay = task.randomize.get("sensing.delay", (0.0, float(task.set.get("sensing.delay", 0.0))))
+        _, delay = task.randomize.get(
+            "sensing.delay", (0.0, float(task.set.get("sensing.delay", 0.0)))
+        )
         self.observer = Observer(
             groups=tuple(each for each in task.observe if not is_own(each)),
             commands=task.commanded,
@@ -124,7 +132,9 @@ class EpisodeLoop:
             if term not in TERMS.values():
                 numbers_at_rest(term.subject, term.of, self._moment_at_rest())
         self.observation_names = self.observer.names
-        self.privileged_names = observing.privileged_names(self.observer.names, drawn, self.has_path)
+        self.privileged_names = observing.privileged_names(
+            self.observer.names, drawn, self.has_path
+        )
 
     @property
     def steps_per_tick(self) -> int:
@@ -134,7 +144,9 @@ class EpisodeLoop:
         """See `DrivenLoop`: the action."""
         return params.loop.control.action
 
-    def with_input(self, params: EpisodeParameters, action: Float[Array, " a"]) -> EpisodeParameters:
+    def with_input(
+        self, params: EpisodeParameters, action: Float[Array, " a"]
+    ) -> EpisodeParameters:
         """The parameters with another action."""
         control = dataclasses.replace(params.loop.control, action=action)
         return dataclasses.replace(params, loop=dataclasses.replace(params.loop, control=control))
@@ -153,14 +165,22 @@ class EpisodeLoop:
         speed = self._speed(params, state, self.run.measure(params.loop, state.loop, sensordata))
         loop, ctrl = self.run.step(params.loop, state.loop, sensordata)
         sensors = self.run.last_reading(loop.metrics, sensordata)
-        first = {"before": loop.metrics, "action": jnp.clip(self.input(params), -1.0, 1.0), "last_action": state.action}
+        first = {
+            "before": loop.metrics,
+            "action": jnp.clip(self.input(params), -1.0, 1.0),
+            "last_action": state.action,
+        }
         kept = {name: getattr(state, name) for name in first}
         chosen = jax.tree.map(functools.partial(jnp.where, begins), first, kept)
-        memory = self.observer.remembered(state.memory, self.observer.readings(sensors, self._ground(params)))
+        memory = self.observer.remembered(
+            state.memory, self.observer.readings(sensors, self._ground(params))
+        )
         after = EpisodeState(loop=loop, speed=speed, memory=memory, **chosen)
         return with_dtypes_of(state, after), ctrl
 
-    def observe(self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]) -> Observed:
+    def observe(
+        self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]
+    ) -> Observed:
         """See `DrivenLoop.observe`: what the control step that has just ended gave, or the start of an episode."""
         now = self.run.measure(params.loop, state.loop, sensordata)
         speed = self._speed(params, state, now)
@@ -181,17 +201,34 @@ class EpisodeLoop:
         begun = state.loop.tick > 0
         values = {term.name: jnp.where(begun, term.of(moment), 0.0) for term in self.terms}
         # A world that diverged gives none; it is restarted.
-        values = {name: jnp.where(now.lost & (name != "failed"), 0.0, value) for name, value in values.items()}
-        reward = sum((weight * values[term.name] for term, weight in self.terms.items()), jnp.zeros(()))
+        values = {
+            name: jnp.where(now.lost & (name != "failed"), 0.0, value)
+            for name, value in values.items()
+        }
+        reward = sum(
+            (weight * values[term.name] for term, weight in self.terms.items()), jnp.zeros(())
+        )
         control, geometry = params.loop.control, geometry_of(params.loop.control.control)
         path = self.controller.path(control, state.loop.control, sensors.position)
-        told = self.observer.informed(params.given.command, state.loop.control.control, path, state.action, geometry)
-        key = jax.random.fold_in(jax.random.key(params.seed), state.loop.tick) if self.observer.noisy else None
+        told = self.observer.informed(
+            params.given.command, state.loop.control.control, path, state.action, geometry
+        )
+        key = (
+            jax.random.fold_in(jax.random.key(params.seed), state.loop.tick)
+            if self.observer.noisy
+            else None
+        )
         ground = self._ground(params)
-        observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key, ground)
-        exact = jnp.concatenate([self.observer.readings(sensors, ground), self.observer.told(told, sensors)])
+        observation = self.observer.observe(
+            params.given.sensing, state.memory, sensors, told, key, ground
+        )
+        exact = jnp.concatenate(
+            [self.observer.readings(sensors, ground), self.observer.told(told, sensors)]
+        )
         left = (params.ticks - state.loop.tick) / self.task.ticks(self.dt)
-        known = observing.privileged(exact, sensors, ground, now.readings[2], left, params.drawn, self.has_path)
+        known = observing.privileged(
+            exact, sensors, ground, now.readings[2], left, params.drawn, self.has_path
+        )
         cut = (status == _code(Outcome.timed_out)) | (status == _code(Outcome.arrived))
         return Observed(
             observation=observation.astype(jnp.float32),
@@ -227,7 +264,9 @@ class EpisodeLoop:
     ) -> tuple[Count, Truth]:
         """How the episode stands, and whether it failed."""
         task, no = self.task, jnp.zeros((), bool)
-        ended = functools.reduce(jnp.logical_or, (ends(sensors) for ends in self.terminations.values()), no)
+        ended = functools.reduce(
+            jnp.logical_or, (ends(sensors) for ends in self.terminations.values()), no
+        )
         ended = ended & (state.loop.tick > 0)
         left = no if task.corridor is None else jnp.abs(now.readings[3]) > task.corridor
         flags = {
@@ -239,7 +278,9 @@ class EpisodeLoop:
             Outcome.timed_out: state.loop.tick >= params.ticks,
         }
         codes = [jnp.asarray(_code(outcome), jnp.int32) for outcome in flags]
-        status = jnp.select(list(flags.values()), codes, jnp.asarray(_code(Outcome.walking), jnp.int32))
+        status = jnp.select(
+            list(flags.values()), codes, jnp.asarray(_code(Outcome.walking), jnp.int32)
+        )
         return status, now.lost | now.fell | left | ended
 
     def _speed(self, params: EpisodeParameters, state: EpisodeState, now: MetricState) -> Scalar:

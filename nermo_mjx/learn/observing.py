@@ -98,7 +98,8 @@ def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> 
     left, ahead = directions(attitude(sensors.orientation)[2] if yaw is None else yaw)
     points = jnp.asarray(SCANNED)
     seen = ground(
-        x + points[:, 0] * left[0] + points[:, 1] * ahead[0], y + points[:, 0] * left[1] + points[:, 1] * ahead[1]
+        x + points[:, 0] * left[0] + points[:, 1] * ahead[0],
+        y + points[:, 0] * left[1] + points[:, 1] * ahead[1],
     )
     return jnp.clip(seen - ground(x, y), -0.05, 0.05)
 
@@ -121,9 +122,15 @@ SENSED: Final[dict[str, Sensed]] = {
     "projected_gravity": Sensed(projected_gravity),
     "height_scan": Sensed(height_scan, 0.01, ground=True),
 }
-_RENAMED: Final = {"servo_load": "servo_torque", "servo_current": "motor_current", "tilt": "projected_gravity"}
+_RENAMED: Final = {
+    "servo_load": "servo_torque",
+    "servo_current": "motor_current",
+    "tilt": "projected_gravity",
+}
 #: What files of former versions call readings and their noise.
-FORMER: Final = _RENAMED | {f"sensing.{old}_noise": f"sensing.{new}_noise" for old, new in _RENAMED.items()}
+FORMER: Final = _RENAMED | {
+    f"sensing.{old}_noise": f"sensing.{new}_noise" for old, new in _RENAMED.items()
+}
 
 
 def today(name: str) -> str:
@@ -205,7 +212,9 @@ class Observer:
         known = (*SENSED, *TOLD)
         for name in self.groups:
             if name not in known:
-                raise ParameterError(f"observe has {name!r}: allowed is {', '.join(known)}, or {NAMED}.")
+                raise ParameterError(
+                    f"observe has {name!r}: allowed is {', '.join(known)}, or {NAMED}."
+                )
 
     @property
     def sensed(self) -> dict[str, Sensed]:
@@ -228,7 +237,11 @@ class Observer:
             "action": self.actions,
         }
         labels = {name: _names(name, group) for name, group in self.sensed.items()}
-        labels |= {name: tuple(f"{name}.{label}" for label in told[name]) for name in TOLD if name in self.groups}
+        labels |= {
+            name: tuple(f"{name}.{label}" for label in told[name])
+            for name in TOLD
+            if name in self.groups
+        }
         return tuple(itertools.chain.from_iterable(labels.values()))
 
     def readings(self, sensors: Sensors, ground: Ground | None = None) -> Vector:
@@ -244,14 +257,18 @@ class Observer:
                     f"controller observes {name}, and nothing tells it the ground's height: give it a robot's scene, "
                     "by controller.over(robot.terrain.height)."
                 )
-            parts.append((group.read(sensors, ground) if group.ground else group.read(sensors)) / group.scale)
+            parts.append(
+                (group.read(sensors, ground) if group.ground else group.read(sensors)) / group.scale
+            )
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def memory(self, readings: Vector) -> Float[Array, "ticks k"]:
         """Readings of the last ticks, at the start: newest first."""
         return jnp.tile(readings, (self.delayed, 1))
 
-    def remembered(self, memory: Float[Array, "ticks k"], readings: Vector) -> Float[Array, "ticks k"]:
+    def remembered(
+        self, memory: Float[Array, "ticks k"], readings: Vector
+    ) -> Float[Array, "ticks k"]:
         """The memory one tick later."""
         return jnp.concatenate([readings[None], memory[:-1]]) if self.delayed else memory
 
@@ -275,17 +292,23 @@ class Observer:
             ticks = jnp.clip(jnp.asarray(sensing.delay) / self.dt, 0.0, self.delayed)
             before = jnp.clip(jnp.floor(ticks).astype(jnp.int32), 0, self.delayed - 1)
             share = ticks - before
-            readings = newest_first[before] + share * (newest_first[before + 1] - newest_first[before])
+            readings = newest_first[before] + share * (
+                newest_first[before + 1] - newest_first[before]
+            )
         if self.noisy:
             spread = []
             for name, group in self.sensed.items():
                 noise = getattr(sensing, f"{name}_noise", 0.0)
-                spread.append(jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(_names(name, group)),)))
+                spread.append(
+                    jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(_names(name, group)),))
+                )
             noise = jax.random.normal(key, readings.shape, readings.dtype)
             readings = readings + jnp.concatenate(spread) * noise
         return jnp.concatenate([readings, self.told(told, sensors)])
 
-    def informed(self, command: Any, control: Any, path: PathPoint | None, action: Vector, geometry: Geometry) -> Told:
+    def informed(
+        self, command: Any, control: Any, path: PathPoint | None, action: Vector, geometry: Geometry
+    ) -> Told:
         """What is known apart from the sensors: from a `Command`, the controller's state, and the rest of `Told`."""
         orders = [jnp.asarray(getattr(command, name), float) for name in self.commands]
         phase = control.phase if self.phase else None
@@ -298,7 +321,9 @@ class Observer:
             turn = 2.0 * jnp.pi * told.phase
             parts["phase"] = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
         if told.path is not None:
-            parts["path"] = jnp.stack([told.path.error / 0.1, heading(told.path, sensors, told.geometry)])
+            parts["path"] = jnp.stack(
+                [told.path.error / 0.1, heading(told.path, sensors, told.geometry)]
+            )
             parts["curvature"] = jnp.reshape(told.path.curvature * 0.5, 1)
         chosen = [parts[name] for name in TOLD if name in self.groups and name in parts]
         return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
@@ -346,7 +371,9 @@ def privileged(
     velocity = sensors.linear_velocity
     ours = jnp.stack([velocity[:2] @ left, velocity[:2] @ ahead, velocity[2]])
     beneath = ground(x, y)
-    feet = sensors.foot_position[:, 2] - ground(sensors.foot_position[:, 0], sensors.foot_position[:, 1])
+    feet = sensors.foot_position[:, 2] - ground(
+        sensors.foot_position[:, 0], sensors.foot_position[:, 1]
+    )
     force = jnp.append(sensors.foot_force, sensors.tail_force)
     height = jnp.reshape(z - beneath, 1)
     course = () if path else (jnp.reshape(yaw, 1),)

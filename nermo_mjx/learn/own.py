@@ -43,14 +43,18 @@ def own_name(given: Any) -> str:
     """Of an entry of one's own: that of the object in its file, or of the function."""
     if isinstance(given, str):
         return given.rpartition(":")[2]
-    return getattr(given.read if isinstance(given, Sensed) else given, "__name__", type(given).__name__)
+    return getattr(
+        given.read if isinstance(given, Sensed) else given, "__name__", type(given).__name__
+    )
 
 
 def own_function(field: str, given: Any) -> Callable[..., Any]:
     """A function of one's own; raises `ParameterError` if it is none."""
     function = own_object(field, given)
     if not callable(function) or isinstance(function, type):
-        raise ParameterError(f"{field} has {given!r}, which is {described(function)}: expected a function.")
+        raise ParameterError(
+            f"{field} has {given!r}, which is {described(function)}: expected a function."
+        )
     return function
 
 
@@ -64,7 +68,9 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
     for given in filter(is_own, observe):
         name = own_name(given)
         if name in (*SENSED, *TOLD, *found):
-            raise ParameterError(f"observe has {given!r}, but {name} is observed already: give it another name.")
+            raise ParameterError(
+                f"observe has {given!r}, but {name} is observed already: give it another name."
+            )
         group = own_object("observe", given)
         if not isinstance(group, Sensed):
             group = Sensed(own_function("observe", given))
@@ -76,11 +82,19 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
 def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
     """A group of readings with a label for each of its numbers."""
     subject = f"observe has {function_place(name, group.read)}"
-    level = (lambda x, y: jnp.zeros(jnp.broadcast_shapes(jnp.shape(x), jnp.shape(y))),) if group.ground else ()
-    size = numbers_at_rest(subject, lambda sensors: group.read(sensors, *level), at_rest(config), several=True)
+    level = (
+        (lambda x, y: jnp.zeros(jnp.broadcast_shapes(jnp.shape(x), jnp.shape(y))),)
+        if group.ground
+        else ()
+    )
+    size = numbers_at_rest(
+        subject, lambda sensors: group.read(sensors, *level), at_rest(config), several=True
+    )
     labels = group.labels or (tuple(map(str, range(size.size))) if size.ndim else ("",))
     if len(labels) != size.size:
-        raise ParameterError(f"{subject}, which gives {described(size)}: it has {len(labels)} labels.")
+        raise ParameterError(
+            f"{subject}, which gives {described(size)}: it has {len(labels)} labels."
+        )
 
     def read(sensors: Sensors, *ground: Ground) -> Any:
         return jnp.reshape(jnp.asarray(group.read(sensors, *ground), sensors.position.dtype), -1)
@@ -88,7 +102,9 @@ def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
     return Sensed(read, group.scale, labels, group.ground)
 
 
-def own_terminations(config: RobotConfig, given: Iterable[Any]) -> dict[str, Callable[[Sensors], Any]]:
+def own_terminations(
+    config: RobotConfig, given: Iterable[Any]
+) -> dict[str, Callable[[Sensors], Any]]:
     """The terminations of a task by name, functions of the sensors that are true where an episode fails.
 
     Raises:
@@ -100,9 +116,13 @@ def own_terminations(config: RobotConfig, given: Iterable[Any]) -> dict[str, Cal
         subject = f"terminations has {function_place(name, function)}"
         value = numbers_at_rest(subject, function, at_rest(config))
         if value.dtype != bool:
-            raise ParameterError(f"{subject}, which gives {described(value)}: expected a truth, such as z < 0.02.")
+            raise ParameterError(
+                f"{subject}, which gives {described(value)}: expected a truth, such as z < 0.02."
+            )
         if name in found:
-            raise ParameterError(f"terminations has two of the name {name}: give one of them another.")
+            raise ParameterError(
+                f"terminations has two of the name {name}: give one of them another."
+            )
         found[name] = function
     return found
 
@@ -121,7 +141,9 @@ def _drawn(given: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
     with user_code(f"{subject}, which fails"):
         found = jax.jit(jax.vmap(function))(keys, jnp.repeat(jnp.array([0.0, jnp.inf]), _TRIED))
     if not isinstance(found, dict) or not found:
-        raise ParameterError(f"{subject}, which gives {described(found)}: expected values by parameters' names.")
+        raise ParameterError(
+            f"{subject}, which gives {described(found)}: expected values by parameters' names."
+        )
     for name, values in found.items():
         if not isinstance(name, str) or getattr(values, "ndim", 0) != 1:
             raise ParameterError(f"{subject}, which gives no single number for {name!r}.")
@@ -150,9 +172,15 @@ def code_place(observe: Iterable[Any]) -> str:
     Raises:
         ParameterError: they are in several, which a policy cannot name.
     """
-    named = [named_object("observe has", each) for each in observe if isinstance(each, str) and is_own(each)]
+    named = [
+        named_object("observe has", each)
+        for each in observe
+        if isinstance(each, str) and is_own(each)
+    ]
     places = list(dict.fromkeys(each.place for each in named))
     if len(places) > 1:
         files = " and ".join(Path(each).name for each in places)
-        raise ParameterError(f"observe has functions of {files}: put them in one file, which a policy needs beside it.")
+        raise ParameterError(
+            f"observe has functions of {files}: put them in one file, which a policy needs beside it."
+        )
     return places[0] if places else ""

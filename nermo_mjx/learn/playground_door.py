@@ -84,14 +84,18 @@ class NermoMjxEnv(MjxEnv):
                 `jax`, or a task that does not fit.
         """
         setup, task = setup or Setup(), task or Task()
-        super().__init__(default_config(setup, task) if config is None else config, config_overrides)
+        super().__init__(
+            default_config(setup, task) if config is None else config, config_overrides
+        )
         config = self._config
         if config.impl != "jax":
             raise ParameterError(f"impl is {config.impl!r}: allowed is 'jax'.")
         control = setup.make_controller().dt
         held = config.ctrl_dt / control
         if round(held) < 1 or abs(held - round(held)) > 1e-6:
-            raise ParameterError(f"ctrl_dt is {config.ctrl_dt:g}: allowed is a multiple of {control:g} s.")
+            raise ParameterError(
+                f"ctrl_dt is {config.ctrl_dt:g}: allowed is a multiple of {control:g} s."
+            )
         if config.sim_dt != setup.timestep:
             setup = dataclasses.replace(setup, timestep=config.sim_dt)
         own = {_name(term): term for term in task.rewards}
@@ -99,7 +103,9 @@ class NermoMjxEnv(MjxEnv):
             task,
             decimation=round(held),
             episode_length=config.episode_length * config.ctrl_dt,
-            rewards={own.get(name, name): weight for name, weight in config.reward_config.scales.items()},
+            rewards={
+                own.get(name, name): weight for name, weight in config.reward_config.scales.items()
+            },
         )
         self._ctrl_dt, self._sim_dt = float(self._config.ctrl_dt), float(self._config.sim_dt)
         self.environment = Environment(setup, engine="mjx", worlds=1, task=task)
@@ -177,7 +183,9 @@ def register(name: str, setup: Setup | None = None, task: Task | None = None) ->
         setup, task: see `Environment`.
     """
 
-    def make(config: ConfigDict | None = None, config_overrides: Mapping[str, Any] | None = None) -> NermoMjxEnv:
+    def make(
+        config: ConfigDict | None = None, config_overrides: Mapping[str, Any] | None = None
+    ) -> NermoMjxEnv:
         return NermoMjxEnv(config, config_overrides, setup=setup, task=task)
 
     # The only one of Playground's suites that does not download all of MuJoCo Menagerie first.

@@ -33,7 +33,9 @@ PANELS: Final = {
 _SMOOTHING: Final = 0.02
 
 
-def figures_of_training(training: Training, curves: Curves, table: pa.Table | None) -> Iterator[tuple[str, Figure]]:
+def figures_of_training(
+    training: Training, curves: Curves, table: pa.Table | None
+) -> Iterator[tuple[str, Figure]]:
     """The figures: `curves`, `rewards`, and `evaluation` where there is one."""
     yield "curves", curves_figure(training, curves)
     yield "rewards", rewards_figure(training, curves)
@@ -53,13 +55,17 @@ def training_figures(out: Path) -> Figures:
         raise DirectoryError(f"there is nothing to draw of {out}: no section of it is finished.")
     names = tuple(name for name in history.column_names if name not in ("iteration", "code"))
     rows = np.stack([np.asarray(history.column(name), float) for name in names], axis=1)
-    return figures_of_training(training, Curves(names, rows), parquet_table(content_of(out / EVALUATION) or b""))
+    return figures_of_training(
+        training, Curves(names, rows), parquet_table(content_of(out / EVALUATION) or b"")
+    )
 
 
 def curves_figure(training: Training, curves: Curves) -> Figure:
     """The course of the training, over control steps."""
     panels = {name: label for name, label in PANELS.items() if name in curves.names}
-    figure = page("Training", 7.2, 1.1 + 1.5 * len(panels), f"{_what(training)}; pale: single iterations")
+    figure = page(
+        "Training", 7.2, 1.1 + 1.5 * len(panels), f"{_what(training)}; pale: single iterations"
+    )
     axes = list(figure.subplots(len(panels), 1, sharex=True))
     factor = {"length": training.step_seconds, "lasted": 100.0, "explained": 100.0}
     for ax, (name, label) in zip(axes, panels.items(), strict=True):
@@ -106,10 +112,24 @@ def evaluation_figure(training: Training, table: pa.Table) -> Figure:
     for i, (who, colour) in enumerate(((POLICY, LINE), (ALONE, MUTED))):
         label = "policy" if who == POLICY else "controller alone"
         place = np.arange(len(found)) + (i - 0.5) * 0.36
-        axes[0].bar(place, [100.0 * about[who]["success"] for about in found.values()], 0.34, color=colour, label=label)
+        axes[0].bar(
+            place,
+            [100.0 * about[who]["success"] for about in found.values()],
+            0.34,
+            color=colour,
+            label=label,
+        )
         low, middle, high = 1e3 * np.array([_quartiles(table, scene, who) for scene in found]).T
         axes[1].bar(place, middle, 0.34, color=colour)
-        axes[1].errorbar(place, middle, [middle - low, high - middle], fmt="none", ecolor="black", lw=0.9, capsize=2)
+        axes[1].errorbar(
+            place,
+            middle,
+            [middle - low, high - middle],
+            fmt="none",
+            ecolor="black",
+            lw=0.9,
+            capsize=2,
+        )
     for ax, label in zip(axes, ("walks that succeeded [%]", "speed, median [mm/s]"), strict=True):
         ax.set_xticks(np.arange(len(found)), list(found))
         ax.set_ylabel(label)

@@ -131,7 +131,9 @@ class Policy:
     ground: Ground | None = None
 
     @classmethod
-    def of(cls, environment: Environment, learned: Learned, about: Mapping[str, Any] | None = None) -> Policy:
+    def of(
+        cls, environment: Environment, learned: Learned, about: Mapping[str, Any] | None = None
+    ) -> Policy:
         """What was `learned` in an environment; `about` is further content of the file: the `judged` physics and time
         step [s] where they are not the environment's.
 
@@ -140,17 +142,32 @@ class Policy:
         """
         setup, task = environment.setup, environment.task
         if setup.controller is not None or setup.command is not None:
-            raise ParameterError("controller is a custom one: a policy file can only store a published one.")
-        given = {name: 0.5 * (low + high) for name, (low, high) in task.randomize.items() if name in GIVEN}
+            raise ParameterError(
+                "controller is a custom one: a policy file can only store a published one."
+            )
+        given = {
+            name: 0.5 * (low + high)
+            for name, (low, high) in task.randomize.items()
+            if name in GIVEN
+        }
         if task.commands is not None:
-            given |= {name: float(np.median(of)) for name, of in drawn_by(task.commands)[1].items() if name in GIVEN}
+            given |= {
+                name: float(np.median(of))
+                for name, of in drawn_by(task.commands)[1].items()
+                if name in GIVEN
+            }
         code = code_place(task.observe)
         if code:
             source = Source.named("observe has", code, NAMED)
             groups = [name for name, _ in environment.loop.observer.own]
-            about = {**(about or {}), "own": {"file": Path(code).name, "digest": source.digest(), "groups": groups}}
+            about = {
+                **(about or {}),
+                "own": {"file": Path(code).name, "digest": source.digest(), "groups": groups},
+            }
         known = dict(quantities(setup.world({}).control))
-        fixed = {name: float(value) for name, value in task.set.items() if name in known or name in GIVEN}
+        fixed = {
+            name: float(value) for name, value in task.set.items() if name in known or name in GIVEN
+        }
         return cls(
             learned.actor,
             learned.statistics.first(environment.observation_size),
@@ -167,7 +184,9 @@ class Policy:
         for name in choices:
             choice("choice", name, BASE)
         if self.observer.sees_path and choices.get("pilot") == "open_loop":
-            raise ParameterError("pilot is 'open_loop', which has no path, and the policy observes one.")
+            raise ParameterError(
+                "pilot is 'open_loop', which has no path, and the policy observes one."
+            )
         return dataclasses.replace(self, base={**self.base, **choices})
 
     def over(self, ground: Ground) -> Policy:
@@ -177,7 +196,9 @@ class Policy:
     def elsewhere(self, physics: str, timestep: float) -> str:
         """See `ActsUpon`: a policy has adapted to the physics in which it was chosen."""
         judged = self.about.get("judged")
-        if judged is None or (judged["physics"] == physics and np.isclose(judged["timestep"], timestep, rtol=1e-6)):
+        if judged is None or (
+            judged["physics"] == physics and np.isclose(judged["timestep"], timestep, rtol=1e-6)
+        ):
             return ""
         return (
             f"controller is a policy that was judged in physics {judged['physics']} at steps of "
@@ -202,11 +223,15 @@ class Policy:
     @functools.cached_property
     def parameters(self) -> PolicyParameters:
         """See `ControllerLike`; they can be named as those of the controller below."""
-        control = self.setup.world({name: value for name, value in self.fixed.items() if name not in GIVEN}).control
+        control = self.setup.world(
+            {name: value for name, value in self.fixed.items() if name not in GIVEN}
+        ).control
         network = self.actor, self.statistics
         if not (self.observer.commands or self.observer.delayed or self.observer.noisy):
             return PolicyParameters(control=control, network=network)
-        given = replace_quantities(Given(), {name: value for name, value in self.fixed.items() if name in GIVEN})
+        given = replace_quantities(
+            Given(), {name: value for name, value in self.fixed.items() if name in GIVEN}
+        )
         return PolicyParameters(control=control, given=given, network=network)
 
     def init(self, params: PolicyParameters, sensors: Sensors, phase: Scalar) -> PolicyState:
@@ -216,12 +241,18 @@ class Policy:
         return PolicyState(jnp.zeros((), jnp.int32), acted, memory, nothing)
 
     def initial_servo(self, params: PolicyParameters, phase: Scalar) -> ServoAngles:
-        return self.acting.initial_servo(Acted(params.control, jnp.zeros(len(self.kind.names))), phase)
+        return self.acting.initial_servo(
+            Acted(params.control, jnp.zeros(len(self.kind.names))), phase
+        )
 
-    def update(self, params: PolicyParameters, state: PolicyState, sensors: Sensors) -> tuple[PolicyState, ServoAngles]:
+    def update(
+        self, params: PolicyParameters, state: PolicyState, sensors: Sensors
+    ) -> tuple[PolicyState, ServoAngles]:
         observer, given, control = self.observer, params.given or Given(), params.control
         path = self.path(params, state, sensors.position) if observer.path else None
-        told = observer.informed(given.command, state.acted.control, path, state.action, geometry_of(control))
+        told = observer.informed(
+            given.command, state.acted.control, path, state.action, geometry_of(control)
+        )
         # The same noise in every world: runs from one start are equal.
         key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None
         observation = observer.observe(given.sensing, state.memory, sensors, told, key, self.ground)
@@ -246,7 +277,9 @@ class Policy:
         """See `ControllerLike`; that of the controller below, which a modulation may leave."""
         return self.acting.base.cycle_rate(params.control)
 
-    def path(self, params: PolicyParameters, state: PolicyState, position: Array) -> PathPoint | None:
+    def path(
+        self, params: PolicyParameters, state: PolicyState, position: Array
+    ) -> PathPoint | None:
         return self.acting.path(Acted(params.control, state.action), state.acted, position)
 
     def stance(self, state: PolicyState) -> Any:
@@ -284,7 +317,9 @@ class Policy:
         kept = self.about.get("own", {"groups": []})["groups"]
         for name, _ in self.observer.own:
             if name not in kept:
-                raise ParameterError(f"observe has {name}: name it as {NAMED}, as a policy's file can.")
+                raise ParameterError(
+                    f"observe has {name}: name it as {NAMED}, as a policy's file can."
+                )
         about = {"kind": KIND, "form": FORM, "layers": len(self.actor.layers), **self.facts()}
         arrays: dict[str, Any] = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
         for i, (weights, bias) in enumerate(self.actor.layers):
@@ -301,8 +336,12 @@ class Policy:
 
 def _action(actor: Actor, statistics: Statistics, observation: Array) -> Array:
     """See `Policy.act`; in single precision, as it was learned."""
-    actor, statistics = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (actor, statistics))
-    return jnp.clip(actor.mean(statistics.normalized(jnp.asarray(observation, jnp.float32))), -1.0, 1.0)
+    actor, statistics = jax.tree.map(
+        lambda leaf: jnp.asarray(leaf, jnp.float32), (actor, statistics)
+    )
+    return jnp.clip(
+        actor.mean(statistics.normalized(jnp.asarray(observation, jnp.float32))), -1.0, 1.0
+    )
 
 
 class RandomPolicy(Policy):
@@ -331,7 +370,9 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
         raise ParameterError(f"{subject}: it cannot be read ({error.strerror}).") from None
     except (FileError, ParameterError) as error:
         reason = str(error).rstrip(".")
-        raise ParameterError(f"{subject}, which holds no policy of `nermo-mjx train`: {reason}.") from None
+        raise ParameterError(
+            f"{subject}, which holds no policy of `nermo-mjx train`: {reason}."
+        ) from None
     own = policy.about.get("own")
     if own is None and code:
         raise ParameterError(f"{subject}, which observes nothing of one's own: leave {code!r} out.")
@@ -339,7 +380,9 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
         return policy
     what = f"which observes {', '.join(own['groups'])} of {own['file']}"
     if not code:
-        raise ParameterError(f"{subject}, {what}, code that is run only where you name it: {path}:{own['file']}.")
+        raise ParameterError(
+            f"{subject}, {what}, code that is run only where you name it: {path}:{own['file']}."
+        )
     if (found := Source.named("controller is", code, NAMED).digest()) != own["digest"]:
         raise ParameterError(
             f"{subject}, {what} with the digest {own['digest']}; that of {code} is {found}: give the file with which "
@@ -422,12 +465,17 @@ def _policy(content: bytes) -> Policy:
     shapes |= {"log_std": ("f", (actions,)), "mean": ("f", (seen,)), "variance": ("f", (seen,))}
     check_arrays(arrays, shapes, "the file")
     for name in shapes:
-        if not np.isfinite(arrays[name]).all() or (name == "variance" and not (arrays[name] >= 0).all()):
+        if not np.isfinite(arrays[name]).all() or (
+            name == "variance" and not (arrays[name] >= 0).all()
+        ):
             raise FileError(f"{name!r} has numbers that are not finite, or a variance below 0")
     start_jax()  # with its own settings, on which the last bits of walks depend
     numbers = {name: jnp.asarray(arrays[name]) for name in shapes}
     policy = Policy(
-        Actor(tuple((numbers[f"weights.{i}"], numbers[f"bias.{i}"]) for i in range(about.layers)), numbers["log_std"]),
+        Actor(
+            tuple((numbers[f"weights.{i}"], numbers[f"bias.{i}"]) for i in range(about.layers)),
+            numbers["log_std"],
+        ),
         Statistics(jnp.ones(()), numbers["mean"], numbers["variance"]),
         about.action,
         about.observer,
@@ -483,11 +531,16 @@ def export(policy: Policy) -> bytes:
         for name, each in arrays.items()
     ]
     sizes = {"observation": len(policy.observer.names), "action": len(policy.kind.names)}
-    ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", size]) for name, size in sizes.items()]
+    ends = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", size])
+        for name, size in sizes.items()
+    ]
     graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], stored)
     version = {"opset_imports": [helper.make_opsetid("", _OPSET)], "ir_version": _IR}
     model = helper.make_model(graph, producer_name="nermo-mjx", **version)
-    helper.set_model_props(model, {name: json.dumps(value) for name, value in policy.facts().items()})
+    helper.set_model_props(
+        model, {name: json.dumps(value) for name, value in policy.facts().items()}
+    )
     checker.check_model(model, full_check=True)
     content: bytes = model.SerializeToString()
     return content

@@ -25,7 +25,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Curves, TrainingDirectory
+from nermo_mjx.learn.directory import (
+    EVALUATION,
+    POLICY_FILE,
+    SPEC,
+    SUMMARY,
+    Curves,
+    TrainingDirectory,
+)
 from nermo_mjx.learn.environment import Environment, Mixture
 from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, recorded, summary_of
 from nermo_mjx.learn.experience import RESET, EnvironmentLike, EpisodeScores, Learned
@@ -99,7 +106,9 @@ class BestPolicy:
             chosen = kept.about.get("trained", {}).get("steps")
         best = next((each for each in self._tried if each.steps == chosen), None)
         if self._tried and best is None and chosen != steps:
-            self._warn(f"{self._held.out / POLICY_FILE} is not the policy that was chosen: the choice begins anew.")
+            self._warn(
+                f"{self._held.out / POLICY_FILE} is not the policy that was chosen: the choice begins anew."
+            )
             self._tried = []
         if steps not in [each.steps for each in self._tried]:
             found = _Tried(steps, dict(self._walks(policy)))
@@ -114,7 +123,8 @@ class BestPolicy:
     def enough(self, until: Until | None, steps: int) -> bool:
         """Whether a policy of these steps or fewer is as good as a training asks for."""
         return until is not None and any(
-            each.steps <= steps and min(each.scenes.values()) >= until.success for each in self._tried
+            each.steps <= steps and min(each.scenes.values()) >= until.success
+            for each in self._tried
         )
 
 
@@ -205,7 +215,9 @@ def run_training(
         contextlib.ExitStack() as stack,
     ):
         worlds = environment or training.environment(name)
-        learned, curves = directory.restore(training.algorithm.begin(worlds, training.seed), accept=accept_new_code)
+        learned, curves = directory.restore(
+            training.algorithm.begin(worlds, training.seed), accept=accept_new_code
+        )
         begun = len(curves)
         evaluator, choice = PolicyEvaluator(training), None
         if training.validation:
@@ -225,14 +237,25 @@ def run_training(
         summary["complete"] = _ended(training, learned, curves, choice)
         directory.held.write(SUMMARY, to_json(summary))
         plots: list[Path] = []
-        if training.plots:  # imported at the end: Matplotlib takes as long as the first control steps
+        if (
+            training.plots
+        ):  # imported at the end: Matplotlib takes as long as the first control steps
             from nermo_mjx.learn.plots import figures_of_training
             from nermo_mjx.plotting.files import write_figures
 
-            plots = write_figures(figures_of_training(training, curves, table), directory.out / "plots")
+            plots = write_figures(
+                figures_of_training(training, curves, table), directory.out / "plots"
+            )
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
-            directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
+            directory.out,
+            directory.training,
+            path,
+            summary,
+            learned,
+            curves,
+            len(curves) - begun,
+            plots,
         )
 
 
@@ -278,14 +301,20 @@ class _Learning:
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
             so_far = {} if self._robot is None else {"steps": float(learned.steps)}
-            state, scores = reset(learned.random(RESET), **so_far), EpisodeScores.none(training.worlds)
+            state, scores = (
+                reset(learned.random(RESET), **so_far),
+                EpisodeScores.none(training.worlds),
+            )
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
                 wall, cpu = time.perf_counter(), time.process_time()
                 learned, state, experience, about = iterate(learned, state)
                 numbers = {"steps": float(learned.steps), **scores.tally(experience)}
-                numbers |= {"environment_cpu": math.nan, **{name: float(value) for name, value in about.items()}}
+                numbers |= {
+                    "environment_cpu": math.nan,
+                    **{name: float(value) for name, value in about.items()},
+                }
                 rest = time.process_time() - cpu - np.nan_to_num(numbers["environment_cpu"])
                 numbers |= {"wall_seconds": time.perf_counter() - wall, "learner_cpu": rest}
                 curves = curves.extended(numbers, self.code)
@@ -305,7 +334,11 @@ class _Learning:
         """Make the history's and the policy's file; the policy in it."""
         policy = self._chosen(learned)
         with self.interruption.shielded():
-            units = {} if self._robot is None else {term.name: term.unit for term in self._robot.loop.terms}
+            units = (
+                {}
+                if self._robot is None
+                else {term.name: term.unit for term in self._robot.loop.terms}
+            )
             self.directory.publish(curves, units, policy if policy is None else policy.content())
         return policy
 
@@ -333,7 +366,9 @@ class _Learning:
     @property
     def _robot(self) -> Environment | None:
         """The robot's environment, the first of several."""
-        first = self.environment.parts[0] if isinstance(self.environment, Mixture) else self.environment
+        first = (
+            self.environment.parts[0] if isinstance(self.environment, Mixture) else self.environment
+        )
         return first if isinstance(first, Environment) else None
 
     def _film(self, policy: Policy, path: Path) -> None:
@@ -349,30 +384,44 @@ class _Learning:
         self.watch.progress(Progress(min(1.0, done / total), done, total, numbers=numbers))
 
 
-def _evaluated(directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch) -> pa.Table:
+def _evaluated(
+    directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch
+) -> pa.Table:
     """The evaluation of this policy, which is made once."""
-    known, training = parquet_table(content_of(directory.out / EVALUATION) or b""), directory.training
+    known, training = (
+        parquet_table(content_of(directory.out / EVALUATION) or b""),
+        directory.training,
+    )
     policy_key = f"{training.digest()} {training.evaluation} {training.run} {policy.about['trained']['steps']}"
     if known is not None and (known.schema.metadata or {}).get(b"evaluated") == policy_key.encode():
         return known
     table = evaluator(policy, lambda share: watch.progress(Progress(share, what="evaluation")))
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"evaluated": policy_key.encode()})
+    table = table.replace_schema_metadata(
+        {**(table.schema.metadata or {}), b"evaluated": policy_key.encode()}
+    )
     directory.held.write(EVALUATION, parquet_bytes(table))
     return table
 
 
 def _summary(
-    training: Training, learned: Learned, curves: Curves, policy: Policy | None, table: pa.Table | None
+    training: Training,
+    learned: Learned,
+    curves: Curves,
+    policy: Policy | None,
+    table: pa.Table | None,
 ) -> dict[str, Any]:
     """The content of summary.json; without an evaluation, success is the share of episodes that lasted."""
     scenes = {} if table is None else summary_of(table)
     found = [about["policy"]["success"] for about in scenes.values()]
     effort = {
-        name: float(np.nansum(curves.column(name))) for name in ("environment_cpu", "learner_cpu", "wall_seconds")
+        name: float(np.nansum(curves.column(name)))
+        for name in ("environment_cpu", "learner_cpu", "wall_seconds")
     }
     return {
         "steps": int(learned.steps),
-        "policy_steps": int(learned.steps) if policy is None else int(policy.about["trained"]["steps"]),
+        "policy_steps": int(learned.steps)
+        if policy is None
+        else int(policy.about["trained"]["steps"]),
         "success": min(found) if found else curves.last("lasted"),
         "return": curves.last("return"),
         "episodes": int(curves.column("episodes").sum()),
@@ -420,7 +469,14 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
     # Networks, the initial critic, and two moments of Adam, in float32; and the history.
     disk = KEPT * 16 * weights + 40 * 8 * training.iterations
     walks = 2 * training.evaluation.bodies  # by the policy, and by the controller alone
-    evaluated = sum(walks * float(training.run.seconds(setup.cycle_rate({}))[1]) for setup, _ in training.evaluated())
+    evaluated = sum(
+        walks * float(training.run.seconds(setup.cycle_rate({}))[1])
+        for setup, _ in training.evaluated()
+    )
     notes.append(f"Then the evaluation simulates {evaluated:,.0f} s, and compiles, on top.")
-    counts = {"iterations": training.iterations, "steps_per_iteration": training.steps_per_iteration, "steps": steps}
+    counts = {
+        "iterations": training.iterations,
+        "steps_per_iteration": training.steps_per_iteration,
+        "steps": steps,
+    }
     return Forecast(name, counts, steps * worlds.step_seconds, wall, said, disk, notes=tuple(notes))

@@ -84,7 +84,9 @@ class SceneTask(NamedTuple):
     share: float = 1.0
 
 
-def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task: Task) -> tuple[SceneTask, ...]:
+def read_scenes(
+    doc: Document, fields: Sequence[SceneFields], setup: Setup, task: Task
+) -> tuple[SceneTask, ...]:
     """The scenes of a training file, from its section `scenes` and what all scenes have in common.
 
     Raises:
@@ -102,7 +104,10 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
             pilot, options = each.pilot.chosen
             given = pilot_options(doc.data["scenes"][i]["pilot"], pilot, options)
             if "distance" in given:
-                doc.fail((*at, "pilot", pilot, "distance"), "has no effect on a scene of several: leave it out.")
+                doc.fail(
+                    (*at, "pilot", pilot, "distance"),
+                    "has no effect on a scene of several: leave it out.",
+                )
             points = tuple(map(tuple, options.points)) if pilot == "waypoints" else None
             choices |= {"pilot": pilot, "waypoints": points}
             values |= {f"pilot.{key}": value for key, value in given.items() if key != "points"}
@@ -113,9 +118,14 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
             doc.fail(at, f"is refused: {error}")
         drawn = {name: ends for name, ends in task.randomize.items() if name not in values}
         own = dataclasses.replace(
-            task, set={**task.set, **values}, randomize=drawn | each.randomize, corridor=each.corridor or task.corridor
+            task,
+            set={**task.set, **values},
+            randomize=drawn | each.randomize,
+            corridor=each.corridor or task.corridor,
         )
-        chosen = {name: value for name, value in each if value != SceneFields.model_fields[name].default}
+        chosen = {
+            name: value for name, value in each if value != SceneFields.model_fields[name].default
+        }
         written |= plain_data({name: value for name, value in chosen.items() if name != "pilot"})
         found.append(SceneTask(there, own, written, each.share))
     return tuple(found)
@@ -180,7 +190,9 @@ class TrainingFile(WalkFields):
     sources: ClassVar = "'randomize' or 'set'"
     task: Task = Field(default_factory=Task)
     """what a policy does, and what it is rewarded for"""
-    randomize: DrawnFields = Field(DrawnFields.model_validate({name: [*ends] for name, ends in RANDOMIZED.items()}))
+    randomize: DrawnFields = Field(
+        DrawnFields.model_validate({name: [*ends] for name, ends in RANDOMIZED.items()})
+    )
     """what each episode draws: a parameter, and its range [low, high]; with from: DIR whole bodies"""
     scenes: list[SceneFields] = optional(
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"
@@ -218,7 +230,10 @@ class TrainingFile(WalkFields):
     @classmethod
     def refuse(cls, key: str) -> None:
         if key in ("vary", "tune", "sample"):
-            raise Refused("is no field of a training: what differs between episodes stands under 'randomize'.", key)
+            raise Refused(
+                "is no field of a training: what differs between episodes stands under 'randomize'.",
+                key,
+            )
         super().refuse(key)
 
 
@@ -273,7 +288,9 @@ class Training(WalkSpec, Described):
     def environment(self, engine: str) -> Environment | Mixture:
         """The worlds in which it learns, on the engine `c` or `mjx`."""
         if not self.scenes:
-            return Environment(self.setup, engine=engine, worlds=self.worlds, task=self.task, staggered=True)
+            return Environment(
+                self.setup, engine=engine, worlds=self.worlds, task=self.task, staggered=True
+            )
         parts = [(each.setup, each.task) for each in self.scenes]
         shares = [each.share for each in self.scenes]
         return Mixture(parts, engine=engine, worlds=self.worlds, shares=shares, staggered=True)
@@ -288,7 +305,10 @@ class Training(WalkSpec, Described):
         ] or here
         if (physics := self.evaluation.physics) is not None:
             step = PRESETS[physics].timestep
-            pairs = [(dataclasses.replace(setup, physics=physics, timestep=step), task) for setup, task in pairs]  # type: ignore[arg-type]
+            pairs = [
+                (dataclasses.replace(setup, physics=physics, timestep=step), task)
+                for setup, task in pairs
+            ]  # type: ignore[arg-type]
         return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:
@@ -305,11 +325,17 @@ class Training(WalkSpec, Described):
         data = self.walk_fields(folder)
         task = self.task.with_own(lambda where: written_code(where, folder))
         data["task"] = written(task) | {"action": named_section(task.action, ACTIONS)}
-        data["task"]["rewards"] = {str(name): float(weight) for name, weight in task.rewards.items()}
+        data["task"]["rewards"] = {
+            str(name): float(weight) for name, weight in task.rewards.items()
+        }
         if not task.terminations:
             del data["task"]["terminations"]
-        data["task"]["set"] = {name: value for name, value in self.task.set.items() if name not in self.constants}
-        data["randomize"] = {name: [float(low), float(high)] for name, (low, high) in self.task.randomize.items()}
+        data["task"]["set"] = {
+            name: value for name, value in self.task.set.items() if name not in self.constants
+        }
+        data["randomize"] = {
+            name: [float(low), float(high)] for name, (low, high) in self.task.randomize.items()
+        }
         if self.scenes:
             data["scenes"] = [dict(each.written) for each in self.scenes]
             del data["scene"]
@@ -318,7 +344,9 @@ class Training(WalkSpec, Described):
         data |= {"validation": self.validation} if self.validation else {}
         data |= {} if self.until is None else {"until": written(self.until)}
         data["evaluate"] = {
-            name: value for name, value in written(self.evaluation).items() if value not in ([], {}, None)
+            name: value
+            for name, value in written(self.evaluation).items()
+            if value not in ([], {}, None)
         }
         return data | {"plots": self.plots}
 
@@ -327,7 +355,9 @@ class Training(WalkSpec, Described):
         data = {key: value for key, value in self.resolved().items() if key not in FREE}
         own = written(self.task.with_own(_code_identity))
         data["task"] |= {
-            name: own[name] for name in ("observe", "rewards", "terminations", "commands") if own.get(name)
+            name: own[name]
+            for name in ("observe", "rewards", "terminations", "commands")
+            if own.get(name)
         }
         return data | code_identity(self.setup)
 
@@ -336,7 +366,9 @@ class Training(WalkSpec, Described):
         `specs.controllers.with_code_copied`."""
 
         def copied(task: Task) -> Task:
-            return task.with_own(lambda where: kept_code(where, Path(source_of(where).place).name, folder, write))
+            return task.with_own(
+                lambda where: kept_code(where, Path(source_of(where).place).name, folder, write)
+            )
 
         setup = with_code_copied(self.setup, folder, write)
         scenes = tuple(each._replace(task=copied(each.task)) for each in self.scenes)
@@ -344,7 +376,10 @@ class Training(WalkSpec, Described):
 
     def identity(self) -> dict[str, Any]:
         """All that decides an iteration: the `fields`, and `defaults` of what they do not name."""
-        return {"fields": self.decisive(), "defaults": {name: each.default for name, each in self.parameters.items()}}
+        return {
+            "fields": self.decisive(),
+            "defaults": {name: each.default for name, each in self.parameters.items()},
+        }
 
     def digest(self) -> str:
         """A hash of the `identity`."""
@@ -360,7 +395,9 @@ def changed(training: Training, **values: Any) -> Training:
 
 def _read(doc: Document) -> Training:
     with known_names(doc):
-        doc = in_numbers(doc, ADDED | {old: ADDED[new] for old, new in FORMER.items() if new in ADDED})
+        doc = in_numbers(
+            doc, ADDED | {old: ADDED[new] for old, new in FORMER.items() if new in ADDED}
+        )
         file = read(doc, TrainingFile)
     if wrong := too_many(file.worlds):
         doc.fail(("worlds",), f"is {file.worlds:,}: {wrong}")
@@ -374,9 +411,15 @@ def _read(doc: Document) -> Training:
         )
     fixed = {
         **walk["fixed"],
-        **{f"pilot.{key}": value for key, value in walk["pilot"].items() if f"pilot.{key}" in setup.defaults()},
+        **{
+            f"pilot.{key}": value
+            for key, value in walk["pilot"].items()
+            if f"pilot.{key}" in setup.defaults()
+        },
     }
-    task = dataclasses.replace(file.task, set={**fixed, **file.task.set}, randomize=file.randomize.model_extra or {})
+    task = dataclasses.replace(
+        file.task, set={**fixed, **file.task.set}, randomize=file.randomize.model_extra or {}
+    )
     if file.randomize.bodies is not None:
         if task.bodies:
             doc.fail(("randomize", "from"), "stands beside 'task.bodies': leave one of them out.")
@@ -385,7 +428,9 @@ def _read(doc: Document) -> Training:
         for field in ("observe", "rewards", "terminations"):
             for each in filter(is_own, getattr(task, field)):
                 if not isinstance(each, str):
-                    raise ParameterError(f"{field} has {own_name(each)}: name it as {NAMED}, as a file can.")
+                    raise ParameterError(
+                        f"{field} has {own_name(each)}: name it as {NAMED}, as a file can."
+                    )
         task = task.with_own(functools.partial(code_beside, doc))
         code_place(task.observe)
         task.check_commands(setup)
@@ -416,7 +461,10 @@ def _read(doc: Document) -> Training:
     with _refusals(doc):
         training.check_division()
     if file.until is not None and not file.validation:
-        doc.fail(("until",), "stands without 'validation', the number of walks that decide: add one, such as 60.")
+        doc.fail(
+            ("until",),
+            "stands without 'validation', the number of walks that decide: add one, such as 60.",
+        )
     pairs = training.evaluated()
     late, tasks = "sensing.delay", [each.task for each in scenes] or [task]
     taught = {name for each in tasks for name in (*each.set, *each.randomize)}
@@ -424,20 +472,34 @@ def _read(doc: Document) -> Training:
         taught |= {name for each in tasks for name in each.sampled}
     else:  # own code that is not run may draw any command
         taught |= {name for name in GIVEN if name.startswith("command.")}
-    taught |= {name for name in GIVEN if name.endswith("_noise") and any(each.endswith("_noise") for each in taught)}
-    longest = max(max(each.set.get(late, 0.0), *each.randomize.get(late, (0.0, 0.0))) for each in tasks)
+    taught |= {
+        name
+        for name in GIVEN
+        if name.endswith("_noise") and any(each.endswith("_noise") for each in taught)
+    }
+    longest = max(
+        max(each.set.get(late, 0.0), *each.randomize.get(late, (0.0, 0.0))) for each in tasks
+    )
     for section, given in (("set", file.evaluate.set), ("randomize", file.evaluate.randomize)):
         for name, value in given.items():
             if name in GIVEN and name not in taught:
-                doc.fail(("evaluate", section, name), "is given, and the policy is not trained with it: leave it out.")
+                doc.fail(
+                    ("evaluate", section, name),
+                    "is given, and the policy is not trained with it: leave it out.",
+                )
             if name == late and (max(value) if isinstance(value, tuple) else value) > longest:
-                sentence = f"is longer than {longest:g} s, the longest that the policy is trained with."
+                sentence = (
+                    f"is longer than {longest:g} s, the longest that the policy is trained with."
+                )
                 doc.fail(("evaluate", section, name), sentence)
             if any(name in getattr(task, section) for _, task in pairs):
                 continue
             if section == "randomize" and name in file.evaluate.set:
                 doc.fail(("evaluate", section, name), "stands under set, too: leave one out.")
-            doc.fail(("evaluate", section, name), "is no parameter of the evaluation's scenes: leave it out.")
+            doc.fail(
+                ("evaluate", section, name),
+                "is no parameter of the evaluation's scenes: leave it out.",
+            )
     with _refusals(doc, "evaluate"):
         for setup, task in pairs:
             task.check(setup)
@@ -449,7 +511,11 @@ def _evaluated(setup: Setup, task: Task, evaluation: EvaluationSpec) -> Task:
     known = terrain_values(str(setup.scene)), task_parameters(setup)
 
     def there(given: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: each for name, each in given.items() if name in known[not name.startswith("terrain.")]}
+        return {
+            name: each
+            for name, each in given.items()
+            if name in known[not name.startswith("terrain.")]
+        }
 
     values, ranges = there(evaluation.set), there({**task.randomize, **evaluation.randomize})
     drawn = {name: ends for name, ends in ranges.items() if name not in values}

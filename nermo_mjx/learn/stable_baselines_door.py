@@ -43,7 +43,9 @@ class NermoVecEnv(VecEnv):
         self._began = time.monotonic()
         self._returns = np.zeros(self.door.num_envs)
         self._lengths = np.zeros(self.door.num_envs, int)
-        super().__init__(self.door.num_envs, self.door.single_observation_space, self.door.single_action_space)
+        super().__init__(
+            self.door.num_envs, self.door.single_observation_space, self.door.single_action_space
+        )
 
     def reset(self) -> np.ndarray:
         """Begin an episode in all worlds; the seed of `seed()` holds for one call."""
@@ -70,7 +72,11 @@ class NermoVecEnv(VecEnv):
                 "l": int(self._lengths[world]),
                 "t": time.monotonic() - self._began,
             }
-            final = {name: column[world] for name, column in told["final_info"].items() if not name.startswith("_")}
+            final = {
+                name: column[world]
+                for name, column in told["final_info"].items()
+                if not name.startswith("_")
+            }
             infos[world] = final | {
                 "terminal_observation": told["final_obs"][world],
                 "episode": episode,
@@ -84,14 +90,22 @@ class NermoVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute of the environment, which all worlds share, once for each."""
-        shared = getattr(self, attr_name) if attr_name == "render_mode" else getattr(self.door, attr_name)
+        shared = (
+            getattr(self, attr_name)
+            if attr_name == "render_mode"
+            else getattr(self.door, attr_name)
+        )
         return [shared] * len(self._places(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refused: worlds differ by what their episodes draw."""
-        raise NotImplementedError(f"{attr_name} cannot be set: worlds share one environment, see `Task`.")
+        raise NotImplementedError(
+            f"{attr_name} cannot be set: worlds share one environment, see `Task`."
+        )
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **given: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **given: Any
+    ) -> list[Any]:
         """Refused: worlds are not separate objects."""
         raise NotImplementedError(f"{method_name} cannot be called: worlds share one environment.")
 
@@ -100,4 +114,10 @@ class NermoVecEnv(VecEnv):
         return [False] * len(self._places(indices))
 
     def _places(self, indices: int | Sequence[int] | None) -> Sequence[int]:
-        return range(self.num_envs) if indices is None else [indices] if isinstance(indices, int) else indices
+        return (
+            range(self.num_envs)
+            if indices is None
+            else [indices]
+            if isinstance(indices, int)
+            else indices
+        )

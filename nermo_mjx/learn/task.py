@@ -48,7 +48,17 @@ from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.model import Spec
-from nermo_mjx.specs.values import BodiesField, Checked, Ends, Finite, FiniteInUnits, OwnOr, Seconds, Way, Whole
+from nermo_mjx.specs.values import (
+    BodiesField,
+    Checked,
+    Ends,
+    Finite,
+    FiniteInUnits,
+    OwnOr,
+    Seconds,
+    Way,
+    Whole,
+)
 from nermo_mjx.trust import RUNS_CODE
 
 #: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
@@ -107,8 +117,14 @@ class Term:
         """
         with user_code(f"{self.subject}, which fails"):
             given = self.value(moment)
-        if not isinstance(given, (int, float, jax.Array)) or jnp.shape(given) or jnp.iscomplexobj(given):
-            raise ParameterError(f"{self.subject}, which gives {described(given)}: expected one number.")
+        if (
+            not isinstance(given, (int, float, jax.Array))
+            or jnp.shape(given)
+            or jnp.iscomplexobj(given)
+        ):
+            raise ParameterError(
+                f"{self.subject}, which gives {described(given)}: expected one number."
+            )
         return jnp.asarray(given)
 
     @property
@@ -152,9 +168,17 @@ _TERMS: Final = (
         lambda m: m.seconds * _kernel(m.now.turning - m.command["yaw_rate"], YAW_RATE_WIDTH),
         "yaw_rate",
     ),
-    Term("deviation", "m s", "distance from the path, over time", lambda m: m.seconds * jnp.abs(m.now.readings[3])),
     Term(
-        "tilt", "rad^2 s", "roll and pitch, squared, over time", lambda m: m.seconds * _sum_square(m.now.readings[:2])
+        "deviation",
+        "m s",
+        "distance from the path, over time",
+        lambda m: m.seconds * jnp.abs(m.now.readings[3]),
+    ),
+    Term(
+        "tilt",
+        "rad^2 s",
+        "roll and pitch, squared, over time",
+        lambda m: m.seconds * _sum_square(m.now.readings[:2]),
     ),
     Term(
         "sway",
@@ -162,7 +186,12 @@ _TERMS: Final = (
         "angular velocity about roll and pitch, squared, over time",
         lambda m: m.seconds * _sum_square(m.sensors.gyro[:2]),
     ),
-    Term("work", "J", "mechanical work of the servos", lambda m: m.now.sums["work"] - m.before.sums["work"]),
+    Term(
+        "work",
+        "J",
+        "mechanical work of the servos",
+        lambda m: m.now.sums["work"] - m.before.sums["work"],
+    ),
     Term(
         "torque",
         "N^2 m^2 s",
@@ -201,13 +230,20 @@ _TERMS: Final = (
         "1 where the robot fell, lost its way, or the simulation diverged",
         lambda m: jnp.asarray(m.failed, m.speed.dtype),
     ),
-    Term("arrived", "1", "1 where the robot has walked its distance", lambda m: jnp.asarray(m.arrived, m.speed.dtype)),
+    Term(
+        "arrived",
+        "1",
+        "1 where the robot has walked its distance",
+        lambda m: jnp.asarray(m.arrived, m.speed.dtype),
+    ),
 )
 #: All terms, by name.
 TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _TERMS}
 
 
-def chosen_terms(weights: Mapping[str | Term, float], commands: tuple[str, ...]) -> dict[Term, float]:
+def chosen_terms(
+    weights: Mapping[str | Term, float], commands: tuple[str, ...]
+) -> dict[Term, float]:
     """The terms of a task and their weights, given by the names of `TERMS`, as custom terms, or as functions of a
     `Moment`, which FILE.py:NAME can name.
 
@@ -221,7 +257,9 @@ def chosen_terms(weights: Mapping[str | Term, float], commands: tuple[str, ...])
         if term is None:
             near = nearest(str(given), list(TERMS))
             hint = f"did you mean {near!r}? " if near else ""
-            raise ParameterError(f"rewards has {given!r}: {hint}allowed is one of {', '.join(TERMS)}, or {NAMED}.")
+            raise ParameterError(
+                f"rewards has {given!r}: {hint}allowed is one of {', '.join(TERMS)}, or {NAMED}."
+            )
         name = term.name
         if term.needs is not None and term.needs not in commands:
             raise ParameterError(
@@ -239,7 +277,9 @@ def _own_term(given: Any) -> Term:
     """A term of one's own; a function has no unit."""
     found = own_object("rewards", given)
     if not isinstance(found, Term) and not callable(found):
-        raise ParameterError(f"rewards has {given!r}, which is {described(found)}: expected a Term, or a function.")
+        raise ParameterError(
+            f"rewards has {given!r}, which is {described(found)}: expected a Term, or a function."
+        )
     name, doc = own_name(given), (inspect.getdoc(found) or "").partition("\n")[0].rstrip(".")
     return found if isinstance(found, Term) else Term(name, "1", doc or name, found)
 
@@ -261,7 +301,9 @@ class Command:
     """What the robot is commanded to do in an episode; only what a task names is commanded."""
 
     speed: Any = quantity(0.1, unit="m/s", low=0.0, high=1.0, doc="wanted speed")
-    yaw_rate: Any = quantity(0.0, unit="rad/s", low=-3.0, high=3.0, doc="wanted yaw rate, positive left")
+    yaw_rate: Any = quantity(
+        0.0, unit="rad/s", low=-3.0, high=3.0, doc="wanted yaw rate, positive left"
+    )
 
 
 @parameter_tree
@@ -273,7 +315,10 @@ class Given:
 
 
 #: Default differences between episodes.
-RANDOMIZED: Final[Mapping[str, tuple[float, float]]] = {"start.phase": (0.0, 1.0), "start.yaw": (-0.05, 0.05)}
+RANDOMIZED: Final[Mapping[str, tuple[float, float]]] = {
+    "start.phase": (0.0, 1.0),
+    "start.yaw": (-0.05, 0.05),
+}
 #: Default rewards: walk forward, stay on the path, use little energy, stay upright.
 REWARDS: Final[Mapping[str | Term, float]] = {
     "progress": 20.0,
@@ -289,11 +334,14 @@ class _Rewards(Checked):
     """Weights by the names of the reward's terms."""
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(_terms, handler.generate_schema(dict[str, Finite]))
+        return core_schema.no_info_before_validator_function(
+            _terms, handler.generate_schema(dict[str, Finite])
+        )
 
     def schema(self, own: JsonSchema) -> JsonSchema:
         properties = {
-            name: {"type": "number", "description": f"{term.doc} [{term.unit}]"} for name, term in TERMS.items()
+            name: {"type": "number", "description": f"{term.doc} [{term.unit}]"}
+            for name, term in TERMS.items()
         }
         own = {":": {"type": "number", "description": f"a term of one's own: {NAMED}"}}
         return {
@@ -307,7 +355,9 @@ class _Rewards(Checked):
 def _terms(given: Any) -> Any:
     for name in given if isinstance(given, dict) else ():
         if name not in TERMS and ":" not in str(name):
-            raise Refused(f"is no term of the reward; allowed are {', '.join(TERMS)}, or {NAMED}.", name)
+            raise Refused(
+                f"is no term of the reward; allowed are {', '.join(TERMS)}, or {NAMED}.", name
+            )
     return given or dict(REWARDS)
 
 
@@ -327,9 +377,13 @@ class Task(Spec):
     elsewhere = ("randomize",)
     action: ActionField = dataclasses.field(default_factory=Residual)
     """what an action does: `Residual`, `Modulation` or `Targets`"""
-    observe: Annotated[tuple[Annotated[Any, OwnOr((*SENSED, *TOLD), FORMER)], ...], Field(strict=False)] = OBSERVED
+    observe: Annotated[
+        tuple[Annotated[Any, OwnOr((*SENSED, *TOLD), FORMER)], ...], Field(strict=False)
+    ] = OBSERVED
     """what a policy observes: groups of `observing.SENSED` and `TOLD`, and functions of the sensors as FILE.py:NAME"""
-    rewards: Annotated[Mapping[Any, float], _Rewards()] = dataclasses.field(default_factory=lambda: dict(REWARDS))
+    rewards: Annotated[Mapping[Any, float], _Rewards()] = dataclasses.field(
+        default_factory=lambda: dict(REWARDS)
+    )
     """weights of the reward's terms, see `rewards.TERMS`, and of functions of a `Moment` as FILE.py:NAME; in Python
     also of a custom `Term`"""
     terminations: Annotated[tuple[Annotated[Any, OwnOr(())], ...], Field(strict=False)] = ()
@@ -355,15 +409,24 @@ class Task(Spec):
 
     @classmethod
     def _known(cls, given: Any) -> Any:
-        if isinstance(given, dict) and "duration" in given and "episode_length" not in given:  # its former name
-            given = {"episode_length" if key == "duration" else key: value for key, value in given.items()}
+        if (
+            isinstance(given, dict) and "duration" in given and "episode_length" not in given
+        ):  # its former name
+            given = {
+                "episode_length" if key == "duration" else key: value
+                for key, value in given.items()
+            }
         return super()._known(given)
 
     def __post_init__(self) -> None:
         if not isinstance(self.action, ActionKind):
-            raise ParameterError(f"action is {self.action!r}: expected Residual, Modulation or Targets.")
+            raise ParameterError(
+                f"action is {self.action!r}: expected Residual, Modulation or Targets."
+            )
         if not (isinstance(self.decimation, int) and self.decimation >= 1):
-            raise ParameterError(f"decimation is {self.decimation!r}: allowed is a whole number from 1 on.")
+            raise ParameterError(
+                f"decimation is {self.decimation!r}: allowed is a whole number from 1 on."
+            )
         for name, unit in (("episode_length", "s"), ("distance", "m"), ("corridor", "m")):
             value = getattr(self, name)
             if isinstance(value, str):
@@ -375,7 +438,9 @@ class Task(Spec):
         observe = (each if is_own(each) else FORMER.get(each, each) for each in self.observe)
         object.__setattr__(self, "observe", tuple(observe))
         for section in ("set", "randomize"):
-            named = {FORMER.get(name, name): value for name, value in getattr(self, section).items()}
+            named = {
+                FORMER.get(name, name): value for name, value in getattr(self, section).items()
+            }
             object.__setattr__(self, section, named)
         if isinstance(self.bodies, bool):
             object.__setattr__(self, "bodies", identified.IDENTIFIED if self.bodies else "")
@@ -393,7 +458,9 @@ class Task(Spec):
 
     def sample(self, key: Any, steps: Any) -> dict[str, Any]:
         """What `commands` draws; pure JAX."""
-        return {} if self.commands is None else dict(own_object("commands", self.commands)(key, steps))
+        return (
+            {} if self.commands is None else dict(own_object("commands", self.commands)(key, steps))
+        )
 
     def with_own(self, change: Callable[[Any], Any]) -> Task:
         """The task with each entry of one's own replaced by what `change` makes of it."""
@@ -412,7 +479,10 @@ class Task(Spec):
     @property
     def has_own(self) -> bool:
         """Whether it has code of one's own."""
-        return any(map(is_own, (*self.observe, *self.rewards, *self.terminations))) or self.commands is not None
+        return (
+            any(map(is_own, (*self.observe, *self.rewards, *self.terminations)))
+            or self.commands is not None
+        )
 
     def ticks(self, dt: float) -> int:
         """Control ticks of `dt` seconds in an episode, a whole number of control steps."""
@@ -425,33 +495,45 @@ class Task(Spec):
             ParameterError: with the field's name, its value and what is allowed.
         """
         if setup.schedule:
-            raise ParameterError("schedule is of a walk, not of a training: vary what a policy should cope with.")
+            raise ParameterError(
+                "schedule is of a walk, not of a training: vary what a policy should cope with."
+            )
         known = task_parameters(setup)
         body = set(identified.bodies(self.bodies).values) if self.bodies else set()
         for section in ("set", "randomize"):
             for name in getattr(self, section):
                 if name not in known:
-                    raise ParameterError(f"{section} has {name!r}, which is no parameter{did_you_mean(name, known)}")
+                    raise ParameterError(
+                        f"{section} has {name!r}, which is no parameter{did_you_mean(name, known)}"
+                    )
                 if name.startswith("terrain.") and name not in terrain_values(str(setup.scene)):
                     raise ParameterError(
                         f"{section} has {name!r}, which the scene {setup.scene!r} has not: leave it out."
                     )
                 if name in body:
-                    raise ParameterError(f"{section} has {name!r}, which the identified bodies bring: leave one out.")
+                    raise ParameterError(
+                        f"{section} has {name!r}, which the identified bodies bring: leave one out."
+                    )
         for name in self.randomize:
             if name in self.set:
                 raise ParameterError(f"{name} stands under set and under randomize: leave one out.")
             try:
                 low, high = self.randomize[name]
             except (TypeError, ValueError):
-                raise ParameterError(f"randomize.{name} is {self.randomize[name]!r}: expected (low, high).") from None
+                raise ParameterError(
+                    f"randomize.{name} is {self.randomize[name]!r}: expected (low, high)."
+                ) from None
             if not low < high:
-                raise ParameterError(f"randomize.{name} is ({low:g}, {high:g}): the low end is not below the high one.")
+                raise ParameterError(
+                    f"randomize.{name} is ({low:g}, {high:g}): the low end is not below the high one."
+                )
             known[name].check(f"randomize.{name}", [low, high])
         for name, value in self.set.items():
             known[name].check(f"set.{name}", value)
         self.check_commands(setup)
-        setup.check(setup.world({name: value for name, value in self.set.items() if name not in ADDED}))
+        setup.check(
+            setup.world({name: value for name, value in self.set.items() if name not in ADDED})
+        )
 
     def check_commands(self, setup: Setup) -> None:
         """Refuse `commands` that fail, or draw what is no parameter or out of range; not where no code is run.
@@ -463,10 +545,16 @@ class Task(Spec):
             return
         known, (subject, drawn) = task_parameters(setup), drawn_by(self.commands)
         for name, values in drawn.items():
-            if name not in known or (name.startswith("terrain.") and name not in terrain_values(str(setup.scene))):
-                raise ParameterError(f"{subject}, which draws {name!r}: no parameter here{did_you_mean(name, known)}")
+            if name not in known or (
+                name.startswith("terrain.") and name not in terrain_values(str(setup.scene))
+            ):
+                raise ParameterError(
+                    f"{subject}, which draws {name!r}: no parameter here{did_you_mean(name, known)}"
+                )
             if self.bodies and name in identified.bodies(self.bodies).values:
-                raise ParameterError(f"{subject}, which draws {name!r}, which the identified bodies bring.")
+                raise ParameterError(
+                    f"{subject}, which draws {name!r}, which the identified bodies bring."
+                )
             known[name].check(f"{subject}, where {name}", values)
 
 
@@ -474,8 +562,12 @@ class Task(Spec):
 GIVEN: Final[dict[str, Quantity]] = dict(quantities(Given))
 #: Of what pushes the robot there.
 PUSHES: Final[dict[str, Quantity]] = {
-    "push.force": Quantity(1.0, "N", 0.0, 10.0, f"on the torso for {PUSH_SECONDS:g} s, in any horizontal direction"),
-    "push.interval": Quantity(2.0, "s", 0.2, 100.0, "in each of which there is one push, at a random moment"),
+    "push.force": Quantity(
+        1.0, "N", 0.0, 10.0, f"on the torso for {PUSH_SECONDS:g} s, in any horizontal direction"
+    ),
+    "push.interval": Quantity(
+        2.0, "s", 0.2, 100.0, "in each of which there is one push, at a random moment"
+    ),
 }
 #: All parameters of episodes that runs do not have.
 ADDED: Final[dict[str, Quantity]] = GIVEN | PUSHES
@@ -518,7 +610,10 @@ class Episodes:
     @property
     def drawn(self) -> tuple[str, ...]:
         """Names of what differs between episodes."""
-        return (*self.task.randomize, *(identified.bodies(self.task.bodies).values if self.task.bodies else ()))
+        return (
+            *self.task.randomize,
+            *(identified.bodies(self.task.bodies).values if self.task.bodies else ()),
+        )
 
     @property
     def reached(self) -> tuple[str, ...]:
@@ -544,10 +639,17 @@ class Episodes:
             one = jax.random.choice(body, len(ensemble), p=jnp.asarray(ensemble.weights, float))
             members = {name: jnp.asarray(column, float) for name, column in ensemble.values.items()}
             values |= {name: column[one] for name, column in members.items()}
-            spread = [(column[one] - column.mean()) / (3.0 * column.std() + 1e-12) for column in members.values()]
+            spread = [
+                (column[one] - column.mean()) / (3.0 * column.std() + 1e-12)
+                for column in members.values()
+            ]
             shares = jnp.concatenate([shares, jnp.clip(jnp.stack(spread), -1.0, 1.0)])
-        given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
-        world = self.setup.world({name: value for name, value in values.items() if name not in ADDED})
+        given = replace_quantities(
+            Given(), {name: value for name, value in values.items() if name in GIVEN}
+        )
+        world = self.setup.world(
+            {name: value for name, value in values.items() if name not in ADDED}
+        )
         told = commanded(self.controller.base, self.task.commanded, world.control, given.command)
         control = jax.tree.map(_real, Acted(told, self.controller.parameters.action))
         window = Window(begin=0.0, end=1e6, distance=1e6)
@@ -556,7 +658,9 @@ class Episodes:
         pusher = jax.random.randint(jax.random.fold_in(seed, 2), (), 0, 1 << 24)
         loop = dataclasses.replace(loop, push=pushes_of(values, pusher))
         shape = world.model if is_shaped(values) else None
-        first = StartPose(self.robot, self.controller).qpos(control, world.start, loop.terrain, shape)
+        first = StartPose(self.robot, self.controller).qpos(
+            control, world.start, loop.terrain, shape
+        )
         number = jax.random.randint(seed, (), 0, 1 << 24)
         ticks, part = self.task.ticks(self.controller.dt), self.task.decimation
         short = part * jax.random.randint(jax.random.fold_in(seed, 1), (), 1, ticks // part + 1)
@@ -571,7 +675,9 @@ def pushes_of(values: Mapping[str, Any], seed: Any) -> Pushes | None:
     return Pushes(force, interval, seed) if PUSHES.keys() & values.keys() else None
 
 
-def commanded(base: ControllerLike, commands: Collection[str], control: Any, command: Command) -> Any:
+def commanded(
+    base: ControllerLike, commands: Collection[str], control: Any, command: Command
+) -> Any:
     """Parameters `control` of a controller with the speed and the turn rate that are commanded, if it is the published
     one; `commands` are the names of what is commanded, `command` has the values."""
     if not isinstance(base, Controller):

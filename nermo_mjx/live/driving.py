@@ -89,7 +89,9 @@ class Driving:
     #: Whether its commands make it again.
     repeatable = True
 
-    def __init__(self, setup: Setup, values: Mapping[str, float] | None = None, *, record: bool = True) -> None:
+    def __init__(
+        self, setup: Setup, values: Mapping[str, float] | None = None, *, record: bool = True
+    ) -> None:
         """
         Args:
             setup: any. The switches of its schedule are commands that come at their times.
@@ -106,9 +108,14 @@ class Driving:
         engine, self._controller = self.simulator.engine, self.simulator.controller
         assert isinstance(engine, CEngine)
         self._engine = engine
-        self.dt, self.steps_per_tick = float(self._controller.dt), self.simulator.loop.steps_per_tick
+        self.dt, self.steps_per_tick = (
+            float(self._controller.dt),
+            self.simulator.loop.steps_per_tick,
+        )
         self.parameters = dict(quantities(self._controller.parameters))
-        endless = jax.tree.map(np.full_like, self.batch.params.window, Window(begin=0.0, end=1e6, distance=1e6))
+        endless = jax.tree.map(
+            np.full_like, self.batch.params.window, Window(begin=0.0, end=1e6, distance=1e6)
+        )
         self._params = dataclasses.replace(self.batch.params, window=endless, schedule=None)
         self.about = {
             "parameters": setup.defaults() | self.values,
@@ -140,7 +147,9 @@ class Driving:
             Servo angles of the start pose [rad].
         """
         rest = np.asarray(sensordata, float)
-        if self._compiled is None:  # all programs, by a command that changes nothing, and the tick after it
+        if (
+            self._compiled is None
+        ):  # all programs, by a command that changes nothing, and the tick after it
             self._begin(rest)
             for name, value in [*self._commanded.items()][:1]:
                 self.command(Switch(0.0, values={name: value}))
@@ -150,9 +159,14 @@ class Driving:
         return np.asarray(self.state.ctrl)
 
     def _begin(self, rest: np.ndarray) -> None:
-        start = Switch(0.0, spine=self.setup.spine, head=self.setup.head, tail_motion=self.setup.tail_motion)
+        start = Switch(
+            0.0, spine=self.setup.spine, head=self.setup.head, tail_motion=self.setup.tail_motion
+        )
         # Parameters as commanded, those of modes that do not act among them, and the modes that do.
-        self._commanded, self.modes = _numbers(self._params.control), {f: set(m) for f, m in start.modes.items()}
+        self._commanded, self.modes = (
+            _numbers(self._params.control),
+            {f: set(m) for f, m in start.modes.items()},
+        )
         self.control = self._aim = self._acting(self._commanded, self.modes)
         self._base = np.array([*_numbers(self._aim).values()])
         # Commands that have not ended: tick at which each began, how long it takes [s], by how much values change.
@@ -174,7 +188,9 @@ class Driving:
         """
         values, rate = switch.absolute(), self.cycle_rate
         if len(self._blends) >= MOST_BLENDS:
-            raise ParameterError(f"command: {MOST_BLENDS} changes are under way, and no more are allowed at once.")
+            raise ParameterError(
+                f"command: {MOST_BLENDS} changes are under way, and no more are allowed at once."
+            )
         for name, value in values.items():
             self.parameters[choice("parameter", name, self.parameters)].check(name, value)
         dict(quantities(Schedule))["blend.1"].check("blend", switch.blend)
@@ -188,7 +204,9 @@ class Driving:
             self._controller.check(aim)
         old, new = _numbers(self._aim), _numbers(aim)
         moves = {name: new[name] - old[name] for name in new}
-        moves |= {name: move - round(move) for name, move in moves.items() if name.startswith("offset.")}
+        moves |= {
+            name: move - round(move) for name, move in moves.items() if name.startswith("offset.")
+        }
         now = _numbers(self.control).get("frequency", 1.0)
         slower = now / min(now, now + moves.get("frequency", 0.0))
         if (least := float(turned(moves)) * slower) >= switch.blend:
@@ -199,7 +217,9 @@ class Driving:
         for _, seconds, other in self._blends:
             added = added + other * switch.blend / rate / seconds
         if float(turned(dict(zip(moves, added, strict=True)))) * slower >= switch.blend:
-            raise ParameterError("beside the change before, a limb would go backward: wait until that has ended.")
+            raise ParameterError(
+                "beside the change before, a limb would go backward: wait until that has ended."
+            )
         seconds = switch.blend / rate
         self._commanded, self.modes, self._aim = commanded, modes, aim
         self._blends.append((self.ticks, seconds, move))
@@ -231,9 +251,13 @@ class Driving:
             return
         begun, lengths, moves = map(np.array, zip(*self._blends, strict=True))
         course = self._base + np.cumsum([np.zeros_like(self._base), *moves], axis=0)
-        passed, lengths, course = default_precision(((self.ticks - begun) * self.dt, lengths, course))
+        passed, lengths, course = default_precision(
+            ((self.ticks - begun) * self.dt, lengths, course)
+        )
         now = course[0] + ((passed / lengths)[:, None] * np.diff(course, axis=0)).sum(0)
-        values = {name: np.array([value]) for name, value in zip(_numbers(self._aim), now, strict=True)}
+        values = {
+            name: np.array([value]) for name, value in zip(_numbers(self._aim), now, strict=True)
+        }
         self.control = replace_quantities(self._aim, values)
 
     def push(self, body: int, force: tuple[float, float, float], seconds: float) -> None:
@@ -244,13 +268,21 @@ class Driving:
         """
         bodies, weld = self.simulator.robot.model.nbody, self.simulator.robot.model.body_weldid
         if not 0 < body < bodies or weld[body] == 0:
-            raise ParameterError(f"push.body is {body}: allowed is one of the robot's, below {bodies}.")
+            raise ParameterError(
+                f"push.body is {body}: allowed is one of the robot's, below {bodies}."
+            )
         if not np.all(np.abs(force) <= MOST_FORCE):
-            raise ParameterError(f"push.force is {list(force)}: allowed is [-{MOST_FORCE:g}, {MOST_FORCE:g}] N.")
+            raise ParameterError(
+                f"push.force is {list(force)}: allowed is [-{MOST_FORCE:g}, {MOST_FORCE:g}] N."
+            )
         if not 0 < seconds <= LONGEST_PUSH:
-            raise ParameterError(f"push.seconds is {seconds:g}: allowed is (0, {LONGEST_PUSH:g}] s.")
+            raise ParameterError(
+                f"push.seconds is {seconds:g}: allowed is (0, {LONGEST_PUSH:g}] s."
+            )
         ticks = max(1, round(seconds / self.dt))
-        self.pushes.append(Push(self.ticks, ticks, body, (float(force[0]), float(force[1]), float(force[2]))))
+        self.pushes.append(
+            Push(self.ticks, ticks, body, (float(force[0]), float(force[1]), float(force[2])))
+        )
 
     def tick(self) -> None:
         """The controller's tick, and the physics until the next one."""
@@ -319,20 +351,38 @@ class Driving:
 
     def _sample(self) -> tuple[np.ndarray, ...]:
         body = self._body
-        return body.qpos[0].copy(), body.qvel[0].copy(), body.ctrl[0].copy(), self._readings[0, -1].copy()
+        return (
+            body.qpos[0].copy(),
+            body.qvel[0].copy(),
+            body.ctrl[0].copy(),
+            self._readings[0, -1].copy(),
+        )
 
-    def _recorded(self, rows: list[tuple[np.ndarray, ...]], time: np.ndarray, driven: dict[str, Any]) -> Recording:
+    def _recorded(
+        self, rows: list[tuple[np.ndarray, ...]], time: np.ndarray, driven: dict[str, Any]
+    ) -> Recording:
         qpos, qvel, ctrl, sensordata = map(np.stack, zip(*rows, strict=True))
         sensors = self.simulator.robot.sensors(sensordata)
-        named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
+        named = {
+            field.name: np.asarray(getattr(sensors, field.name))
+            for field in dataclasses.fields(sensors)
+        }
         about = plain_json(self.about | {"driven": driven}) if driven else self.about
         return Recording(time, qpos, qvel, ctrl, named, self._hash, about)
 
     def _acting(self, commanded: Mapping[str, float], modes: Mapping[str, set[str]]) -> Any:
         """The parameters as commanded, with gains of 0 for the modes that do not act."""
         there = self.simulator.setup.modes
-        off = {gain for field in MODES for name in set(there[field]) - modes[field] for gain in GAINS[name]}
-        values = {name: np.array([value]) for name, value in {**commanded, **dict.fromkeys(off, 0.0)}.items()}
+        off = {
+            gain
+            for field in MODES
+            for name in set(there[field]) - modes[field]
+            for gain in GAINS[name]
+        }
+        values = {
+            name: np.array([value])
+            for name, value in {**commanded, **dict.fromkeys(off, 0.0)}.items()
+        }
         return default_precision(replace_quantities(self._params.control, values))
 
     def _lanes(self) -> Any:
@@ -349,14 +399,20 @@ def _with_all_modes(setup: Setup) -> Setup:
     """The setup with every mode of the robot, those that do not act turned on after its end."""
     spine = LATERAL_MODES + (SAGITTAL_MODES if setup.robot == "nermo_41" else ())
     on: list[dict[str, Any]] = [{"spine": "+".join(spine), "head": GAZE}]
-    on += [{"tail_motion": name} for name in TAIL_MOTIONS if setup.tail != "rigid" and name != NO_MODE]
+    on += [
+        {"tail_motion": name} for name in TAIL_MOTIONS if setup.tail != "rigid" and name != NO_MODE
+    ]
     later = tuple(Switch(1e5 * (k + 1), **one) for k, one in enumerate(on))
     return dataclasses.replace(setup, schedule=later)
 
 
 def _code(setup: Setup) -> dict[str, str]:
     """Name and content of the file of a setup's controller, if a text names it."""
-    return code_identity(dataclasses.replace(setup, metrics=())) if isinstance(setup.controller, str) else {}
+    return (
+        code_identity(dataclasses.replace(setup, metrics=()))
+        if isinstance(setup.controller, str)
+        else {}
+    )
 
 
 # ---
@@ -379,7 +435,10 @@ class Commanded(BaseModel, extra="forbid"):
 
     def switch(self, at: float) -> Switch:
         """The same at a time [s]; raises `ParameterError` as `Switch` does."""
-        given = {name: getattr(self, name) for name in ("gait", "steering", "spine", "head", "tail_motion")}
+        given = {
+            name: getattr(self, name)
+            for name in ("gait", "steering", "spine", "head", "tail_motion")
+        }
         return Switch(at, self.blend, **given, values=self.set)
 
 
@@ -391,7 +450,9 @@ class _Driven(BaseModel, extra="forbid"):
     values: dict[str, Finite] = {}
     commands: list[tuple[NonNegativeInt, _Written]] = []
     pushes: list[Push] = []
-    samples: list[tuple[list[float | None], list[float | None], list[float | None], list[float | None]]] = []
+    samples: list[
+        tuple[list[float | None], list[float | None], list[float | None], list[float | None]]
+    ] = []
     ticks: NonNegativeInt = 0
 
 
@@ -453,12 +514,18 @@ class Journal(Appended):
         """See `Appended`."""
         super().__init__(path)
         self._driving, self._told, self._before = driving, (0, 0, 0), cast(Any, None)
-        self._left = json.dumps(plain_json(driving.about | {"driven": {"values": driving.values}})).encode() + b"\n"
+        self._left = (
+            json.dumps(plain_json(driving.about | {"driven": {"values": driving.values}})).encode()
+            + b"\n"
+        )
         self._thread.start()
 
     def _more(self) -> bytes:
         driving = self._driving
-        ticks, (commands, pushes, samples) = driving.ticks, self._told  # commands before this tick are there
+        ticks, (commands, pushes, samples) = (
+            driving.ticks,
+            self._told,
+        )  # commands before this tick are there
         piece = driving.piece(commands, pushes) | {"ticks": ticks}
         piece["samples"] = [] if driving.repeatable else driving.rows[samples:]
         commands, pushes = commands + len(piece["commands"]), pushes + len(piece["pushes"])
@@ -475,7 +542,9 @@ def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
         if isinstance(source, Recording):
             about, pieces = source.metadata, [b'{"ticks": %d}' % len(source.time)]
         else:  # after a power cut zeros may follow
-            first, *pieces = read_bytes(source, MOST_FILE).partition(b"\0")[0].split(b"\n")[:-1] or [b""]
+            first, *pieces = read_bytes(source, MOST_FILE).partition(b"\0")[0].split(b"\n")[
+                :-1
+            ] or [b""]
             about = read_as(first, Metadata, "line 1").model_dump()
         driven: _Driven = read_as(json.dumps(about.get("driven")), _Driven, "driven")
         for number, text in enumerate(pieces, 2):
@@ -494,14 +563,20 @@ def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
 
 def _setup(about: Mapping[str, Any], controller: Any) -> Setup:
     """The setup of a drive, with a controller that is given instead of the one that it names."""
-    given = RecordedSetup.choices(about.get("setup") or {}) | ({} if controller is None else {"controller": controller})
+    given = RecordedSetup.choices(about.get("setup") or {}) | (
+        {} if controller is None else {"controller": controller}
+    )
     named = None if controller is not None else given.get("controller")
     if named is not None and (data_of(named) or ("", named))[1]:
         own = "give your own copy of it, --controller FILE.py:NAME, or FILE.npz:FILE.py of a policy"
-        raise ParameterError(f"controller is {named!r}, code that a file names, which is not run: {own}.")
+        raise ParameterError(
+            f"controller is {named!r}, code that a file names, which is not run: {own}."
+        )
     setup = Setup(**given)
     if (code := about.get("code")) and code != _code(setup):
-        raise ParameterError(f"controller is {setup.controller!r}: another one than that of the drive.")
+        raise ParameterError(
+            f"controller is {setup.controller!r}: another one than that of the drive."
+        )
     return setup
 
 
@@ -519,10 +594,16 @@ def as_sweep(recording: Recording, controller: Any = None) -> dict[str, Any]:
     switches = tuple(command.switch(round(tick * dt, 9)) for tick, command in driven.commands)
     setup = dataclasses.replace(_setup(about, controller), schedule=switches)
     setup.check(setup.world({name: np.asarray(value) for name, value in values.items()}))
-    options = {name.removeprefix("pilot."): value for name, value in values.items() if name.startswith("pilot.")}
+    options = {
+        name.removeprefix("pilot."): value
+        for name, value in values.items()
+        if name.startswith("pilot.")
+    }
     fixed = {name: value for name, value in values.items() if not name.startswith("pilot.")}
     run = Run(duration=round(float(recording.time[-1]), 9), warmup=0.0)
-    return WalkSpec(setup, run, fixed, options).walk_fields(Path.cwd()) | {"randomize": {"repeats": 5}}
+    return WalkSpec(setup, run, fixed, options).walk_fields(Path.cwd()) | {
+        "randomize": {"repeats": 5}
+    }
 
 
 def replayed(source: Recording | Path, controller: Any = None) -> Recording:
@@ -539,7 +620,9 @@ def replayed(source: Recording | Path, controller: Any = None) -> Recording:
     about, driven = _told(source)
     driving = Driving(_setup(about, controller), driven.values)
     if driven.samples:
-        driving.rows = [tuple(np.array(part, float) for part in sample) for sample in driven.samples]
+        driving.rows = [
+            tuple(np.array(part, float) for part in sample) for sample in driven.samples
+        ]
         if {tuple(map(len, row)) for row in driving.rows} != {tuple(map(len, driving._sample()))}:
             raise RecordingError("its samples are not of this robot.")
         made = driving.recording()

@@ -87,7 +87,10 @@ class Shown:
         wraps = self._model.wrap_type
         #: Points of each tendon at most: a site is one, and a pulley two with an arc between them.
         self._points = [
-            sum(1 if wraps[k] == mujoco.mjtWrap.mjWRAP_SITE else 2 + ARC for k in range(first, first + count))
+            sum(
+                1 if wraps[k] == mujoco.mjtWrap.mjWRAP_SITE else 2 + ARC
+                for k in range(first, first + count)
+            )
             for first, count in zip(self._model.tendon_adr, self._model.tendon_num, strict=True)
         ]
         clip = self._header["clips"][0]
@@ -105,7 +108,9 @@ class Shown:
     def document(self, about: dict[str, Any]) -> str:
         """The page; `about` is what its driving part has to know."""
         live = {"points": self._points, "slots": SLOTS, **about}
-        return document("viewer", "Nermo: drive", self._header | {"live": live}, [self._packer], ("", "live"))
+        return document(
+            "viewer", "Nermo: drive", self._header | {"live": live}, [self._packer], ("", "live")
+        )
 
     def row(self) -> bytes:
         """The present moment, as floats: time, root, followed point; place and rotation of each moving body; of each
@@ -122,7 +127,13 @@ class Shown:
         self._time = self.driving.time
         held = wanted if self._follow is None else self._follow
         self._follow = held + (wanted - held) * (1.0 - np.exp(-passed / FOLLOW))
-        parts = [[self.driving.time], origin, self._follow, motion.position[0, bodies] - origin, turns]
+        parts = [
+            [self.driving.time],
+            origin,
+            self._follow,
+            motion.position[0, bodies] - origin,
+            turns,
+        ]
         for tendon, points in zip(motion.tendons, self._points, strict=True):
             path = tendon.path[0][:points] - origin
             parts += [np.pad(path, ((0, points - len(path)), (0, 0)), mode="edge"), tendon.tension]
@@ -132,7 +143,9 @@ class Shown:
     def _contacts(self, motion: Motion, origin: np.ndarray) -> np.ndarray:
         slots, taken = np.zeros((len(SLOTS), 6)), set[int]()
         for contact in motion.contacts:
-            free = next((k for k, limb in enumerate(SLOTS) if limb == contact.limb and k not in taken), None)
+            free = next(
+                (k for k, limb in enumerate(SLOTS) if limb == contact.limb and k not in taken), None
+            )
             if free is not None:
                 taken.add(free)
                 slots[free] = *(contact.point[0] - origin), *contact.force[0]
@@ -220,7 +233,9 @@ class LiveDrive:
         self._page: Any = None
         self._outbox, self._sender = queue.Queue[Any](TO_SEND), threading.Thread()
         self._lock = threading.Lock()
-        self._connections = dict[socket.socket, bool]()  # whether it got in, in the order in which they came
+        self._connections = dict[
+            socket.socket, bool
+        ]()  # whether it got in, in the order in which they came
         # `(page, text)` of each message, `(page, True)` of a page that came, `(page, False)` of one that went.
         self._inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(WAITING)
         silent = logging.getLogger(__name__)  # browsers open connections that they do not use
@@ -236,7 +251,9 @@ class LiveDrive:
                 logger=silent,
             )
         except OSError as error:
-            raise ParameterError(f"port is {port}: it cannot be opened ({error.strerror or error}).") from None
+            raise ParameterError(
+                f"port is {port}: it cannot be opened ({error.strerror or error})."
+            ) from None
         self.address = f"http://127.0.0.1:{self._server.socket.getsockname()[1]}/{self._token}/"
         try:
             self._open_journal()
@@ -261,7 +278,9 @@ class LiveDrive:
         """A connection in its own thread; of too many, one that has not got in makes room."""
         with self._lock:
             if len(self._connections) >= CONNECTIONS:
-                out = next((each for each, inside in [*self._connections.items()] if not inside), taken)
+                out = next(
+                    (each for each, inside in [*self._connections.items()] if not inside), taken
+                )
                 _cut(out)
                 self._connections.pop(out, None)
             self._connections[taken] = False
@@ -280,10 +299,17 @@ class LiveDrive:
     def _answered(self, connection: Any, request: Any) -> Any:
         host = request.headers.get("Host", "")
         if urlsplit(f"//{host}").hostname not in ("127.0.0.1", "localhost"):
-            return connection.respond(HTTPStatus.FORBIDDEN, "This address is for this machine alone.\n")
+            return connection.respond(
+                HTTPStatus.FORBIDDEN, "This address is for this machine alone.\n"
+            )
         token, _, rest = request.path.lstrip("/").partition("/")
-        if not secrets.compare_digest(token.encode(), self._token.encode()) or rest not in ("", "socket"):
-            return connection.respond(HTTPStatus.NOT_FOUND, "Open the address that nermo-mjx drive has printed.\n")
+        if not secrets.compare_digest(token.encode(), self._token.encode()) or rest not in (
+            "",
+            "socket",
+        ):
+            return connection.respond(
+                HTTPStatus.NOT_FOUND, "Open the address that nermo-mjx drive has printed.\n"
+            )
         if rest == "socket":
             if request.headers.get("Origin") != f"http://{host}":
                 return connection.respond(HTTPStatus.FORBIDDEN, "Only its own page may drive.\n")
@@ -375,14 +401,18 @@ class LiveDrive:
         due, picture, dt = time.perf_counter(), 0.0, self.driving.dt
         while not self.over and time.perf_counter() < end:
             stands = self.paused or not self._began
-            for page, message in self._messages(0.05 if stands else max(due - time.perf_counter(), 0.0)):
+            for page, message in self._messages(
+                0.05 if stands else max(due - time.perf_counter(), 0.0)
+            ):
                 self._receive(page, message)
                 if not stands and time.perf_counter() >= due:  # the rest waits, and time goes on
                     break
             now = time.perf_counter()
             if self._journal is not None and self._journal.error is not None and not self.paused:
                 self.paused, why = True, self._journal.error.strerror
-                self._refuse(f"{self._journal.path} cannot be written ({why}): time stands still until it can be.")
+                self._refuse(
+                    f"{self._journal.path} cannot be written ({why}): time stands still until it can be."
+                )
             if self._changed and now - self._told >= 1.0 / PICTURES:
                 self._tell(now)
             if self.paused or not self._began:
@@ -422,7 +452,9 @@ class LiveDrive:
                 self._leave(REPLACED, "another page drives now")
             self._page, self._began, self._sent, self._gone, self._refused = page, True, {}, [], ""
             self._outbox = queue.Queue(TO_SEND)
-            self._sender = threading.Thread(target=_send_all, args=(page, self._outbox), daemon=True)
+            self._sender = threading.Thread(
+                target=_send_all, args=(page, self._outbox), daemon=True
+            )
             self._sender.start()
             self._show()
         elif page is not self._page:
@@ -443,7 +475,11 @@ class LiveDrive:
                 where = ".".join(map(str, first["loc"])) or "message"
                 self._refuse(f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200])
             except Exception as error:  # no message ends the drive
-                self._refuse(str(error) if isinstance(error, ParameterError) else f"that failed: {error!r}."[:200])
+                self._refuse(
+                    str(error)
+                    if isinstance(error, ParameterError)
+                    else f"that failed: {error!r}."[:200]
+                )
         self._changed = True
 
     def _refuse(self, sentence: str) -> None:
@@ -452,10 +488,15 @@ class LiveDrive:
 
     def _obey(self, message: Message) -> None:
         driving = self.driving
-        if message.set or any((message.gait, message.steering, message.spine, message.head, message.tail_motion)):
+        if message.set or any(
+            (message.gait, message.steering, message.spine, message.head, message.tail_motion)
+        ):
             switch = message.switch(driving.time)
             driving.command(switch)
-            self._gait, self._steering = switch.gait or self._gait, switch.steering or self._steering
+            self._gait, self._steering = (
+                switch.gait or self._gait,
+                switch.steering or self._steering,
+            )
         if message.push is not None:
             driving.push(message.push.body, message.push.force, message.push.seconds)
         self.paused = self.paused if message.pause is None else message.pause
@@ -478,18 +519,25 @@ class LiveDrive:
             try:
                 self._journal = Journal(path.with_suffix(JOURNAL), self.driving)
             except OSError as error:
-                raise ParameterError(f"record is {path}: it cannot be written ({error.strerror}).") from None
+                raise ParameterError(
+                    f"record is {path}: it cannot be written ({error.strerror})."
+                ) from None
 
     def _save(self) -> None:
         """Write the recording of what was driven since the start; where that fails, the journal stays."""
         journal, self._journal, saved = self._journal, None, True
         if self.record is not None and self.driving.rows:
-            wanted = self.record if journal is None else journal.path.with_suffix(self.record.suffix)
+            wanted = (
+                self.record if journal is None else journal.path.with_suffix(self.record.suffix)
+            )
             path = free(wanted, first=False) if os.path.lexists(wanted) else wanted
             try:
                 self.files.append(self.driving.recording().save(path))
             except RecordingError as error:
-                saved, where = False, "lost" if journal is None else f"in {journal.path}, for `nermo-mjx replay`"
+                saved, where = (
+                    False,
+                    "lost" if journal is None else f"in {journal.path}, for `nermo-mjx replay`",
+                )
                 self.failure = f"{str(error).rstrip('.')}; what was driven is {where}."
         if journal is not None:
             journal.end(keep=not saved)
@@ -504,7 +552,9 @@ class LiveDrive:
         if self._refused and self._send({"refused": self._refused}):
             self._refused = ""
         self._changed = bool(self._refused)
-        modes = {field: "+".join(sorted(names)) or "none" for field, names in self.driving.modes.items()}
+        modes = {
+            field: "+".join(sorted(names)) or "none" for field, names in self.driving.modes.items()
+        }
         self._send(
             {
                 "paused": self.paused,
@@ -561,10 +611,16 @@ def free(record: Path, *, first: bool = True) -> Path:
     """
     for number in itertools.count(1):
         path = record if number == 1 else record.with_name(f"{record.stem}-{number}{record.suffix}")
-        there = next((each for each in (path.with_suffix(JOURNAL), path) if os.path.lexists(each)), None)
+        there = next(
+            (each for each in (path.with_suffix(JOURNAL), path) if os.path.lexists(each)), None
+        )
         if there is None:
             return path
         if first:
-            how = f" (nermo-mjx replay {there} makes what was driven again)" if there.suffix == JOURNAL else ""
+            how = (
+                f" (nermo-mjx replay {there} makes what was driven again)"
+                if there.suffix == JOURNAL
+                else ""
+            )
             raise ParameterError(f"record is {record}: {there} exists{how}; name another file.")
     raise AssertionError

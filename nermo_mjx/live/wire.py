@@ -92,7 +92,9 @@ def needed_sensors(setup: Setup) -> set[str]:
 
     program = jax.make_jaxpr(run)(rest).jaxpr
     _, used = dce_jaxpr(program, [True] * len(program.outvars))
-    return {field.name for field, is_used in zip(dataclasses.fields(rest), used, strict=True) if is_used}
+    return {
+        field.name for field, is_used in zip(dataclasses.fields(rest), used, strict=True) if is_used
+    }
 
 
 def _numbers(given: Any, *lengths: int) -> np.ndarray:
@@ -122,12 +124,21 @@ class Measured:
     """
 
     def __init__(
-        self, robot: Robot, channels: Channels, watchdog: float = WATCHDOG, clock: Callable[[], float] = time.monotonic
+        self,
+        robot: Robot,
+        channels: Channels,
+        watchdog: float = WATCHDOG,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.robot, self.channels, self.watchdog, self.clock = robot, channels, watchdog, clock
         at_rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
         self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
-        self.counts, self.arrived, self.since, self._stamp = {"taken": 0}, -math.inf, -math.inf, -math.inf
+        self.counts, self.arrived, self.since, self._stamp = (
+            {"taken": 0},
+            -math.inf,
+            -math.inf,
+            -math.inf,
+        )
         self._places, self.needed = robot.sensors(np.arange(len(self.sensordata))), set[str]()
         self.log: LinkLog | None = None
 
@@ -161,7 +172,10 @@ class Measured:
             _numbers(message.get(f"servo_pos_{part}"), 0, size)
             for part, size in (("leg", len(self.channels.servos) - rest), ("aux", rest))
         )
-        contact, imu = _numbers(message.get("contact_sensors"), 0, 4), _numbers(message.get("imu_sensor"), 0, 16)
+        contact, imu = (
+            _numbers(message.get("contact_sensors"), 0, 4),
+            _numbers(message.get("imu_sensor"), 0, 16),
+        )
         if (contact < 0.0).any():
             raise ValueError("out of range")
         found: dict[str, np.ndarray] = {"foot_force": contact} if len(contact) else {}
@@ -229,17 +243,30 @@ class Driven:
         commands = f"It walked for {self.walked:.1f} s, and {self.sent} commands were sent"
         limited = f", {self.limited} of them within the limits of a channel" if self.limited else ""
         held = f"; {self.holds} times it stood still, as no message came" if self.holds else ""
-        heard = f"{self.messages['taken']} messages of the robot were taken{_left_out(self.messages)}."
+        heard = (
+            f"{self.messages['taken']} messages of the robot were taken{_left_out(self.messages)}."
+        )
         return [f"{commands}{limited}{held}.", *([heard] if any(self.messages.values()) else [])]
 
     def failures(self, factor: float = 1.0, answers: bool = True) -> list[str]:
         """What was wrong with it: of a robot that `answers`, driven at `factor` seconds per second."""
         everything = self.sent + self.unsent + self.skipped
-        unsent = f"{self.unsent} commands were not taken." if self.unsent > TOO_LATE * everything else ""
+        unsent = (
+            f"{self.unsent} commands were not taken." if self.unsent > TOO_LATE * everything else ""
+        )
         late = lateness(self.skipped + max(0.0, 1.0 - factor) * everything, everything)
         ended = f"{self.ended[:1].upper()}{self.ended[1:].rstrip('.')}." if self.ended else ""
         never = f"The robot never answered on {SENSORS_TOPIC}: it was driven in an open loop."
-        return [each for each in (ended, "" if self.messages["taken"] or not answers else never, late, unsent) if each]
+        return [
+            each
+            for each in (
+                ended,
+                "" if self.messages["taken"] or not answers else never,
+                late,
+                unsent,
+            )
+            if each
+        ]
 
 
 class LinkLog(Appended):
@@ -249,20 +276,32 @@ class LinkLog(Appended):
     the one that came soonest.
     """
 
-    def __init__(self, path: Path, channels: Channels, robot: Robot, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, path: Path, channels: Channels, robot: Robot, clock: Callable[[], float]
+    ) -> None:
         """See `Appended`."""
         super().__init__(path)
         self.about, self._begun, self._offset = path.with_suffix(".yaml"), clock(), math.inf
-        self._robot, self._servos = robot, {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos}
+        self._robot, self._servos = (
+            robot,
+            {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos},
+        )
         axes = {name: list(reading_names(name)) for name in _LOGGED}
         told: dict[str, dict[str, Any]] = {}
         for each in (channel for channel in channels if channel.servo in robot.servos):
             sent = {"unit": "deg", "sign": each.direction, "zero": each.zero}
             told[f"{each.servo}_servo_command"] = {"quantity": "command", "of": each.servo, **sent}
-            told[f"{each.servo}_servo_angle"] = {"quantity": "angle", "of": each.servo, "unit": "rad"}
+            told[f"{each.servo}_servo_angle"] = {
+                "quantity": "angle",
+                "of": each.servo,
+                "unit": "rad",
+            }
         feet = zip(reading_names("foot_force"), LIMBS, strict=True)
         told |= {name: {"quantity": "force", "of": limb, "unit": "N"} for name, limb in feet}
-        told |= {name: {"quantity": name, "columns": axes[name], "unit": READINGS[name].unit} for name in _LOGGED}
+        told |= {
+            name: {"quantity": name, "columns": axes[name], "unit": READINGS[name].unit}
+            for name in _LOGGED
+        }
         self._told = told | {"yaw": {"quantity": "yaw", "unit": "rad"}}
         self._names = [name for key in self._told for name in axes.get(key, [key])] + ["stamp"]
         self._counts, self._new, self._written = Counter[str](), deque[str](), b""
@@ -278,7 +317,9 @@ class LinkLog(Appended):
         row = {} if stamp is None else {"stamp": stamp}
         self._offset = min(self._offset, now - self._begun - row.get("stamp", -math.inf))
         for name in ("servo_angle", "foot_force", *_LOGGED):
-            row |= dict(zip(reading_names(name, self._robot.servos), found.get(name, ()), strict=False))
+            row |= dict(
+                zip(reading_names(name, self._robot.servos), found.get(name, ()), strict=False)
+            )
         if "orientation" in found:
             row["yaw"] = math.radians(attitude_of(found["orientation"][None])[0, 2])
         self._add(now, row)
@@ -290,10 +331,17 @@ class LinkLog(Appended):
 
     def _more(self) -> bytes:
         # A channel has two samples at least.
-        there = {name: e for name, e in self._told.items() if self._counts[e.get("columns", [name])[0]] > 1}
+        there = {
+            name: e
+            for name, e in self._told.items()
+            if self._counts[e.get("columns", [name])[0]] > 1
+        }
         if math.isfinite(self._offset):
             own = {"column": "stamp", "offset": round(self._offset, 6)}
-            there = {name: e if e["quantity"] == "command" else e | {"time": own} for name, e in there.items()}
+            there = {
+                name: e if e["quantity"] == "command" else e | {"time": own}
+                for name, e in there.items()
+            }
         about = dump({"time": {"column": "t", "unit": "s"}, "channels": there}).encode()
         if about != self._written:
             with contextlib.suppress(OSError):  # the log's own error tells of a full disk
@@ -318,7 +366,9 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
         wait(0.01)
     what = f"the controller reads {', '.join(sorted(needed - measured.told))}"
     if needed and not measured.told:
-        why = "".join(f"; {number} messages were {what}" for what, number in measured.counts.items() if number)
+        why = "".join(
+            f"; {number} messages were {what}" for what, number in measured.counts.items() if number
+        )
         raise SendError(
             f"no message of the robot for {PATIENCE:g} s, and {what}: a robot without sensors walks with "
             f"the pilot open_loop{why}."
@@ -377,7 +427,9 @@ class RobotDriving(Driving):
         connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
         rate = rate or connected.rate
         if rate is not None and rate > most + 1e-6:
-            raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's.")
+            raise ParameterError(
+                f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's."
+            )
         self.needed, self.operator = needed_sensors(setup), lambda: 0.0
         self._url, self._channels, self._watchdog, self._log = url, connected, watchdog, log
         self._period = 0.0 if rate is None else 1.0 / rate
@@ -388,21 +440,33 @@ class RobotDriving(Driving):
     def reach(self) -> Iterator[None]:
         """The robot, which is there; for errors see `linked` and `meet`. A sentence tells what is waited for."""
         measured, tell = Measured(self.simulator.robot, self._channels, self._watchdog), TELL.get()
-        with linked(self._url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "connect") as publish:
+        with linked(
+            self._url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "connect"
+        ) as publish:
             if self._url != PRINT:
                 tell(f"connected: waiting for the robot's messages on {SENSORS_TOPIC}.")
                 meet(measured, self.needed)
                 heard = f"the robot tells {', '.join(sorted(measured.told))}."
-                tell(heard if measured.told else f"no message on {SENSORS_TOPIC} in {QUIET:g} s: open loop.")
+                tell(
+                    heard
+                    if measured.told
+                    else f"no message on {SENSORS_TOPIC} in {QUIET:g} s: open loop."
+                )
             self.connect(measured, publish)
             if self._log is not None:
-                measured.log = LinkLog(self._log, self._channels, self.simulator.robot, measured.clock)
+                measured.log = LinkLog(
+                    self._log, self._channels, self.simulator.robot, measured.clock
+                )
             try:
                 yield
             finally:
                 if (log := measured.log) is not None:
                     log.end()
-                    self.failed = f"{log.path}: the log cannot be written ({log.error.strerror})." if log.error else ""
+                    self.failed = (
+                        f"{log.path}: the log cannot be written ({log.error.strerror})."
+                        if log.error
+                        else ""
+                    )
 
     def failures(self, factor: float = 1.0) -> list[str]:
         """What was wrong with the drive, see `Driven`; without a robot none answers."""
@@ -411,9 +475,14 @@ class RobotDriving(Driving):
 
     def connect(self, measured: Measured, publish: Callable[[Any], None]) -> None:
         """Drive the robot that has been measured from now on; `publish` sends it a message."""
-        self.measured, self.driven, self._publish = measured, Driven(messages=measured.counts), publish
+        self.measured, self.driven, self._publish = (
+            measured,
+            Driven(messages=measured.counts),
+            publish,
+        )
         self._low, self._high = (
-            np.array([getattr(channel, end) for channel in measured.channels]) for end in ("low", "high")
+            np.array([getattr(channel, end) for channel in measured.channels])
+            for end in ("low", "high")
         )
         self._slots, self._send_due, self._reached = 0, 0.0, measured.clock()
         self._approach(measured)
@@ -451,7 +520,9 @@ class RobotDriving(Driving):
         assert measured is not None
         silence = max(measured.silence if measured.told else 0.0, operator)
         if silence > PATIENCE:
-            driven.ended = f"no message {'of the robot ' if operator < silence else ''}for {PATIENCE:g} s"
+            driven.ended = (
+                f"no message {'of the robot ' if operator < silence else ''}for {PATIENCE:g} s"
+            )
         elif silence > measured.watchdog:
             driven.holds += driven.walked > 0.0 and not self._away
             self._away, self._quiet = True, measured.clock()
@@ -469,14 +540,20 @@ class RobotDriving(Driving):
             return
         now, before = measured.clock(), self._stepped
         self._stepped, self._away = now, self._away or now - before > _PAUSE
-        if self._away and measured.told and now - max(self._quiet, measured.since) < measured.watchdog:
+        if (
+            self._away
+            and measured.told
+            and now - max(self._quiet, measured.since) < measured.watchdog
+        ):
             driven.held += dt
             return
         if self._away:
             self.pose = measured.pose if "servo_angle" in measured.told else self.pose
             self._away = self._there = False
         elif self._there:
-            self.pose = self._start = self.targets(np.tile(measured.sensordata, (self.steps_per_tick, 1)))
+            self.pose = self._start = self.targets(
+                np.tile(measured.sensordata, (self.steps_per_tick, 1))
+            )
             driven.walked += dt
         else:
             self.pose = self.pose + np.clip(self._start - self.pose, -APPROACH * dt, APPROACH * dt)
@@ -506,7 +583,9 @@ class RobotDriving(Driving):
             if not isinstance(error, NotSentError) or measured.clock() - self._reached > PATIENCE:
                 driven.ended = str(error)
 
-    def run(self, seconds: float | None = None, wait: Callable[[float], None] = time.sleep) -> Driven:
+    def run(
+        self, seconds: float | None = None, wait: Callable[[float], None] = time.sleep
+    ) -> Driven:
         """Drive in real time, without a page.
 
         Args:
@@ -522,7 +601,9 @@ class RobotDriving(Driving):
                 if early > 1e-6:
                     wait(early)
                     continue
-                if -early > measured.watchdog:  # this machine was away: the gait goes on late, instead of hurrying
+                if (
+                    -early > measured.watchdog
+                ):  # this machine was away: the gait goes on late, instead of hurrying
                     driven.skipped, due = driven.skipped + int(-early / dt), due - early
                 self.step()
                 due += dt
@@ -554,7 +635,10 @@ class Way:
 
     def put(self, now: float, message: Any) -> None:
         """A message sets out."""
-        due, lost = now + self._delay * self._random.uniform(0.5, 1.5), self._random.random() < self._loss
+        due, lost = (
+            now + self._delay * self._random.uniform(0.5, 1.5),
+            self._random.random() < self._loss,
+        )
         self.messages, self.lost = self.messages + 1, self.lost + lost
         if not lost:
             heapq.heappush(self._under_way, (due, self.messages, message))
@@ -597,14 +681,21 @@ class SimulatedRobot:
         batch, self.robot = simulator.prepare(values, Run(duration=1.0)), simulator.robot
         self._channels = channels_of(channels, self.robot)
         assert isinstance(simulator.engine, CEngine)
-        self._body, self.dt = CBodies(simulator.engine, batch.qpos, batch.fields, 1), float(simulator.controller.dt)
+        self._body, self.dt = (
+            CBodies(simulator.engine, batch.qpos, batch.fields, 1),
+            float(simulator.controller.dt),
+        )
         self._reach = float(batch.params.servo.top_speed[0]) * self.dt
-        self._readings = np.repeat(self._body.sensordata[:, None], simulator.loop.steps_per_tick, axis=1)
+        self._readings = np.repeat(
+            self._body.sensordata[:, None], simulator.loop.steps_per_tick, axis=1
+        )
         start = self.robot.sensors(self._readings[0, -1].copy())
         self._ctrl = self._target = np.asarray(start.servo_angle)
         self._start, self._clock, self._heard, self._ticks = start.position, clock, math.nan, 0
         self._counts, self._received = Counter[str](), queue.SimpleQueue[tuple[float, Any]]()
-        self._inward, self.outward = (Way(delay, loss, np.random.default_rng(seed)) for seed in (0, 1))
+        self._inward, self.outward = (
+            Way(delay, loss, np.random.default_rng(seed)) for seed in (0, 1)
+        )
 
     def receive(self, message: Any) -> None:
         """Take a command; called in the connection's thread."""
@@ -616,7 +707,10 @@ class SimulatedRobot:
             self._inward.put(*self._received.get())
         for message in self._inward.arrived(now):
             try:
-                self._target, self._heard = _commanded(message, self._channels, self.robot, self._target), now
+                self._target, self._heard = (
+                    _commanded(message, self._channels, self.robot, self._target),
+                    now,
+                )
                 self._counts["taken"] += 1
             except ValueError as error:
                 self._counts[str(error)] += 1
@@ -624,7 +718,9 @@ class SimulatedRobot:
         self._body.ctrl[0] = self._ctrl
         self._body.move(self._readings)
         self._ticks += 1
-        told = sensor_message(self.robot, self._channels, self._readings[0, -1], self._ticks * self.dt)
+        told = sensor_message(
+            self.robot, self._channels, self._readings[0, -1], self._ticks * self.dt
+        )
         self.outward.put(now + self.dt, told)
 
     def run(self, url: str, seconds: float | None = None) -> dict[str, Any]:
@@ -663,7 +759,11 @@ class SimulatedRobot:
     def sentences(self) -> list[str]:
         """What happened."""
         about = self.about
-        last = "" if about["silence"] is None else f", the last one {about['silence']:.1f} s before the end"
+        last = (
+            ""
+            if about["silence"] is None
+            else f", the last one {about['silence']:.1f} s before the end"
+        )
         far = f"got {1e3 * about['distance']:.0f} mm far; its tilt is {math.degrees(about['tilt']):.0f} degrees"
         return [
             f"The simulated robot was there for {about['seconds']:.1f} s, and {far}.",
@@ -673,13 +773,17 @@ class SimulatedRobot:
 
 def _left_out(counts: Mapping[str, int]) -> str:
     """What became of messages that were not taken, as the end of a sentence."""
-    found = ", ".join(f"{count} {what}" for what, count in counts.items() if count and what != "taken")
+    found = ", ".join(
+        f"{count} {what}" for what, count in counts.items() if count and what != "taken"
+    )
     return found and f"; left out: {found}"
 
 
 def _commanded(message: Any, channels: Channels, robot: Robot, before: np.ndarray) -> np.ndarray:
     """The servos' angles of a message [rad]; servos that it does not name stay where they are."""
-    given, in_radians = (message.get("data"), True) if isinstance(message, dict) else (message, False)
+    given, in_radians = (
+        (message.get("data"), True) if isinstance(message, dict) else (message, False)
+    )
     if not isinstance(given, list):
         raise ValueError("garbage")
     found = _numbers(given, len(channels.servos))
@@ -687,19 +791,27 @@ def _commanded(message: Any, channels: Channels, robot: Robot, before: np.ndarra
     return np.clip(own_angles(channels, robot, degrees, before), *robot.model.actuator_ctrlrange.T)
 
 
-def own_angles(channels: Channels, robot: Robot, degrees: np.ndarray, before: np.ndarray) -> np.ndarray:
+def own_angles(
+    channels: Channels, robot: Robot, degrees: np.ndarray, before: np.ndarray
+) -> np.ndarray:
     """The robot's servo angles [rad] of what its channels say [deg], the inverse of `sent_angles`."""
     angles = before.copy()
     for channel, angle in zip(channels, degrees, strict=True):
         if channel.servo in robot.servos:
-            angles[robot.servos.index(channel.servo)] = np.radians(channel.direction * (angle - channel.zero))
+            angles[robot.servos.index(channel.servo)] = np.radians(
+                channel.direction * (angle - channel.zero)
+            )
     return angles
 
 
-def sensor_message(robot: Robot, channels: Channels, sensordata: np.ndarray, stamp: float) -> dict[str, Any]:
+def sensor_message(
+    robot: Robot, channels: Channels, sensordata: np.ndarray, stamp: float
+) -> dict[str, Any]:
     """What a robot says that it measures at a time [s]: its servos' angles, contacts and IMU."""
     sensors = robot.sensors(sensordata)
-    angles = np.radians(sent_angles(channels, robot.servos, np.degrees(sensors.servo_angle)[None])[0])
+    angles = np.radians(
+        sent_angles(channels, robot.servos, np.degrees(sensors.servo_angle)[None])[0]
+    )
     imu = np.concatenate([getattr(sensors, name) for name in _IMU])
     parts = {
         "servo_pos_leg": angles[:_LEG_SERVOS],

@@ -69,7 +69,15 @@ from nermo_mjx.sweep.replay import SweepRow, recording_file
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.sweep.spec import Rows
 from nermo_mjx.sweep.store import keys_of_rows
-from nermo_mjx.sweep.table import RECORDINGS, Columns, Results, chunk_table, columns_of, meta, read_table
+from nermo_mjx.sweep.table import (
+    RECORDINGS,
+    Columns,
+    Results,
+    chunk_table,
+    columns_of,
+    meta,
+    read_table,
+)
 
 TUNING: Final = "tuning.yaml"
 SEARCH: Final = "search.yaml"
@@ -93,7 +101,9 @@ def _begun(path: Path, kind: str, holds: str, read: Callable[[Path], S]) -> S | 
         if path.exists():
             return read(path)
     except SpecError as error:
-        unread = f"{path.parent} holds a {kind} that cannot be read ({error}); choose another directory."
+        unread = (
+            f"{path.parent} holds a {kind} that cannot be read ({error}); choose another directory."
+        )
         raise WrongDirectory(unread) from None
     if holds:
         raise WrongDirectory(
@@ -167,8 +177,14 @@ class TuningHistory:
         for i, name in enumerate(tuning.names):
             numbers[name], numbers[f"gradient.{name}"] = found.points[:, i], found.gradient[:, i]
         numbers |= found.metrics
-        row = np.stack([np.asarray(numbers[c.name], float) for c in history_columns(tuning, metrics)], axis=-1)[None]
-        codes = self.codes if self.codes and self.codes[-1][1] == code else (*self.codes, (len(self), code))
+        row = np.stack(
+            [np.asarray(numbers[c.name], float) for c in history_columns(tuning, metrics)], axis=-1
+        )[None]
+        codes = (
+            self.codes
+            if self.codes and self.codes[-1][1] == code
+            else (*self.codes, (len(self), code))
+        )
         rows = np.concatenate([self.rows, row]) if len(self) else row
         return TuningHistory(tuning, metrics, rows, codes)
 
@@ -176,19 +192,40 @@ class TuningHistory:
         """The history as a table: iterations in order, the starts of each side by side."""
         iterations, starts, _ = self.rows.shape
         table = Columns()
-        table.add("iteration", np.repeat(np.arange(iterations), starts), "index", "1", "steps taken before")
-        table.add("start", np.tile(np.arange(starts), iterations), "index", "1", "which start; 0 is the given one")
+        table.add(
+            "iteration",
+            np.repeat(np.arange(iterations), starts),
+            "index",
+            "1",
+            "steps taken before",
+        )
+        table.add(
+            "start",
+            np.tile(np.arange(starts), iterations),
+            "index",
+            "1",
+            "which start; 0 is the given one",
+        )
         types = {"ok": bool, "discarded": int}
         for i, (name, *about) in enumerate(history_columns(self.tuning, self.metrics)):
             table.add(name, self.rows[:, :, i].ravel().astype(types.get(name, float)), *about)
         lasted = np.diff([*(first for first, _ in self.codes), iterations])
         codes = np.repeat(np.array([code for _, code in self.codes], object), lasted * starts)
-        table.add("code", codes, "code", "1", "which code made the row, by its name in run.json; empty: not known")
+        table.add(
+            "code",
+            codes,
+            "code",
+            "1",
+            "which code made the row, by its name in run.json; empty: not known",
+        )
         return table.table({"tuning": self.tuning.digest()})
 
     def point(self, iteration: int, start: int) -> dict[str, Any]:
         """An evaluated point: `parameters`, `objective` and `metrics`; not finite where the robot did not walk."""
-        at = {name: float(self.column(name)[iteration, start]) for name in (*self.tuning.names, *self.metrics)}
+        at = {
+            name: float(self.column(name)[iteration, start])
+            for name in (*self.tuning.names, *self.metrics)
+        }
         return {
             "parameters": {name: at[name] for name in self.tuning.names},
             "objective": float(self.column("objective")[iteration, start]),
@@ -260,7 +297,10 @@ def history_columns(tuning: Tuning, metrics: Sequence[str]) -> list[HistoryColum
     parameters = tuning.parameters
     value = "value that is minimized; NaN where the robot did not walk to the end"
     found = [HistoryColumn("objective", "objective", "1", value)]
-    found += [HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc) for name in tuning.names]
+    found += [
+        HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc)
+        for name in tuning.names
+    ]
     for name in tuning.names:
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
         found.append(HistoryColumn(f"gradient.{name}", "gradient", unit, f"d objective / d {name}"))
@@ -269,8 +309,18 @@ def history_columns(tuning: Tuning, metrics: Sequence[str]) -> list[HistoryColum
     return [
         *found,
         HistoryColumn("ok", "status", "1", "whether the robot walked to the end"),
-        HistoryColumn("simulated_seconds", "effort", "s", "simulated by all starts so far, gradients at their cost"),
-        HistoryColumn("wall_seconds", "effort", "s", "wall time so far, over all sessions; never twice the same"),
+        HistoryColumn(
+            "simulated_seconds",
+            "effort",
+            "s",
+            "simulated by all starts so far, gradients at their cost",
+        ),
+        HistoryColumn(
+            "wall_seconds",
+            "effort",
+            "s",
+            "wall time so far, over all sessions; never twice the same",
+        ),
     ]
 
 
@@ -304,7 +354,10 @@ class TuningDirectory:
     """
 
     def __init__(
-        self, out: str | os.PathLike[str], tuning: Tuning, warn: Callable[[str], None] = lambda _: None
+        self,
+        out: str | os.PathLike[str],
+        tuning: Tuning,
+        warn: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.out, self.tuning, self.warn = Path(out), tuning, warn
         self.held = RunDirectory(out, "tuning")
@@ -354,7 +407,9 @@ class TuningDirectory:
             return like, TuningHistory(self.tuning)
         parts, about = found
         codes = tuple((int(first), str(code)) for first, code in about["codes"])
-        return parts["state"], TuningHistory(self.tuning, tuple(about["metrics"]), parts["history"], codes)
+        return parts["state"], TuningHistory(
+            self.tuning, tuple(about["metrics"]), parts["history"], codes
+        )
 
     def _refuse(self, there: Mapping[str, Any], accept: bool) -> None:
         """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
@@ -368,7 +423,9 @@ class TuningDirectory:
                 f"{self.out} holds checkpoints of another tuning, with another {', '.join(apart)}; choose another "
                 "directory."
             )
-        difference = ", ".join(changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"]))
+        difference = ", ".join(
+            changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"])
+        )
         if not accept:
             raise OtherCode(
                 f"{self.out} was made with other defaults: {difference}; choose another directory, or resume with "
@@ -383,11 +440,15 @@ class TuningDirectory:
         if not len(history):
             follows = not any((self.out / name).exists() for name in made)
         else:
-            follows = content is None or (table is not None and table.num_rows <= history.rows[:, :, 0].size)
+            follows = content is None or (
+                table is not None and table.num_rows <= history.rows[:, :, 0].size
+            )
         if not follows:
             self.held.set_aside("of another history", (*made, TUNING), self.warn)
         setup = with_code_copied(self.tuning.setup, self.out.resolve(), self.held.write)
-        self.tuning = keep_recording(self.held, dataclasses.replace(self.tuning, setup=setup), self.warn)
+        self.tuning = keep_recording(
+            self.held, dataclasses.replace(self.tuning, setup=setup), self.warn
+        )
         write_described(self.held, TUNING, self.tuning, read_stored, self.warn)
 
     def keep(self, state: TuneState, history: TuningHistory) -> dict[str, Any] | None:
@@ -401,7 +462,9 @@ class TuningDirectory:
             "identity": self._identity,
         }
         with clear_errors(self.out):
-            self._checkpoints.save(int(state.iteration), {"state": state, "history": history.rows}, about)
+            self._checkpoints.save(
+                int(state.iteration), {"state": state, "history": history.rows}, about
+            )
         return self.publish(history)
 
     def publish(self, history: TuningHistory) -> dict[str, Any] | None:
@@ -431,7 +494,9 @@ def load_tuning(out: str | os.PathLike[str]) -> Tuning:
     return read_stored(Path(out) / TUNING)
 
 
-def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], None] = lambda _: None) -> Tuning:
+def keep_recording(
+    held: RunDirectory, tuning: Tuning, warn: Callable[[str], None] = lambda _: None
+) -> Tuning:
     """The tuning with its recording in the directory, where it is copied to; another one there is moved aside."""
     folder = held.out.resolve()
     if tuning.recording is None or tuning.recording.parent == folder:
@@ -458,7 +523,15 @@ def tuning_status(out: Path) -> Status:
         rows, notes = done, [*notes, str(best["stopped"])]
     complete = rows is not None and done >= rows and best is not None
     return status_of(
-        "evaluations", out, done, rows, complete, command="tune", spec=TUNING, engine=engine_of(out), notes=notes
+        "evaluations",
+        out,
+        done,
+        rows,
+        complete,
+        command="tune",
+        spec=TUNING,
+        engine=engine_of(out),
+        notes=notes,
     )
 
 
@@ -480,7 +553,11 @@ class Batches:
     """
 
     def __init__(
-        self, held: RunDirectory, search: Search, size: Callable[[], int], warn: Callable[[str], None]
+        self,
+        held: RunDirectory,
+        search: Search,
+        size: Callable[[], int],
+        warn: Callable[[str], None],
     ) -> None:
         """Make the directory this search's, or refuse.
 
@@ -494,13 +571,19 @@ class Batches:
         self.held, self.out, self._warn = held, held.out, warn
         path, folder = self.out / SEARCH, self.out.resolve()
         begun = _begun(path, "search", "results" if part_files(self.out) else "", Search.from_file)
-        sweep = dataclasses.replace(search.sweep, setup=with_code_copied(search.setup, folder, held.write))
+        sweep = dataclasses.replace(
+            search.sweep, setup=with_code_copied(search.setup, folder, held.write)
+        )
         batch = search.batch or (begun and begun.batch) or size()
         self.search = search = dataclasses.replace(search, sweep=sweep, batch=batch)
         if begun and begun.digest() != search.digest():
             other_order = ["order of the parameters under vary"]
-            raise _another(path, "search", changes(begun.decisive(), search.decisive()) or other_order)
-        if begun is None or begun.to_yaml(folder) != search.to_yaml(folder):  # as with more recordings
+            raise _another(
+                path, "search", changes(begun.decisive(), search.decisive()) or other_order
+            )
+        if begun is None or begun.to_yaml(folder) != search.to_yaml(
+            folder
+        ):  # as with more recordings
             held.write(SEARCH, search.to_yaml(folder).encode())
         self.runs = Runs(self.out, search.digest(), warn=warn, held=held)
         self._parts = {}
@@ -525,7 +608,10 @@ class Batches:
             near = near and np.allclose(stored, rows.values[axis.name], rtol=0.0, atol=room)
         if near:
             return table
-        before, now = table.schema.metadata.get(b"optimizer", b"").decode(), made_by(self.search.method)
+        before, now = (
+            table.schema.metadata.get(b"optimizer", b"").decode(),
+            made_by(self.search.method),
+        )
         if before != now:
             raise DirectoryError(
                 f"{part.path} holds points that {before} asked for, and {now} asks for others: install {before}, or "
@@ -538,7 +624,9 @@ class Batches:
         )
         return None
 
-    def write(self, batch: int, rows: Rows, first: int, found: Simulated, stamp: CodeStamp) -> pa.Table:
+    def write(
+        self, batch: int, rows: Rows, first: int, found: Simulated, stamp: CodeStamp
+    ) -> pa.Table:
         """Store a batch.
 
         Args:
@@ -558,9 +646,17 @@ class Batches:
         }
         metrics = {name: values[:count] for name, values in found.metrics.items()}
         index = first + np.arange(count)
-        table = chunk_table(self.search.sweep, rows, index, metrics, found.status[:count], stamp.id, about)
-        about_batch = {"unit": "1", "description": "batch that the run was part of", "role": "index"}
-        table = table.add_column(1, pa.field("batch", pa.int64(), metadata=about_batch), pa.array([batch] * count))
+        table = chunk_table(
+            self.search.sweep, rows, index, metrics, found.status[:count], stamp.id, about
+        )
+        about_batch = {
+            "unit": "1",
+            "description": "batch that the run was part of",
+            "role": "index",
+        }
+        table = table.add_column(
+            1, pa.field("batch", pa.int64(), metadata=about_batch), pa.array([batch] * count)
+        )
         self._parts[batch] = self.runs.add(keys_of_rows(self.search.sweep, rows), table)
         return table
 
@@ -592,12 +688,17 @@ class Evaluations:
             results = Results(part_files(results))
         columns = dict(results.columns(["batch", *search.aim.metrics]))
         batch = columns.pop("batch")[:: search.repeats].astype(int)
-        return cls(search, results, scores_of(search.aim, search.repeats, columns, results.well), batch)
+        return cls(
+            search, results, scores_of(search.aim, search.repeats, columns, results.well), batch
+        )
 
     def means(self, names: list[str], points: np.ndarray) -> dict[str, np.ndarray]:
         """Columns of some points (k,), means over their repeats."""
         repeats = self.search.repeats
-        return {name: values.reshape(-1, repeats)[points].mean(axis=1) for name, values in self.results.columns(names)}
+        return {
+            name: values.reshape(-1, repeats)[points].mean(axis=1)
+            for name, values in self.results.columns(names)
+        }
 
     def described(self, points: np.ndarray) -> list[dict[str, Any]]:
         """Row, parameters, objective and metrics of some points (k,)."""
@@ -683,7 +784,11 @@ def atlas_progress(found: Evaluations) -> tuple[np.ndarray, np.ndarray]:
     aim, scores = found.search.aim, found.scores
     cell = np.where(scores.allowed, cells_of(aim, scores.measures), -1)
     known = np.flatnonzero(cell >= 0)
-    floor = float(scores.quality[known[found.batch[known] == found.batch[known[0]]]].min()) if len(known) else 0.0
+    floor = (
+        float(scores.quality[known[found.batch[known] == found.batch[known[0]]]].min())
+        if len(known)
+        else 0.0
+    )
     best: dict[int, float] = {}
     filled, total = [], []
     for batch in range(int(found.batch.max()) + 1):
@@ -711,7 +816,10 @@ def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
     best |= {"evaluations": len(found.scores), "failed": int((~found.scores.ok).sum())}
     best |= {"simulated_seconds": found.simulated_seconds, "complete": complete}
     if batches.search.aim.pareto:
-        best |= {"front": found.described(found.front()), "hypervolume": float(hypervolumes(found)[0][-1])}
+        best |= {
+            "front": found.described(found.front()),
+            "hypervolume": float(hypervolumes(found)[0][-1]),
+        }
     if batches.search.aim.measures:
         filled, total = atlas_progress(found)
         cells = int(np.prod([each.cells for each in batches.search.aim.measures]))
@@ -733,9 +841,17 @@ def atlas_table(found: Evaluations) -> pa.Table:
     aim, schema = found.search.aim, found.results.schema
     cells, points = elites_of(aim, found.scores)
     table = Columns()
-    table.add("row", points * found.search.repeats, "index", "1", "first run of the elite, a row of results")
+    table.add(
+        "row",
+        points * found.search.repeats,
+        "index",
+        "1",
+        "first run of the elite, a row of results",
+    )
     table.add("cell", cells, "index", "1", "cell of the atlas; the last measure runs fastest")
-    for name, values in found.means([*found.search.names, *columns_of(found.results, "metric")], points).items():
+    for name, values in found.means(
+        [*found.search.names, *columns_of(found.results, "metric")], points
+    ).items():
         about: dict[str, Any] = meta(schema.field(name))
         table.add(name, values, **about)
     term = aim.objective.terms[0]
@@ -767,13 +883,17 @@ def rows_to_record(found: Evaluations, best: int) -> list[int]:
     if not count:
         return []
     if search.aim.kind == "objective":
-        order = np.argsort(np.where(found.scores.allowed, found.scores.cost[:, 0], np.inf), kind="stable")
+        order = np.argsort(
+            np.where(found.scores.allowed, found.scores.cost[:, 0], np.inf), kind="stable"
+        )
         points = order[: min(count, int(found.scores.allowed.sum()))]
     else:
         points = elites_of(search.aim, found.scores)[1] if search.aim.measures else found.front()
         points = points[np.unique(np.linspace(0, len(points) - 1, count).round().astype(int))]
         if best not in points:
-            points[np.abs(found.scores.cost[points, 0] - found.scores.cost[best, 0]).argmin()] = best
+            points[np.abs(found.scores.cost[points, 0] - found.scores.cost[best, 0]).argmin()] = (
+                best
+            )
     return (np.sort(points) * search.repeats).tolist()
 
 
@@ -796,7 +916,9 @@ def keep_recordings(batches: Batches, best: dict[str, Any], computer: SweepSimul
         values = {name: np.full(len(part), value) for name, value in search.sweep.constants.items()}
         values |= {name: column[part] for name, column in found.results.columns(drawn)}
         result = computer.simulator().run(values, search.run, record=True)
-        for world, (row, end) in enumerate(zip(part, search.seconds(values, len(part)).tolist(), strict=True)):
+        for world, (row, end) in enumerate(
+            zip(part, search.seconds(values, len(part)).tolist(), strict=True)
+        ):
             result.recording(world).between(0.0, end).save(files[row])
     return list(files.values())
 
@@ -812,7 +934,9 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
     search = Search.from_file(out / SEARCH)
     table = read_table(out)
     if not 0 <= row < table.num_rows:
-        raise SpecError(f"row is {row}: allowed is 0 to {table.num_rows - 1}, as far as the search has come.")
+        raise SpecError(
+            f"row is {row}: allowed is 0 to {table.num_rows - 1}, as far as the search has come."
+        )
     stored = table.slice(row, 1).to_pylist()[0]
     values = {name: np.array([stored[name]]) for name in columns_of(table, "varied", "randomized")}
     index = {name: np.array([stored[name]]) for name in ("variant", "repeat", "seed")}
@@ -836,14 +960,29 @@ def search_status(out: Path) -> Status:
     for path in part_files(out):
         if about := metadata_of(path, notes, "it will be run again."):
             runs += about.num_rows
-    done, budget = runs // (1 if search is None else search.repeats), None if search is None else search.evaluations
+    done, budget = (
+        runs // (1 if search is None else search.repeats),
+        None if search is None else search.evaluations,
+    )
     reached = False
     try:
         best = stored_json(out / BEST) or {}
-        spent = 0.0 if search is None else search.reached(best["evaluations"], best["simulated_seconds"])
+        spent = (
+            0.0
+            if search is None
+            else search.reached(best["evaluations"], best["simulated_seconds"])
+        )
         reached = bool(best["complete"]) and spent >= 1.0 and best["evaluations"] == done
     except (TypeError, KeyError):
         pass
     return status_of(
-        "evaluations", out, done, budget, reached, command="search", spec=SEARCH, engine=engine_of(out), notes=notes
+        "evaluations",
+        out,
+        done,
+        budget,
+        reached,
+        command="search",
+        spec=SEARCH,
+        engine=engine_of(out),
+        notes=notes,
     )

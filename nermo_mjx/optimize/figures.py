@@ -117,7 +117,9 @@ class Traces:
     def unwrapped(self, tuned: Tuned) -> np.ndarray:
         """Values of a parameter (n, starts) in its own unit; a periodic one continues beyond its bounds."""
         values = self.column(tuned.name)
-        return np.unwrap(values, axis=0, period=tuned.high - tuned.low) if tuned.periodic else values
+        return (
+            np.unwrap(values, axis=0, period=tuned.high - tuned.low) if tuned.periodic else values
+        )
 
     def in_shown_unit(self, name: str, value: float | np.ndarray) -> np.ndarray:
         """Values of a parameter or metric as figures show them."""
@@ -130,7 +132,9 @@ class Traces:
         """
         tuned = self.tuning.tuned
         ranges = np.array([each.high - each.low for each in tuned])
-        gradient = np.stack([self.column(f"gradient.{each.name}") for each in tuned], axis=-1) * ranges
+        gradient = (
+            np.stack([self.column(f"gradient.{each.name}") for each in tuned], axis=-1) * ranges
+        )
         norm = np.linalg.norm(gradient, axis=-1)
         return np.where(norm > 0, norm, np.nan)
 
@@ -147,7 +151,9 @@ def corner(ax: Axes, text: str, y: float = 1.01, va: Literal["bottom", "top"] = 
     ax.annotate(text, (1, y), xycoords="axes fraction", ha="right", va=va, fontsize=8, color=MUTED)
 
 
-def star(ax: Axes, x: Any, y: Any, size: float = 150, lw: float | None = None, zorder: float = 8) -> None:
+def star(
+    ax: Axes, x: Any, y: Any, size: float = 150, lw: float | None = None, zorder: float = 8
+) -> None:
     """A star at the best point."""
     ax.scatter(x, y, s=size, marker="*", fc=BEST, ec="white", lw=lw, zorder=zorder, clip_on=False)
 
@@ -167,17 +173,27 @@ MOST_PANELS: Final = 12
 _PANEL, _MARGINS = 1.75, 0.85
 #: A path shorter than this fraction of its bounds is shown enlarged.
 _ZOOM: Final = 0.2
-_AIMS: Final = {"maximize": "more is better", "minimize": "less is better", "hold": "dashed: to be held"}
+_AIMS: Final = {
+    "maximize": "more is better",
+    "minimize": "less is better",
+    "hold": "dashed: to be held",
+}
 
 
 def objective_figure(traces: Traces) -> Figure:
     """The objective of each start with the best so far, and below it each metric that the objective reads."""
-    terms = {term.metric: term for term in traces.tuning.objective.terms if term.metric != TRAJECTORY_ERROR}
+    terms = {
+        term.metric: term
+        for term in traces.tuning.objective.terms
+        if term.metric != TRAJECTORY_ERROR
+    }
     iteration, start = traces.best
     best = traces.column("objective")[iteration, start]
     where = f" of start {start}" if traces.starts > 1 else ""
     note = f"{_what(traces)}; dashed: best so far; star: best, {best:.4g} in iteration {iteration}{where}"
-    figure = page("Objective over the iterations (lower is better)", _WIDTH, 2.9 + _PANEL * len(terms), note)
+    figure = page(
+        "Objective over the iterations (lower is better)", _WIDTH, 2.9 + _PANEL * len(terms), note
+    )
     axes = _column(figure, 1 + len(terms))
     value = traces.column("objective")
     _draw_starts(axes[0], traces, value)
@@ -191,9 +207,17 @@ def objective_figure(traces: Traces) -> Figure:
     for each, style in start_styles(traces).items():
         fell = traces.iterations[~traces.ok[:, each]]
         if len(fell):
-            cross: dict[str, Any] = {"color": style["color"], "ms": 5, "mew": 1.4, "clip_on": False, "zorder": 5}
+            cross: dict[str, Any] = {
+                "color": style["color"],
+                "ms": 5,
+                "mew": 1.4,
+                "clip_on": False,
+                "zorder": 5,
+            }
             top = np.full(len(fell), 0.97)
-            axes[0].plot(fell, top, "x", transform=axes[0].get_xaxis_transform(), label=label, **cross)
+            axes[0].plot(
+                fell, top, "x", transform=axes[0].get_xaxis_transform(), label=label, **cross
+            )
             label = None
     for ax, (metric, term) in zip(axes[1:], terms.items(), strict=True):
         quantity = traces.quantity(metric)
@@ -214,7 +238,9 @@ def parameters_figure(traces: Traces) -> Figure:
     """Each parameter over the iterations, in its unit, with its bounds; a periodic one continues beyond them."""
     tuned = traces.tuning.tuned[:MOST_PANELS]
     left_out = len(traces.tuning.tuned) - len(tuned)
-    note = f"{_what(traces)}; dashed: bounds, or where a periodic parameter wraps around; star: best"
+    note = (
+        f"{_what(traces)}; dashed: bounds, or where a periodic parameter wraps around; star: best"
+    )
     note += f"; {left_out} more parameters are not shown" if left_out else ""
     columns = 1 if len(tuned) <= 3 else 2
     rows = math.ceil(len(tuned) / columns)
@@ -227,7 +253,9 @@ def parameters_figure(traces: Traces) -> Figure:
         _draw_starts(ax, traces, values)
         _draw_bounds(ax, traces, each, values)
         star(ax, traces.best[0], values[traces.best], lw=0.9, zorder=6)
-        ax.set_ylabel(traces.quantity(each.name).label.replace(" [", "\n["))  # long names are longer than a panel
+        ax.set_ylabel(
+            traces.quantity(each.name).label.replace(" [", "\n[")
+        )  # long names are longer than a panel
     for ax in axes[max(0, len(tuned) - columns) : len(tuned)]:
         ax.tick_params(labelbottom=True)
     _finish(axes[: len(tuned)], traces, columns)
@@ -255,32 +283,58 @@ def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
     if len(drawn) <= len(START_COLOURS):
         names = {start: f"start {start}" + (" (given)" if start == 0 else "") for start in drawn}
         few = zip(drawn, START_COLOURS, strict=False)
-        styles = {start: {"color": colour, "lw": 1.6, "zorder": 3, "label": names[start]} for start, colour in few}
+        styles = {
+            start: {"color": colour, "lw": 1.6, "zorder": 3, "label": names[start]}
+            for start, colour in few
+        }
         styles[best]["zorder"] = 4
         return styles if len(drawn) > 1 else {best: styles[best] | {"label": None}}
-    styles = {start: {"color": BAND, "lw": 0.9, "alpha": 0.8, "zorder": 2, "label": None} for start in drawn}
+    styles = {
+        start: {"color": BAND, "lw": 0.9, "alpha": 0.8, "zorder": 2, "label": None}
+        for start in drawn
+    }
     styles[drawn[-1]]["label"] = "other starts"
-    styles[0] |= {"color": START_COLOURS[1], "lw": 1.4, "alpha": 1.0, "zorder": 3, "label": "start 0 (given)"}
-    styles[best] |= {"color": LINE, "lw": 1.8, "alpha": 1.0, "zorder": 4, "label": f"start {best} (best)"}
+    styles[0] |= {
+        "color": START_COLOURS[1],
+        "lw": 1.4,
+        "alpha": 1.0,
+        "zorder": 3,
+        "label": "start 0 (given)",
+    }
+    styles[best] |= {
+        "color": LINE,
+        "lw": 1.8,
+        "alpha": 1.0,
+        "zorder": 4,
+        "label": f"start {best} (best)",
+    }
     return styles
 
 
 def _column(figure: Figure, count: int) -> list[Axes]:
     """Panels below one another, the first one a little higher."""
-    return list(figure.subplots(count, 1, sharex=True, squeeze=False, height_ratios=[1.3] + [1] * (count - 1))[:, 0])
+    return list(
+        figure.subplots(
+            count, 1, sharex=True, squeeze=False, height_ratios=[1.3] + [1] * (count - 1)
+        )[:, 0]
+    )
 
 
 def _what(traces: Traces) -> str:
     profile = profile_text([traces.tuning.setup.profile])
     starts, drawn = traces.starts, len(traces.drawn())
     some = f" ({drawn} of them drawn)" if drawn < starts else ""
-    return f"{profile}; {len(traces.iterations)} evaluations" + (f" of {starts:,} starts{some}" if starts > 1 else "")
+    return f"{profile}; {len(traces.iterations)} evaluations" + (
+        f" of {starts:,} starts{some}" if starts > 1 else ""
+    )
 
 
 def _draw_starts(ax: Axes, traces: Traces, values: np.ndarray) -> None:
     """A line for each start; `values` are (n, starts)."""
     marker: dict[str, Any] = (
-        {"marker": "o", "ms": 3.0, "mec": "white", "mew": 0.4} if len(traces.iterations) <= 60 else {}
+        {"marker": "o", "ms": 3.0, "mec": "white", "mew": 0.4}
+        if len(traces.iterations) <= 60
+        else {}
     )
     for start, style in start_styles(traces).items():
         own = marker if style["lw"] > 1 else {}
@@ -299,7 +353,9 @@ def _cut(ax: Axes, values: np.ndarray) -> None:
 
 def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> None:
     """The bounds, and the axis about them, or about the path where it is short."""
-    low, high = (float(traces.in_shown_unit(tuned.name, bound)) for bound in (tuned.low, tuned.high))
+    low, high = (
+        float(traces.in_shown_unit(tuned.name, bound)) for bound in (tuned.low, tuned.high)
+    )
     least, most, span = float(values.min()), float(values.max()), high - low
     text = f"{low:.4g} to {high:.4g}, {'periodic' if tuned.periodic else 'bounds'}"
     corner(ax, text)
@@ -311,7 +367,9 @@ def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> 
     first, last = ax.get_ylim()
     unit = traces.quantity(tuned.name).unit
     set_scales(
-        ax, ShownValues("iteration", "", traces.iterations), ShownValues(tuned.name, unit, np.array([first, last]))
+        ax,
+        ShownValues("iteration", "", traces.iterations),
+        ShownValues(tuned.name, unit, np.array([first, last])),
     )
     if tuned.periodic:
         turns = range(math.floor((first - low) / span), math.ceil((last - low) / span) + 1)
@@ -361,7 +419,11 @@ class Landscape:
 
 
 def landscape_runs(
-    out: Path, tuning: Tuning, best: Mapping[str, float], warn: Warn | None = None, held: RunDirectory | None = None
+    out: Path,
+    tuning: Tuning,
+    best: Mapping[str, float],
+    warn: Warn | None = None,
+    held: RunDirectory | None = None,
 ) -> Runs:
     """The store of a tuning's directory, where the grid's points are one part, simulated only once.
 
@@ -373,7 +435,9 @@ def landscape_runs(
     """
     axes = grid_axes(tuning)
     others = {name: best[name] for name in tuning.names if name not in axes}
-    group = digest_of(tuning.without_path().digest(), [nodes.tolist() for nodes in axes.values()], others)
+    group = digest_of(
+        tuning.without_path().digest(), [nodes.tolist() for nodes in axes.values()], others
+    )
     return Runs(out, group, warn=warn, held=held)
 
 
@@ -404,20 +468,44 @@ def simulate(
     """
     axes, periodic = grid_axes(tuning), {each.name for each in tuning.tuned if each.periodic}
     walked = [nodes[:-1] if name in periodic else nodes for name, nodes in axes.items()]
-    grid = dict(zip(axes, (column.ravel() for column in np.meshgrid(*walked, indexing="ij")), strict=True))
+    grid = dict(
+        zip(axes, (column.ravel() for column in np.meshgrid(*walked, indexing="ij")), strict=True)
+    )
     others = {name: best[name] for name in tuning.names if name not in axes}
     count = len(next(iter(grid.values())))
     fixed = {name: np.full(count, value) for name, value in {**tuning.constants, **others}.items()}
     result = simulator.run({**fixed, **grid}, tuning.run, progress=progress)
     status = np.asarray(result.status)
-    value = np.where(status == "ok", np.asarray(tuning.objective.value(result.metrics), float), np.nan)
+    value = np.where(
+        status == "ok", np.asarray(tuning.objective.value(result.metrics), float), np.nan
+    )
     table, parameters = Columns(), tuning.parameters
-    table.add("row", np.arange(count), "index", "1", "position on the grid, the last parameter running fastest")
+    table.add(
+        "row",
+        np.arange(count),
+        "index",
+        "1",
+        "position on the grid, the last parameter running fastest",
+    )
     for name, column in (grid | {name: fixed[name] for name in others}).items():
-        table.add(name, column, "varied" if name in grid else "fixed", parameters[name].unit, parameters[name].doc)
-    table.add("objective", value, "objective", "1", "value that is minimized; NaN where the robot fell")
+        table.add(
+            name,
+            column,
+            "varied" if name in grid else "fixed",
+            parameters[name].unit,
+            parameters[name].doc,
+        )
+    table.add(
+        "objective", value, "objective", "1", "value that is minimized; NaN where the robot fell"
+    )
     for name in tuning.objective.metrics:
-        table.add(name, np.asarray(result.metrics[name]), "metric", tuning.metrics[name].unit, tuning.metrics[name].doc)
+        table.add(
+            name,
+            np.asarray(result.metrics[name]),
+            "metric",
+            tuning.metrics[name].unit,
+            tuning.metrics[name].doc,
+        )
     table.add("status", status, "status", "1", "ok, or how the run ended")
     made_by = stamp(tuning.setup.load().fingerprint, result.engine)
     about = {"engine": result.engine, "code": json.dumps(made_by.fields())}
@@ -431,7 +519,9 @@ def landscape_of(tuning: Tuning, table: pa.Table) -> Landscape:
     shape = [len(nodes) - wraps for nodes, wraps in zip(axes.values(), periodic, strict=True)]
     value = table.column("objective").to_numpy().reshape(shape)
     value = np.pad(value, [(0, int(wraps)) for wraps in periodic], mode="wrap")
-    return Landscape(axes, value, f"{table.num_rows} walks, engine {table.schema.metadata[b'engine'].decode()}")
+    return Landscape(
+        axes, value, f"{table.num_rows} walks, engine {table.schema.metadata[b'engine'].decode()}"
+    )
 
 
 def stored_landscape(tuning: Tuning, runs: Runs) -> Landscape | None:
@@ -462,11 +552,15 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     beneath = profile_text([traces.tuning.setup.profile])
     if landscape is not None:
         rest = len(traces.tuning.tuned) - len(landscape.axes)
-        beneath += f"; landscape: {landscape.walks}" + (", the other parameters as in the best point" if rest else "")
+        beneath += f"; landscape: {landscape.walks}" + (
+            ", the other parameters as in the best point" if rest else ""
+        )
     if len(traces.tuning.tuned) == 1:
         return _line(traces, landscape, beneath)
     pair = traces.tuning.tuned[:2]
-    note = f"ring: start; dot: end; star: best; {beneath}" + "; colour: objective" * (landscape is None)
+    note = f"ring: start; dot: end; star: best; {beneath}" + "; colour: objective" * (
+        landscape is None
+    )
     figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if landscape is None else MISSING)
@@ -480,15 +574,30 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
         path, turns = [path[:, start] for path in paths], []
         for tuned, values, (low, high) in zip(pair, path, ends, strict=True):
             first, last = (
-                math.floor((end - low) / (high - low)) * tuned.periodic for end in (values.min(), values.max())
+                math.floor((end - low) / (high - low)) * tuned.periodic
+                for end in (values.min(), values.max())
             )
             turns.append(range(first, last + 1))
-        copies = list(itertools.product(*turns))  # so that all pieces of the path lie within the bounds
+        copies = list(
+            itertools.product(*turns)
+        )  # so that all pieces of the path lie within the bounds
         look: Literal["best", "", "thin"] = "best" if start == traces.best[1] else ""
-        _draw_path(ax, path, copies, [float(np.ptp(end)) for end in ends], "thin" if landscape is None else look)
-    best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in pair]
+        _draw_path(
+            ax,
+            path,
+            copies,
+            [float(np.ptp(end)) for end in ends],
+            "thin" if landscape is None else look,
+        )
+    best = [
+        float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best]))
+        for each in pair
+    ]
     star(ax, best[0], best[1], 230, 1.2)
-    quantities = [ShownValues(t.name, traces.quantity(t.name).unit, end) for t, end in zip(pair, ends, strict=True)]
+    quantities = [
+        ShownValues(t.name, traces.quantity(t.name).unit, end)
+        for t, end in zip(pair, ends, strict=True)
+    ]
     set_scales(ax, *quantities)
     ax.set(xlabel=quantities[0].label, ylabel=quantities[1].label, xlim=ends[0], ylim=ends[1])
     return figure
@@ -503,7 +612,10 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     if landscape is not None:
         nodes = traces.in_shown_unit(each.name, landscape.axes[each.name])
         ax.plot(nodes, landscape.value, color=MUTED, lw=1.4, zorder=1)
-    place, value = traces.in_shown_unit(each.name, traces.column(each.name)), traces.column("objective")
+    place, value = (
+        traces.in_shown_unit(each.name, traces.column(each.name)),
+        traces.column("objective"),
+    )
     for start, style in start_styles(traces).items():
         dots = {name: style[name] for name in ("color", "zorder", "label")}
         sizes = np.linspace(8, 40, len(place))
@@ -520,7 +632,19 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
 
 def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landscape) -> None:
     """Filled contours; where the robot did not walk to the end, grey hatching shows through."""
-    ax.add_patch(Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white", hatch="////", lw=0, zorder=0))
+    ax.add_patch(
+        Rectangle(
+            (0, 0),
+            1,
+            1,
+            transform=ax.transAxes,
+            fc=MISSING,
+            ec="white",
+            hatch="////",
+            lw=0,
+            zorder=0,
+        )
+    )
     good = landscape.value[np.isfinite(landscape.value)]
     if not len(good):
         return
@@ -529,24 +653,41 @@ def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landsca
     x, y = (traces.in_shown_unit(name, nodes) for name, nodes in landscape.axes.items())
     cut = "max" if good.max() > high else "neither"
     # The outermost points stand a little inside of the bounds, and their colours reach there.
-    x[[0, -1]], y[[0, -1]] = (traces.in_shown_unit(t.name, np.array(t.bounds)) for t in traces.tuning.tuned[:2])
+    x[[0, -1]], y[[0, -1]] = (
+        traces.in_shown_unit(t.name, np.array(t.bounds)) for t in traces.tuning.tuned[:2]
+    )
     shown = np.ma.masked_invalid(landscape.value.T)
     # The lines are denser towards the best point, and evenly spaced if the objective is a parabola.
     levels = low + (high - low) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
     scale = PowerNorm(0.5, low, high)
     ax.contourf(x, y, shown, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
-    ax.contour(x, y, shown, levels[::2], colors="white", linewidths=0.5, linestyles="solid", alpha=0.45, zorder=2)
+    ax.contour(
+        x,
+        y,
+        shown,
+        levels[::2],
+        colors="white",
+        linewidths=0.5,
+        linestyles="solid",
+        alpha=0.45,
+        zorder=2,
+    )
     colour_bar(figure, ax, ScalarMappable(scale, _COLOURS), _LABEL, aspect=28, extend=cut)
 
 
 def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
     """Without a landscape, each visited point has the colour of its objective."""
-    x, y = (traces.in_shown_unit(each.name, traces.column(each.name)) for each in traces.tuning.tuned[:2])
+    x, y = (
+        traces.in_shown_unit(each.name, traces.column(each.name))
+        for each in traces.tuning.tuned[:2]
+    )
     value = traces.column("objective")
     drawn, good = traces.drawn(), value[np.isfinite(value)]
     low, high = float(good.min()), float(np.quantile(good, _COVERED))
     scale = Normalize(low, high if high > low else low + 1e-9)
-    points = ax.scatter(x[:, drawn], y[:, drawn], c=value[:, drawn], s=22, cmap=_COLOURS, lw=0, zorder=5, norm=scale)
+    points = ax.scatter(
+        x[:, drawn], y[:, drawn], c=value[:, drawn], s=22, cmap=_COLOURS, lw=0, zorder=5, norm=scale
+    )
     colour_bar(figure, ax, points, _LABEL, aspect=28)
     ax.grid(color=GRID, lw=0.8)
     ax.set_axisbelow(True)
@@ -572,7 +713,15 @@ def _draw_path(
             ax.plot(x, y, color=MUTED, lw=0.8, zorder=4)
             ax.plot(x[:1], y[:1], ms=8, mfc="none", mec=INK, mew=1.2, **mark)
         else:
-            ax.plot(x, y, color="white", lw=width, path_effects=halo, zorder=layer, solid_capstyle="round")
+            ax.plot(
+                x,
+                y,
+                color="white",
+                lw=width,
+                path_effects=halo,
+                zorder=layer,
+                solid_capstyle="round",
+            )
             if look == "best":
                 ax.plot(x[1:-1], y[1:-1], ls="none", marker="o", ms=2.2, color=INK, zorder=layer)
             ax.plot(x[:1], y[:1], ms=7, mfc="none", mec=INK, mew=3.2, **mark)
@@ -584,7 +733,9 @@ def _draw_path(
 # The figures of a tuning.
 
 
-def tuning_figures_of(tuning: Tuning, history: pa.Table, landscape: Landscape | None = None) -> Figures:
+def tuning_figures_of(
+    tuning: Tuning, history: pa.Table, landscape: Landscape | None = None
+) -> Figures:
     """The figures of a tuning: `objective`, `parameters`, `gradients` and `path`.
 
     Args:
@@ -613,7 +764,11 @@ def tuning_figures(out: Path) -> Figures:
         )
     traces = Traces(tuning, history)
     best = {name: float(traces.column(name)[traces.best]) for name in tuning.names}
-    landscape = stored_landscape(tuning, landscape_runs(out, tuning, best)) if has_landscape(tuning) else None
+    landscape = (
+        stored_landscape(tuning, landscape_runs(out, tuning, best))
+        if has_landscape(tuning)
+        else None
+    )
     return tuning_figures_of(tuning, history, landscape)
 
 
@@ -649,7 +804,12 @@ def make_figures(
             if not runs.parts:
                 drawing("landscape")
                 try:
-                    table = simulate(tuning, best["parameters"], simulator(), lambda share: drawing("landscape", share))
+                    table = simulate(
+                        tuning,
+                        best["parameters"],
+                        simulator(),
+                        lambda share: drawing("landscape", share),
+                    )
                     retire(directory.held, runs.group)
                     values = {name: table[name].to_numpy() for name in grid_axes(tuning)}
                     runs.add(keys_of(runs.group, values, table.num_rows), table)
@@ -685,10 +845,16 @@ def search_figures_of(search: Search, results: Results) -> Figures:
     else:
         yield "convergence", convergence(found)
     metric = search.aim.objective.terms[0].metric
-    yield from ((name, figure) for name, figure in survey_figures(results, metric) if name.endswith("-parallel"))
+    yield from (
+        (name, figure)
+        for name, figure in survey_figures(results, metric)
+        if name.endswith("-parallel")
+    )
 
 
-def search_figures(out: Path, *, x: str | None = None, y: str | None = None, color: str | None = None) -> Figures:
+def search_figures(
+    out: Path, *, x: str | None = None, y: str | None = None, color: str | None = None
+) -> Figures:
     """The figures of a search's directory, as far as it goes.
 
     Args:
@@ -710,7 +876,9 @@ def search_figures(out: Path, *, x: str | None = None, y: str | None = None, col
     if y is not None or color is not None:
         raise ParameterError("x is not given, beside y or color: name it, too.")
     if Evaluations.of(search, results).best() is None:
-        raise DirectoryError(f"there is nothing to draw of {out}: no point is within the constraints.")
+        raise DirectoryError(
+            f"there is nothing to draw of {out}: no point is within the constraints."
+        )
     return search_figures_of(search, results)
 
 
@@ -721,18 +889,24 @@ def convergence(found: Evaluations) -> Figure:
     number = np.arange(1, len(values) + 1)
     cost = np.where(allowed, found.scores.cost[:, 0], np.inf)
     best = int(np.argmin(cost))
-    first = np.concatenate([[True], cost[1:] < np.minimum.accumulate(cost)[:-1]])  # better than all before it
+    first = np.concatenate(
+        [[True], cost[1:] < np.minimum.accumulate(cost)[:-1]]
+    )  # better than all before it
     leading = np.maximum.accumulate(np.where(first, np.arange(len(cost)), 0))
     note = f"{_counted(found)}; line: best so far; star: best, {quantity.shown(values[best])} at {_at(found, best)}"
     figure = page(f"{_title(quantity)} over the evaluations", _WIDTH, 4.4, note)
     ax = figure.subplots()
-    ax.scatter(number[allowed], values[allowed], s=9, color=BAND, lw=0, rasterized=len(values) > 2000)
+    ax.scatter(
+        number[allowed], values[allowed], s=9, color=BAND, lw=0, rasterized=len(values) > 2000
+    )
     reached = np.isfinite(cost[leading])
     ax.step(number[reached], values[leading][reached], where="post", color=LINE)
     star(ax, number[best], values[best], 170, zorder=5)
     if not allowed.all():  # short lines at the bottom where a point fell or broke a constraint
         height = np.full(int((~allowed).sum()), 0.01)
-        ax.plot(number[~allowed], height, "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform())
+        ax.plot(
+            number[~allowed], height, "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform()
+        )
     terms = found.search.aim.objective.terms
     higher = len(terms) == 1 and terms[0].aim == "maximize"
     low, high = np.nanquantile(values[allowed], [0.01, 1.0] if higher else [0.0, 0.99])
@@ -771,7 +945,8 @@ def hypervolume(found: Evaluations) -> Figure:
         quantity = _quantity(found, term.metric, _as_metric(term, value))
         corner.append(f"{term.metric} {quantity.shown(float(quantity.values))}")
     note = (
-        f"{_counted(found)}; box: from the best of each objective to the worst of the first batch, {', '.join(corner)}"
+        f"{_counted(found)}; box: from the best of each objective to the worst of the first batch,"
+        f" {', '.join(corner)}"
     )
     figure = page("Hypervolume of the front over the evaluations", _WIDTH, 3.6, note)
     ax = figure.subplots()
@@ -784,7 +959,10 @@ def hypervolume(found: Evaluations) -> Figure:
 def coverage(found: Evaluations) -> Figure:
     """Filled cells and QD score over the evaluations."""
     filled, total = atlas_progress(found)
-    cells, terms = int(np.prod([each.cells for each in found.search.aim.measures])), found.search.aim.objective.terms
+    cells, terms = (
+        int(np.prod([each.cells for each in found.search.aim.measures])),
+        found.search.aim.objective.terms,
+    )
     note = f"{_counted(found)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
     note += "what their best is better than the worst of the first batch"
     figure = page("Filled cells and QD score over the evaluations", _WIDTH, 4.8, note)
@@ -832,7 +1010,13 @@ def atlas(found: Evaluations) -> Figure:
 
 
 def _map(
-    ax: Axes, found: Evaluations, points: np.ndarray, z: ShownValues, scale: Normalize, pair: tuple[int, int], best: int
+    ax: Axes,
+    found: Evaluations,
+    points: np.ndarray,
+    z: ShownValues,
+    scale: Normalize,
+    pair: tuple[int, int],
+    best: int,
 ) -> None:
     """Cells of two measures, coloured by the best point in each."""
     measures = [found.search.aim.measures[i] for i in pair]
@@ -843,16 +1027,22 @@ def _map(
         edges.append(_edges(found, each))
         at.append(_quantity(found, each.metric, found.scores.measures[best, i]).values)
     grid = np.full([each.cells for each in measures], np.nan)
-    order = np.argsort(found.scores.quality[points], kind="stable")  # the best of several comes last
+    order = np.argsort(
+        found.scores.quality[points], kind="stable"
+    )  # the best of several comes last
     grid[places[0][order], places[1][order]] = z.values[points[order]]
     ax.set_facecolor("#fafafa")
-    ax.pcolormesh(edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS)
+    ax.pcolormesh(
+        edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS
+    )
     star(ax, at[0], at[1], 190, 1.3, zorder=5)
     set_scales(ax, *edges)
     ax.set(xlabel=edges[0].label, ylabel=edges[1].label)
 
 
-def _bars(found: Evaluations, points: np.ndarray, z: ShownValues, best: int, title: str, note: str) -> Figure:
+def _bars(
+    found: Evaluations, points: np.ndarray, z: ShownValues, best: int, title: str, note: str
+) -> Figure:
     """The best point over one measure."""
     (measure,) = found.search.aim.measures
     figure = page(title, _WIDTH, 3.9, note)
@@ -860,8 +1050,20 @@ def _bars(found: Evaluations, points: np.ndarray, z: ShownValues, best: int, tit
     edges = _edges(found, measure)
     cell = cells_of(found.search.aim, found.scores.measures[points])
     values = z.values[points]
-    floor = min(float(values.min()), 0.0) if np.ptp(values) == 0 else float(values.min() - 0.1 * np.ptp(values))
-    ax.bar(edges.values[cell], values - floor, np.diff(edges.values)[cell], floor, align="edge", color=BAND, ec="white")
+    floor = (
+        min(float(values.min()), 0.0)
+        if np.ptp(values) == 0
+        else float(values.min() - 0.1 * np.ptp(values))
+    )
+    ax.bar(
+        edges.values[cell],
+        values - floor,
+        np.diff(edges.values)[cell],
+        floor,
+        align="edge",
+        color=BAND,
+        ec="white",
+    )
     at = _quantity(found, measure.metric, found.scores.measures[best, 0])
     star(ax, at.values, z.values[best], 170, zorder=5)
     ax.set(xlabel=edges.label, ylabel=z.label, xlim=(edges.values[0], edges.values[-1]))
@@ -887,7 +1089,11 @@ def _term_values(found: Evaluations, place: int) -> ShownValues:
 
 def _as_metric(term: ObjectiveTerm, cost: np.ndarray | float) -> np.ndarray | float:
     """The metric of a cost, of a term that maximizes or minimizes it."""
-    return cost if term.aim == "hold" else cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
+    return (
+        cost
+        if term.aim == "hold"
+        else cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
+    )
 
 
 def _quantity(found: Evaluations, metric: str, values: np.ndarray | float) -> ShownValues:
@@ -896,7 +1102,9 @@ def _quantity(found: Evaluations, metric: str, values: np.ndarray | float) -> Sh
 
 def _edges(found: Evaluations, measure: Measure) -> ShownValues:
     """The edges of a measure's cells."""
-    return _quantity(found, measure.metric, np.linspace(measure.low, measure.high, measure.cells + 1))
+    return _quantity(
+        found, measure.metric, np.linspace(measure.low, measure.high, measure.cells + 1)
+    )
 
 
 def _title(quantity: ShownValues) -> str:
@@ -912,7 +1120,10 @@ def _at(found: Evaluations, point: int) -> str:
 
 
 def _counted(found: Evaluations) -> str:
-    lost, broken = int((~found.scores.ok).sum()), int((found.scores.ok & ~found.scores.allowed).sum())
+    lost, broken = (
+        int((~found.scores.ok).sum()),
+        int((found.scores.ok & ~found.scores.allowed).sum()),
+    )
     text = profile_text(profiles_of(found.results))
     text += f"; {len(found.scores):,} evaluations by {found.search.method.name.replace('_', '-').upper()}"
     text += f", each the mean of {found.search.repeats} runs" if found.search.repeats > 1 else ""

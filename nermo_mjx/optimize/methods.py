@@ -137,7 +137,9 @@ class Tuner:
     """Steps a tuning on a problem along gradients; two small programs run before and after the problem's large one."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
-        assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
+        assert tuple(problem.names) == tuning.names, (
+            "a problem takes the tuned parameters in the order of the file"
+        )
         self.tuning, self.problem, self.bounds = tuning, problem, tuning.bounds
         self.seconds, self.cost = problem.simulated_seconds, problem.gradient_cost
 
@@ -145,7 +147,9 @@ class Tuner:
         """Evaluate the points of a state and take one step from them."""
         points = placed(self.bounds, state)
         found = self.problem.evaluate(points, True)
-        after, ok = _advanced(self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok)
+        after, ok = _advanced(
+            self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok
+        )
         ok = np.asarray(ok)
         return after, Iterate(
             points=np.asarray(points, float),
@@ -183,14 +187,16 @@ def _advanced(
     gradient = jnp.where(ok[:, None], gradient, 0.0) * slope(bounds, state.u)
     better = ok & (value < state.best_value)
     best_u = jnp.where(better[:, None], state.u, state.best_u)
-    step, updated = jax.vmap(lambda gradient, past, u, value: update(gradient, past, u, value=value))(
-        gradient, state.optimizer, state.u, jnp.where(ok, value, jnp.inf)
-    )
+    step, updated = jax.vmap(
+        lambda gradient, past, u, value: update(gradient, past, u, value=value)
+    )(gradient, state.optimizer, state.u, jnp.where(ok, value, jnp.inf))
     forward = confine(bounds, state.u + step)
     waits = ~ok & (not optimizer.reads_values)
     u = jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward)
     kept = jax.tree.map(
-        lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new), updated, state.optimizer
+        lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new),
+        updated,
+        state.optimizer,
     )
     return state.after(u, kept, better, state.u, value), ok
 
@@ -214,7 +220,9 @@ class Space:
         axes, defaults = search.sweep.axes, search.sweep.parameters
         self.dimensions = len(axes)
         self.periodic = np.array([is_turn(axis.name, *axis.numbers[:2]) for axis in axes])
-        self.first = np.array([_share(axis, float(np.asarray(defaults[axis.name].default))) for axis in axes])
+        self.first = np.array(
+            [_share(axis, float(np.asarray(defaults[axis.name].default))) for axis in axes]
+        )
         self._seed = search.sweep.seed
 
     def shares(self, coordinates: np.ndarray) -> np.ndarray:
@@ -226,7 +234,9 @@ class Space:
     def spread(self, count: int) -> np.ndarray:
         """Shares to begin with (count, p): the published gait, then points of a scrambled Sobol sequence."""
         points = qmc.Sobol(self.dimensions, rng=np.random.default_rng(self._seed))
-        return np.concatenate([self.first[None], points.random_base2(max(count - 1, 1).bit_length())])[:count]
+        return np.concatenate(
+            [self.first[None], points.random_base2(max(count - 1, 1).bit_length())]
+        )[:count]
 
 
 def _share(axis: Axis, value: float) -> float:
@@ -272,7 +282,9 @@ class Scores:
         return -self.cost[:, 0]
 
 
-def scores_of(aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: np.ndarray) -> Scores:
+def scores_of(
+    aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: np.ndarray
+) -> Scores:
     """The scores of points, each with all of its repeats side by side.
 
     A metric counts by its mean over the repeats. A point of which one run is lost counts as the worst.
@@ -281,8 +293,14 @@ def scores_of(aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: n
         metrics: name -> (n * repeats,), at least those of the aim.
         well: which runs succeeded (n * repeats,).
     """
-    means = {name: np.asarray(metrics[name], float).reshape(-1, repeats).mean(axis=1) for name in aim.metrics}
-    good = [counts(name, np.asarray(metrics[name], float), np.asarray(well, bool)) for name in aim.metrics]
+    means = {
+        name: np.asarray(metrics[name], float).reshape(-1, repeats).mean(axis=1)
+        for name in aim.metrics
+    }
+    good = [
+        counts(name, np.asarray(metrics[name], float), np.asarray(well, bool))
+        for name in aim.metrics
+    ]
     ok: np.ndarray = np.logical_and.reduce(good).reshape(-1, repeats).all(axis=1)
     terms = [np.asarray(term.value(means[term.metric]), float) for term in aim.objective.terms]
     cost = np.stack(terms, axis=1) if aim.pareto else np.sum(terms, axis=0)[:, None]
@@ -291,8 +309,13 @@ def scores_of(aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: n
         measures[:, i] = means[measure.metric]
     violation = np.zeros(len(ok))
     for limit in aim.limits:
-        value, unit = means[limit.metric], max(abs(b) for b in (limit.low, limit.high) if np.isfinite(b)) or 1.0
-        violation += np.maximum(value - limit.high, 0.0) / unit + np.maximum(limit.low - value, 0.0) / unit
+        value, unit = (
+            means[limit.metric],
+            max(abs(b) for b in (limit.low, limit.high) if np.isfinite(b)) or 1.0,
+        )
+        violation += (
+            np.maximum(value - limit.high, 0.0) / unit + np.maximum(limit.low - value, 0.0) / unit
+        )
     ok &= np.isfinite(cost).all(axis=1) & np.isfinite(measures).all(axis=1) & np.isfinite(violation)
     lost = ~ok
     cost[lost], measures[lost], violation[lost] = np.nan, np.nan, np.nan
@@ -305,7 +328,9 @@ def ranked_cost(scores: Scores, worst: float) -> np.ndarray:
     Args:
         worst: highest cost of an allowed point so far; it only has to be finite.
     """
-    cost = np.where(scores.allowed, scores.cost[:, 0], worst + 1.0 + np.nan_to_num(scores.violation))
+    cost = np.where(
+        scores.allowed, scores.cost[:, 0], worst + 1.0 + np.nan_to_num(scores.violation)
+    )
     fallen = worst + 2.0 + np.nanmax(np.append(scores.violation, 0.0))
     return np.where(scores.ok, cost, fallen)
 
@@ -317,7 +342,9 @@ def cells_of(aim: Aim, measures: np.ndarray) -> np.ndarray:
         measures: (n, m).
     """
     cell, inside = np.zeros(len(measures), int), np.isfinite(measures).all(axis=1)
-    for values, measure in zip(np.where(inside[:, None], measures, 0.0).T, aim.measures, strict=True):
+    for values, measure in zip(
+        np.where(inside[:, None], measures, 0.0).T, aim.measures, strict=True
+    ):
         inside &= (values >= measure.low) & (values <= measure.high)
         place = np.floor((values - measure.low) / (measure.high - measure.low) * measure.cells)
         cell = cell * measure.cells + np.clip(place, 0, measure.cells - 1).astype(int)
@@ -337,7 +364,9 @@ def elites_of(aim: Aim, scores: Scores) -> tuple[np.ndarray, np.ndarray]:
 # CMA-ES with restarts, for one objective of a search.
 
 
-def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any) -> Any:
+def strategy(
+    start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any
+) -> Any:
     """Hansen's CMA-ES with its own random generator, since NumPy's global one is shared.
 
     Args:
@@ -416,7 +445,11 @@ class RestartedCma(Searcher):
         if self._method.restarts == "none" or not self._strategy.stop():
             return
         start = self._rng.random(self._space.dimensions)
-        small = self._method.restarts == "bipop" and self._grown > 0 and self._used["small"] < self._used["large"]
+        small = (
+            self._method.restarts == "bipop"
+            and self._grown > 0
+            and self._used["small"] < self._used["large"]
+        )
         self._regime = "small" if small else "large"
         if small:
             grown = GROWTH**self._grown
@@ -444,16 +477,16 @@ class Genetic(Searcher):
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
         from pymoo.algorithms.moo.nsga2 import NSGA2
-        from pymoo.config import Config
         from pymoo.core.problem import Problem
         from pymoo.core.termination import NoTermination
 
-        Config.warnings["not_compiled"] = False
         objectives = len(search.aim.objective.terms)
         problem = Problem(n_var=space.dimensions, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0)
         self._algorithm = NSGA2(pop_size=batch, sampling=space.spread(batch))
         # Without an end of its own: the budget is the search's.
-        self._algorithm.setup(problem, termination=NoTermination(), seed=search.sweep.seed, verbose=False)
+        self._algorithm.setup(
+            problem, termination=NoTermination(), seed=search.sweep.seed, verbose=False
+        )
 
     def ask(self) -> Request:
         self._population = self._algorithm.ask()
@@ -487,7 +520,12 @@ class AtlasEmitters(Searcher):
             from ribs.archives import GridArchive
 
         assert isinstance(search.method, CmaMe)
-        self._space, self._aim, self._seed, self._batch = space, search.aim, search.sweep.seed, batch
+        self._space, self._aim, self._seed, self._batch = (
+            space,
+            search.aim,
+            search.sweep.seed,
+            batch,
+        )
         self._method, self._count = search.method, max(1, min(search.method.emitters, batch // 2))
         self._archive = GridArchive(
             solution_dim=space.dimensions,
@@ -537,7 +575,12 @@ class AtlasEmitters(Searcher):
         chosen = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
         sizes = [len(part) for part in np.array_split(np.arange(self._batch), self._count)]
         for i, (start, size) in enumerate(zip(elites["solution"][chosen], sizes, strict=True)):
-            common: dict[str, Any] = {"x0": start, "sigma0": self._method.sigma, "batch_size": size, "ranker": "2imp"}
+            common: dict[str, Any] = {
+                "x0": start,
+                "sigma0": self._method.sigma,
+                "batch_size": size,
+                "ranker": "2imp",
+            }
             common["seed"] = self._seed + i + 1
             self._emitters.append(EvolutionStrategyEmitter(self._archive, **common))
 
@@ -562,15 +605,22 @@ class SobolSample(Searcher):
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
         self._batch, self._first = batch, space.first
-        self._points, self._begun = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)), False
+        self._points, self._begun = (
+            qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)),
+            False,
+        )
 
     def ask(self) -> Request:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # one point less than a power of two: the published gait stands for it
+            warnings.simplefilter(
+                "ignore"
+            )  # one point less than a power of two: the published gait stands for it
             if self._begun:
                 return Request(self._points.random(self._batch))
             self._begun = True
-            return Request(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
+            return Request(
+                np.concatenate([self._first[None], self._points.random(self._batch - 1)])
+            )
 
     def tell(self, found: Scores) -> None:
         """The points do not depend on it."""
@@ -598,7 +648,11 @@ def searcher(search: Search, batch: int) -> Searcher:
 
 def check_library(method: SearchMethod) -> None:
     """Raises `ParameterError` if the library of a method is not installed."""
-    require(f"method is {method.name}, which", method.library, "cma" if method.library == "cma" else "search")
+    require(
+        f"method is {method.name}, which",
+        method.library,
+        "cma" if method.library == "cma" else "search",
+    )
 
 
 def made_by(method: SearchMethod) -> str:

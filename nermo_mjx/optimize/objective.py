@@ -21,7 +21,9 @@ from nermo_mjx.specs.values import MEASURED, Choice, Finite, Positive
 TRAJECTORY_ERROR: Final = "trajectory_error"
 #: Metrics about the outcome of a run rather than the quality of the walk: flags, or functions of the run's length.
 _NO_AIM: Final = ("distance", "duration", "fell", "diverged", "failure_time")
-TRAJECTORY_METRIC: Final = Metric("1", "mean squared difference from the recording, over its variance", "low")
+TRAJECTORY_METRIC: Final = Metric(
+    "1", "mean squared difference from the recording, over its variance", "low"
+)
 #: Aims of a term for its metric.
 AIMS: Final = ("maximize", "minimize", "hold")
 TERMS: Final = "a list such as [{maximize: speed}, {minimize: roll_std, weight: 0.5, scale: 0.05}]"
@@ -83,9 +85,13 @@ class ObjectiveTerm(Spec):
     def __post_init__(self) -> None:
         named = [aim for aim in AIMS if getattr(self, aim) is not None]
         if len(named) != 1:
-            raise Refused(f"names {len(named)} metrics: expected one, under {', '.join(AIMS[:-1])} or {AIMS[-1]}.")
+            raise Refused(
+                f"names {len(named)} metrics: expected one, under {', '.join(AIMS[:-1])} or {AIMS[-1]}."
+            )
         if self.at is not None and self.hold is None:
-            raise Refused("is not a field of a term that holds nothing; allowed are weight, scale.", "at")
+            raise Refused(
+                "is not a field of a term that holds nothing; allowed are weight, scale.", "at"
+            )
         if self.at is None and self.hold is not None:
             raise Refused(f"holds {self.hold} without 'at': give the value to hold it at.")
 

@@ -78,7 +78,9 @@ def controlled_adam(rate: float = RATE) -> optax.GradientTransformationExtraArgs
 
     def init(u: Array) -> ControlledAdam:
         most = jnp.asarray(jnp.inf, u.dtype)
-        return ControlledAdam(direction.init(u), jnp.asarray(rate, u.dtype), most, u, jnp.zeros((), int))
+        return ControlledAdam(
+            direction.init(u), jnp.asarray(rate, u.dtype), most, u, jnp.zeros((), int)
+        )
 
     def update(
         gradient: Array, state: ControlledAdam, u: Array | None = None, *, value: Array, **_: object
@@ -152,19 +154,32 @@ class Optimizer:
         if make is None:
             allowed = f"{', '.join(NAMES)}{did_you_mean(self.name, NAMES)}"
             raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {allowed}")
-        values = {k: _schedule(k, value) if isinstance(value, Mapping) else value for k, value in self.options.items()}
+        values = {
+            k: _schedule(k, value) if isinstance(value, Mapping) else value
+            for k, value in self.options.items()
+        }
         chosen = _call("optimizer", self.name, make, values)
-        chosen = chosen if self.clip is None else optax.chain(optax.clip_by_global_norm(self.clip), chosen)
+        chosen = (
+            chosen
+            if self.clip is None
+            else optax.chain(optax.clip_by_global_norm(self.clip), chosen)
+        )
         return optax.with_extra_args_support(chosen)
 
     def written(self) -> dict[str, Any]:
         """As written in a tuning file."""
-        return {"name": self.name, **self.options} | ({} if self.clip is None else {"clip": self.clip})
+        return {"name": self.name, **self.options} | (
+            {} if self.clip is None else {"clip": self.clip}
+        )
 
 
 def optimizers() -> dict[str, Callable[..., optax.GradientTransformation]]:
     """`controlled_adam`, and the optimizers of optax that have a learning rate, by name."""
-    known = {name: each for name, each in _functions() if "learning_rate" in inspect.signature(each).parameters}
+    known = {
+        name: each
+        for name, each in _functions()
+        if "learning_rate" in inspect.signature(each).parameters
+    }
     return {CONTROLLED: controlled_adam, **known}
 
 
@@ -177,7 +192,9 @@ def _functions() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Public functions of optax, whole transformations only."""
     for name in dir(optax):
         each = getattr(optax, name)
-        if isinstance(each, (types.FunctionType, functools.partial)) and not name.startswith(("_", "scale_by_")):
+        if isinstance(each, (types.FunctionType, functools.partial)) and not name.startswith(
+            ("_", "scale_by_")
+        ):
             yield name, each
 
 
@@ -190,7 +207,9 @@ def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
         name, values = next((str(name), dict(options)) for name, options in values.items())
     else:
         example = "{name: cosine_decay_schedule, init_value: 0.1, decay_steps: 40}"
-        raise ParameterError(f"{field} is {describe(written)}: expected a number, or a schedule such as {example}.")
+        raise ParameterError(
+            f"{field} is {describe(written)}: expected a number, or a schedule such as {example}."
+        )
     known = schedules()
     full = next((name + ending for ending in _SCHEDULE_ENDINGS if name + ending in known), None)
     if full is None:
@@ -212,18 +231,26 @@ def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
 def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, Any]) -> Any:
     """`make(**values)`; what it does not know, lacks or cannot use is a sentence about `field`."""
     parameters = inspect.signature(make).parameters.values()
-    options = {each.name: each for each in parameters if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)}
+    options = {
+        each.name: each
+        for each in parameters
+        if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)
+    }
     for option in values:
         if option not in options:
             allowed = f"{', '.join(options)}{did_you_mean(option, options)}"
-            raise ParameterError(f"{field}.{option} is not an option of {name}; allowed are {allowed}")
+            raise ParameterError(
+                f"{field}.{option} is not an option of {name}; allowed are {allowed}"
+            )
     for option, about in options.items():
         if about.default is about.empty and option not in values:
             raise ParameterError(f"{field} is {name} without {option}: it has no default there.")
     try:
         return make(**values)
     except Exception as error:  # whatever optax says about a value
-        raise ParameterError(f"{field} is {name}, which refuses its options: {_line(error)}.") from None
+        raise ParameterError(
+            f"{field} is {name}, which refuses its options: {_line(error)}."
+        ) from None
 
 
 @functools.lru_cache
@@ -244,11 +271,17 @@ def _try_out(optimizer: Optimizer) -> None:
             before = jax.eval_shape(jax.vmap(chosen.init), point)
             step, after = jax.jit(lambda: updated(updated(jax.vmap(chosen.init)(point))[1]))()
         except Exception as error:
-            raise ParameterError(f"{named}, which does not work from gradients alone: {_line(error)}.") from None
+            raise ParameterError(
+                f"{named}, which does not work from gradients alone: {_line(error)}."
+            ) from None
     if any(jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(after)):
-        raise ParameterError(f"{named}, which draws random numbers of its own, and a checkpoint cannot hold them.")
+        raise ParameterError(
+            f"{named}, which draws random numbers of its own, and a checkpoint cannot hold them."
+        )
     if not np.isfinite(step).all() or before != jax.eval_shape(lambda: after):
-        raise ParameterError(f"{named}, whose steps with these options are {step[0]}: expected finite numbers.")
+        raise ParameterError(
+            f"{named}, whose steps with these options are {step[0]}: expected finite numbers."
+        )
 
 
 def _line(error: Exception) -> str:

@@ -34,7 +34,10 @@ class WalkProblem:
     """Implements `objective.Problem`: walks of the engine `c`, and gradients as the tuning's method has them."""
 
     def __init__(
-        self, tuning: Tuning, reference: Reference | None = None, simulator: SimulatorLike | None = None
+        self,
+        tuning: Tuning,
+        reference: Reference | None = None,
+        simulator: SimulatorLike | None = None,
     ) -> None:
         """
         Args:
@@ -45,15 +48,23 @@ class WalkProblem:
         Raises:
             ParameterError: the tuning's recording cannot be compared with its walk.
         """
-        self.tuning, self.names, self.reference, self._given = tuning, tuning.names, reference, simulator
+        self.tuning, self.names, self.reference, self._given = (
+            tuning,
+            tuning.names,
+            reference,
+            simulator,
+        )
         lowest, method = {each.name: each.low for each in tuning.tuned}, tuning.method
         self.simulated_seconds = tuning.seconds(lowest)
         self.gradient_cost = method.gradient_cost(len(self.names))
-        self.rollout = Rollout(tuning.setup, tuning.run, tuning.engine, slowest=lowest.get("frequency"))
+        self.rollout = Rollout(
+            tuning.setup, tuning.run, tuning.engine, slowest=lowest.get("frequency")
+        )
         if reference is None and tuning.recording is not None:
             self.reference = load_reference(tuning.recording, self.rollout, self.simulated_seconds)
         self._exact = jax.jit(
-            jax.vmap(jax.value_and_grad(self._walk, has_aux=True)), compiler_options=compiler_options()
+            jax.vmap(jax.value_and_grad(self._walk, has_aux=True)),
+            compiler_options=compiler_options(),
         )
 
     def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
@@ -77,15 +88,26 @@ class WalkProblem:
             return _evaluation(value, None, metrics, ok)
         if not isinstance(method, Differences):
             limit = cpu_batch_limit() or len(points)
-            parts = [self._derived(points[first : first + limit]) for first in range(0, len(points), limit)]
-            return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+            parts = [
+                self._derived(points[first : first + limit])
+                for first in range(0, len(points), limit)
+            ]
+            return (
+                parts[0]
+                if len(parts) == 1
+                else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+            )
         at = np.asarray(points, float)
         (n, p), central = at.shape, method.scheme == "central"
-        low, high = (np.array([getattr(each, end) for each in self.tuning.tuned]) for end in ("low", "high"))
+        low, high = (
+            np.array([getattr(each, end) for each in self.tuning.tuned]) for end in ("low", "high")
+        )
         periodic = np.array([each.periodic for each in self.tuning.tuned])
         # Each point and its neighbours (n, worlds, p), and where they are along each parameter, unwrapped.
         steps = np.diag(method.step * (high - low))
-        worlds = at[:, None] + np.concatenate([np.zeros((1, p)), steps, *([-steps] if central else [])])
+        worlds = at[:, None] + np.concatenate(
+            [np.zeros((1, p)), steps, *([-steps] if central else [])]
+        )
         if not central:
             worlds = np.where(~periodic & (worlds > high), 2.0 * worlds[:, :1] - worlds, worlds)
         reach = np.where(periodic, worlds, np.clip(worlds, low, high))
@@ -107,7 +129,9 @@ class WalkProblem:
 
     def _walk(self, point: Float[Array, " p"]) -> tuple[Float[Array, ""], dict[str, Array]]:
         """Objective and metrics of one walk."""
-        values: dict[str, Any] = dict(self.tuning.constants) | dict(zip(self.names, point, strict=True))
+        values: dict[str, Any] = dict(self.tuning.constants) | dict(
+            zip(self.names, point, strict=True)
+        )
         if self.reference is None:
             metrics = self.rollout(values)
         else:
@@ -123,7 +147,9 @@ class WalkProblem:
         Args:
             others: parameters beside the tuned ones, name -> (n,).
         """
-        values = {name: np.full(len(points), value) for name, value in self.tuning.constants.items()}
+        values = {
+            name: np.full(len(points), value) for name, value in self.tuning.constants.items()
+        }
         values |= {name: points[:, i] for i, name in enumerate(self.names)} | dict(others or {})
         how: dict[str, Any] = {"record": True} if self.reference is not None else {}
         result = self.simulator.run(values, self.tuning.run, **how)
@@ -181,7 +207,9 @@ def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
             f"recording is {path}, from {first:.3g} to {last:.3g} s: expected all of the run, from its start to "
             f"{time[-1]:.3g} s."
         )
-    qpos = np.stack([np.interp(time, recording.time, column) for column in recording.qpos.T], axis=-1)
+    qpos = np.stack(
+        [np.interp(time, recording.time, column) for column in recording.qpos.T], axis=-1
+    )
     place = np.arange(qpos.shape[1]) - rollout.robot.joints.root
     least = np.where((place >= 0) & (place < 3), *_LEAST_SPREAD)
     return Reference(qpos, 1.0 / np.maximum(qpos.std(axis=0), least) ** 2)
@@ -210,7 +238,9 @@ class Evaluator:
         """Stamp of the code and the model that simulate here."""
         return stamp(self._setup.load().fingerprint, self._engine)
 
-    def __call__(self, task: tuple[np.ndarray, bool], progress: Callable[[float], None] | None = None) -> Evaluation:
+    def __call__(
+        self, task: tuple[np.ndarray, bool], progress: Callable[[float], None] | None = None
+    ) -> Evaluation:
         """Points (n, p), with gradients or without; the same as NumPy arrays."""
         points, gradient = task
         self.warm()

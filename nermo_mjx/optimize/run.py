@@ -58,7 +58,14 @@ from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name, pace
+from nermo_mjx.sweep.simulating import (
+    Simulated,
+    SimulatorLike,
+    SweepSimulator,
+    chunk_rows_here,
+    engine_name,
+    pace,
+)
 from nermo_mjx.sweep.spec import Rows, Sample
 from nermo_mjx.sweep.store import batch_values
 from nermo_mjx.sweep.table import Results, read_table
@@ -140,7 +147,9 @@ def run_tuning(
 
         def report(best: float | None = None, numbers: Mapping[str, float] | None = None) -> None:
             done = min(len(history), total)
-            watch.progress(Progress(done / total, done, total, resumed, best=best, numbers=numbers or {}))
+            watch.progress(
+                Progress(done / total, done, total, resumed, best=best, numbers=numbers or {})
+            )
 
         goes_on = not history.done
         if goes_on:
@@ -148,7 +157,9 @@ def run_tuning(
             directory.held.take_code(made_by, holds_rows=resumed > 0, accept=accept_new_code)
         report()
         if goes_on:
-            shared = SharedProblem(tuning, problem or WalkProblem(tuning), workers or LocalWorkers())
+            shared = SharedProblem(
+                tuning, problem or WalkProblem(tuning), workers or LocalWorkers()
+            )
             tuner = Tuner(tuning, shared)
         directory.claim(history)
         if goes_on:
@@ -167,21 +178,31 @@ def run_tuning(
             numbers: dict[str, float] = {}
             if np.isfinite(iterate.value).any():
                 columns = iterate.metrics | {"objective": iterate.value}
-                numbers = {name: float(column[np.nanargmin(iterate.value)]) for name, column in columns.items()}
+                numbers = {
+                    name: float(column[np.nanargmin(iterate.value)])
+                    for name, column in columns.items()
+                }
             if best is not None:
                 numbers["simulated_seconds"] = best["simulated_seconds"]
             report(None if best is None else best["objective"], numbers)
-        walker: Callable[[], SimulatorLike] | None = None  # nothing is simulated beside a given problem
+        walker: Callable[[], SimulatorLike] | None = (
+            None  # nothing is simulated beside a given problem
+        )
         if simulator is not None or problem is None:
             walker = functools.cache(lambda: simulator or Simulator(directory.tuning.setup, "c"))
         best, plots, notes = _publish(directory, history, walker, watch)
         start, table = history.start(), history.table()
         run = len(history) - resumed
-        return TuningResult(directory.out, directory.tuning, start, best, table, state, run, plots, notes)
+        return TuningResult(
+            directory.out, directory.tuning, start, best, table, state, run, plots, notes
+        )
 
 
 def _publish(
-    directory: TuningDirectory, history: TuningHistory, walker: Callable[[], SimulatorLike] | None, watch: Watch
+    directory: TuningDirectory,
+    history: TuningHistory,
+    walker: Callable[[], SimulatorLike] | None,
+    watch: Watch,
 ) -> tuple[dict[str, Any], tuple[Path, ...], tuple[str, ...]]:
     """Write what is made of a complete history; the content of best.json, files of the figures, and notes."""
     best, start, notes = directory.publish(history), history.start(), tuple[str, ...]()
@@ -207,7 +228,9 @@ WALKS: Final = 8
 _UNSEEN: Final = 0x5EED
 
 
-def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulator: SimulatorLike) -> dict[str, Any]:
+def verified(
+    tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulator: SimulatorLike
+) -> dict[str, Any]:
     """Results of named points on the engine `c`, each simulated from the same few slightly different starts.
 
     Starts are spread like those of a sweep's repeats. A walk that is compared with a recording has its start, and is
@@ -230,8 +253,12 @@ def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulato
         for name, width in START_SPREAD.items()
         if name in tuning.parameters and name not in known and not compared
     }
-    at = np.repeat([[each[name] for name in tuning.names] for each in points.values()], walks, axis=0)
-    value, metrics, ok = problem.walk(at, {name: np.tile(column, len(points)) for name, column in spread.items()})
+    at = np.repeat(
+        [[each[name] for name in tuning.names] for each in points.values()], walks, axis=0
+    )
+    value, metrics, ok = problem.walk(
+        at, {name: np.tile(column, len(points)) for name, column in spread.items()}
+    )
     found: dict[str, Any] = {"engine": "c", "walks": walks}
     for i, name in enumerate(points):
         mine = i * walks + np.flatnonzero(ok[i * walks : (i + 1) * walks])
@@ -242,7 +269,10 @@ def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulato
                 "objective": float(value[mine].mean()),
                 "lowest": float(value[mine].min()),
                 "highest": float(value[mine].max()),
-                "metrics": {metric: float(metrics[metric][mine].mean()) for metric in tuning.objective.metrics},
+                "metrics": {
+                    metric: float(metrics[metric][mine].mean())
+                    for metric in tuning.objective.metrics
+                },
             }
     return found
 
@@ -269,7 +299,9 @@ def batch_points(search: Search, engine: str) -> int:
     expected = search.evaluations or 1000
     least = 4 + int(3 * math.log(len(search.names)))
     if resolve_engine(engine) == "c":
-        full = cpu_count() * (ATLAS_WORLDS if search.aim.measures else CORE_WORLDS) // search.repeats
+        full = (
+            cpu_count() * (ATLAS_WORLDS if search.aim.measures else CORE_WORLDS) // search.repeats
+        )
     else:
         full = chunk_rows_here(engine, expected * search.repeats) // search.repeats
     return max(least, 4, min(full, expected // GENERATIONS))
@@ -364,24 +396,43 @@ def run_search(
             )
         recordings = keep_recordings(batches, best, computer)
         results = Results(part_files(batches.out))
-        plots = write_figures(search_figures_of(search, results), batches.out / "plots") if search.plots else []
+        plots = (
+            write_figures(search_figures_of(search, results), batches.out / "plots")
+            if search.plots
+            else []
+        )
         return SearchResult(batches.out, search, best, loop.evaluated, recordings, plots)
 
 
 class SearchLoop:
     """The batches of a search, one after the other; `evaluated` points were evaluated here, and not read."""
 
-    def __init__(self, batches: Batches, workers: Workers, computer: SweepSimulator, watch: Watch) -> None:
-        self._batches, self._workers, self._computer, self._watch = batches, workers, computer, watch
+    def __init__(
+        self, batches: Batches, workers: Workers, computer: SweepSimulator, watch: Watch
+    ) -> None:
+        self._batches, self._workers, self._computer, self._watch = (
+            batches,
+            workers,
+            computer,
+            watch,
+        )
         self._search, self._size = batches.search, batches.search.batch or 1
         self.evaluated = self._evaluations = self._resumed = 0
-        self._seconds, self._measured = 0.0, False  # simulated so far; whether some run walked to its end
+        self._seconds, self._measured = (
+            0.0,
+            False,
+        )  # simulated so far; whether some run walked to its end
         self._best: float | None = None
         self._cells = set[int]()
 
     def run(self, accept: bool) -> None:
         """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
-        search, repeats, stamp, published = self._search, self._search.repeats, None, time.monotonic()
+        search, repeats, stamp, published = (
+            self._search,
+            self._search.repeats,
+            None,
+            time.monotonic(),
+        )
         method, shares, batch = searcher(search, self._size), np.empty((0, len(search.names))), 0
         while search.reached(self._evaluations, self._seconds) < 1.0:
             request = method.ask()
@@ -396,7 +447,9 @@ class SearchLoop:
                     self._report()
                     stamp = self._workers.begin(self._computer)
                     self._batches.runs.take_codes([stamp], accept=accept)
-                    about = session(engine=self._computer.engine, code=stamp.id, begun_at=self._evaluations)
+                    about = session(
+                        engine=self._computer.engine, code=stamp.id, begun_at=self._evaluations
+                    )
                     self._batches.held.note_session(about)
                 table = self._batches.write(batch, rows, first, self._simulate(batch, rows), stamp)
                 self.evaluated += len(request.points)
@@ -414,7 +467,14 @@ class SearchLoop:
         part = share * (search.reached(self._size, 0.0) if search.evaluations is not None else 0.0)
         fraction = min(1.0, search.reached(self._evaluations, self._seconds) + part)
         cells = {"cells": float(len(self._cells))} if search.aim.measures else {}
-        done = Progress(fraction, self._evaluations, search.evaluations, self._resumed, best=self._best, numbers=cells)
+        done = Progress(
+            fraction,
+            self._evaluations,
+            search.evaluations,
+            self._resumed,
+            best=self._best,
+            numbers=cells,
+        )
         self._watch.progress(done)
 
     def _simulate(self, batch: int, rows: Rows) -> Simulated:
@@ -423,13 +483,19 @@ class SearchLoop:
         parts = [np.arange(len(rows))[begin : begin + size] for begin in range(0, len(rows), size)]
 
         def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
-            for k, part in enumerate(parts):  # the engine c has lanes of its own; there nothing need be filled up
+            for k, part in enumerate(
+                parts
+            ):  # the engine c has lanes of its own; there nothing need be filled up
                 filled = len(part) if self._computer.engine == "c" else size
                 yield k, (0, batch_values(self._search.sweep, rows.take(part), filled))
 
         began = time.perf_counter()
         try:
-            done = dict(self._workers.results(tasks(), lambda k, share: self._report((k + share) / len(parts))))
+            done = dict(
+                self._workers.results(
+                    tasks(), lambda k, share: self._report((k + share) / len(parts))
+                )
+            )
         except TaskFailed as failed:
             named = f"batch {batch} of {self._batches.out}"
             if isinstance(failed.error, ParameterError):
@@ -441,9 +507,13 @@ class SearchLoop:
             ) from failed.error
         found = [(done[k], slice(len(part))) for k, part in enumerate(parts)]
         names = found[0][0].metrics
-        metrics = {name: np.concatenate([each.metrics[name][own] for each, own in found]) for name in names}
+        metrics = {
+            name: np.concatenate([each.metrics[name][own] for each, own in found]) for name in names
+        }
         status = np.concatenate([each.status[own] for each, own in found])
-        return Simulated(metrics, status, sum(each.steps for each, _ in found), time.perf_counter() - began)
+        return Simulated(
+            metrics, status, sum(each.steps for each, _ in found), time.perf_counter() - began
+        )
 
     def _scores(self, table: pa.Table) -> Scores:
         """What a batch's rows say of its points."""
@@ -460,7 +530,9 @@ class SearchLoop:
         self._measured = self._measured or bool(well.any())
         scores = scores_of(aim, self._search.repeats, metrics, well)
         if aim.measures:
-            self._cells |= {int(cell) for cell in cells_of(aim, scores.measures)[scores.allowed] if cell >= 0}
+            self._cells |= {
+                int(cell) for cell in cells_of(aim, scores.measures)[scores.allowed] if cell >= 0
+            }
         if not aim.pareto and scores.allowed.any():
             least = float(scores.cost[scores.allowed, 0].min())
             self._best = least if self._best is None else min(self._best, least)
@@ -491,7 +563,10 @@ def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
     here, forecasts = pace_here(tuning), []
     others = (each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))
     for method in (tuning.method, *others):
-        engine, points = method.engine_for(len(tuning.names)), (tuning.iterations + 1) * tuning.starts
+        engine, points = (
+            method.engine_for(len(tuning.names)),
+            (tuning.iterations + 1) * tuning.starts,
+        )
         walks = points * method.gradient_cost(len(tuning.names))
         wall = walks * seconds / here
         if engine != "c":
@@ -514,7 +589,9 @@ _TRIED = 256
 _ROW_BYTES = 700
 
 
-def search_forecast(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Forecast:
+def search_forecast(
+    search: Search, engine: str = "auto", simulator: SimulatorLike | None = None
+) -> Forecast:
     """The cost of a search from the start, a run's length being its mean over the bounds.
 
     The counts are whole `batches`, the `evaluations` and `runs` in them, and `evaluations_per_batch`.
@@ -530,13 +607,26 @@ def search_forecast(search: Search, engine: str = "auto", simulator: SimulatorLi
     engine = resolve_engine(engine)
     batch = search.batch or batch_points(search, engine)
     shares = Space(search).spread(_TRIED)
-    rows = Sample(search.sweep, shares).take(np.arange(0, len(shares) * search.repeats, search.repeats))
+    rows = Sample(search.sweep, shares).take(
+        np.arange(0, len(shares) * search.repeats, search.repeats)
+    )
     point = search.repeats * float(np.mean(search.seconds(rows.values, len(rows))))
-    wanted = search.evaluations if search.evaluations is not None else (search.simulated_seconds or 0.0) / point
+    wanted = (
+        search.evaluations
+        if search.evaluations is not None
+        else (search.simulated_seconds or 0.0) / point
+    )
     batches = math.ceil(wanted / batch)
     evaluations = batches * batch
     simulator = simulator or Simulator(search.setup, engine)
     rate, runs = pace(simulator, search.setup, batch * search.repeats), evaluations * search.repeats
-    counts = {"evaluations": evaluations, "batches": batches, "evaluations_per_batch": batch, "runs": runs}
+    counts = {
+        "evaluations": evaluations,
+        "batches": batches,
+        "evaluations_per_batch": batch,
+        "runs": runs,
+    }
     said = f"{rate:,.0f} simulated seconds/s, measured now"
-    return Forecast(engine, counts, evaluations * point, evaluations * point / rate, said, runs * _ROW_BYTES)
+    return Forecast(
+        engine, counts, evaluations * point, evaluations * point / rate, said, runs * _ROW_BYTES
+    )

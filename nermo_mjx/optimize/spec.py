@@ -53,7 +53,15 @@ from nermo_mjx.specs.values import (
     Whole,
     check_value,
 )
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, read_walk, with_body, written_out
+from nermo_mjx.specs.walk import (
+    WalkFields,
+    WalkSpec,
+    check_reach,
+    check_sources,
+    read_walk,
+    with_body,
+    written_out,
+)
 from nermo_mjx.sweep.sampling import Axis, read_axis, read_draw
 from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
@@ -158,13 +166,17 @@ class Sobol(SearchMethod):
 
 
 #: Methods by their names in files; of a search the first one for an aim is its default.
-TUNING_METHODS: Final[Mapping[str, type[TuningMethod]]] = {m.name: m for m in (Gradient, Differences)}
+TUNING_METHODS: Final[Mapping[str, type[TuningMethod]]] = {
+    m.name: m for m in (Gradient, Differences)
+}
 #: Former names of methods of a tuning, which files may still contain; directories know a tuning by them.
 FORMER_METHODS: Final = {"gradient": "local_gradient", "differences": "wide_differences"}
 #: Numbers of parameters up to which a local gradient takes a tuning as far as a secant does, and up to which a secant
 #: takes it about as far as CMA-ES does: 2, 16 and 64 have been measured (docs/benchmarks/rematch.md).
 MOST_EXACT, MOST_SECANTS = 8, 32
-SEARCH_METHODS: Final[Mapping[str, type[SearchMethod]]] = {m.name: m for m in (Cma, Nsga2, CmaMe, Sobol)}
+SEARCH_METHODS: Final[Mapping[str, type[SearchMethod]]] = {
+    m.name: m for m in (Cma, Nsga2, CmaMe, Sobol)
+}
 
 
 def default_method(parameters: int) -> TuningMethod | None:
@@ -247,9 +259,18 @@ class Tuned(Spec):
             low, high = middle - 0.5 * period, middle + 0.5 * period
         # An open bound is allowed: no iterate ever stands on a bound; a closed one counts with its rounding.
         for bound in (low, high):
-            if not about.low - 1e-6 * abs(about.low) <= bound <= about.high + 1e-6 * abs(about.high):
-                doc.fail((*path, "bounds"), f"has the bound {bound:g}: allowed is {about.allowed()}.")
-        start, bounds = float(about.default) if self.start is None else self.start, f"[{low:g}, {high:g}]"
+            if (
+                not about.low - 1e-6 * abs(about.low)
+                <= bound
+                <= about.high + 1e-6 * abs(about.high)
+            ):
+                doc.fail(
+                    (*path, "bounds"), f"has the bound {bound:g}: allowed is {about.allowed()}."
+                )
+        start, bounds = (
+            float(about.default) if self.start is None else self.start,
+            f"[{low:g}, {high:g}]",
+        )
         if self.start is not None:
             check_value(doc, (*path, "start"), name, about, start)
             if not low <= start <= high:
@@ -332,10 +353,17 @@ class TuningFile(WalkFields):
     tune: Annotated[dict[str, Tuned | None], ByParameter()] = Field({})
     """tuned parameters"""
     objective: list[ObjectiveTerm] = optional("terms whose sum is minimized", minItems=1)
-    recording: Any = optional("path of the NPZ that trajectory_error compares with", type=["string", "null"])
+    recording: Any = optional(
+        "path of the NPZ that trajectory_error compares with", type=["string", "null"]
+    )
     method: Annotated[
         TuningMethod,
-        one_of("TuningMethod", "is not a method", TUNING_METHODS, {"cma": f"which was removed: {_SEARCH}"}),
+        one_of(
+            "TuningMethod",
+            "is not a method",
+            TUNING_METHODS,
+            {"cma": f"which was removed: {_SEARCH}"},
+        ),
         BeforeValidator(_present_method),
     ] = optional(
         "how an iteration finds its step: along local gradients or wide differences; the default depends on the number "
@@ -357,15 +385,24 @@ class TuningFile(WalkFields):
     def written_out(cls, given: Any) -> Any:
         """Without `video: false`, which the directories of earlier releases contain."""
         data = super().written_out(given)
-        return {key: data[key] for key in data if key != "video" or data[key]} if isinstance(data, dict) else data
+        return (
+            {key: data[key] for key in data if key != "video" or data[key]}
+            if isinstance(data, dict)
+            else data
+        )
 
     @classmethod
     def refuse(cls, key: str) -> None:
         if key == "video":
             replay = "nermo-mjx replay RUNS --row 0 --video FILE.mp4"
-            raise Refused(f"was removed: run nermo-mjx sweep DIR/tuned.yaml --out RUNS, and {replay}.", key)
+            raise Refused(
+                f"was removed: run nermo-mjx sweep DIR/tuned.yaml --out RUNS, and {replay}.", key
+            )
         if key in ("vary", "randomize", "sample"):
-            raise Refused("is a field of a sweep, not of a tuning: what is to change stands under 'tune'.", key)
+            raise Refused(
+                "is a field of a sweep, not of a tuning: what is to change stands under 'tune'.",
+                key,
+            )
         super().refuse(key)
 
 
@@ -390,7 +427,9 @@ class Tuning(WalkSpec, Described):
     method: TuningMethod
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str], body: str | None = None, *, recorded: bool = True) -> Tuning:
+    def from_file(
+        cls, path: str | os.PathLike[str], body: str | None = None, *, recorded: bool = True
+    ) -> Tuning:
         """See `Described.from_file`. Without `recorded`, its recording may be gone."""
         return _read_tuning(with_body(read_file(path, cls.kind), body), recorded=recorded)
 
@@ -411,7 +450,9 @@ class Tuning(WalkSpec, Described):
     @property
     def bounds(self) -> Bounds:
         """Bounds of the tuned parameters, as arrays (p,)."""
-        low, high = (jnp.array([getattr(each, end) for each in self.tuned], float) for end in ("low", "high"))
+        low, high = (
+            jnp.array([getattr(each, end) for each in self.tuned], float) for end in ("low", "high")
+        )
         return Bounds(low, high, jnp.array([each.periodic for each in self.tuned]))
 
     @property
@@ -421,16 +462,24 @@ class Tuning(WalkSpec, Described):
 
     def seconds(self, values: Mapping[str, float]) -> float:
         """How long a run with these parameters lasts [s]."""
-        timing = {name: value for name, value in (self.constants | dict(values)).items() if name in self.setup.timing}
+        timing = {
+            name: value
+            for name, value in (self.constants | dict(values)).items()
+            if name in self.setup.timing
+        }
         return float(self.run.seconds(self.setup.cycle_rate(timing))[1])
 
     def start_points(self) -> np.ndarray:
         """Where each start begins (starts, p): the given point, then Sobol points within the bounds."""
         given = np.array([[each.start for each in self.tuned]])
-        exponent = max(self.starts - 2, 0).bit_length()  # a power of two keeps the sequence balanced
+        exponent = max(
+            self.starts - 2, 0
+        ).bit_length()  # a power of two keeps the sequence balanced
         sobol = qmc.Sobol(len(self.tuned), rng=np.random.default_rng(self.seed))
         shares = sobol.random_base2(exponent)[: self.starts - 1]
-        low, high = (np.array([getattr(each, end) for each in self.tuned]) for end in ("low", "high"))
+        low, high = (
+            np.array([getattr(each, end) for each in self.tuned]) for end in ("low", "high")
+        )
         return np.concatenate([given, low + (high - low) * shares])
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
@@ -438,7 +487,9 @@ class Tuning(WalkSpec, Described):
         data["tune"] = {each.name: _without_false(each) for each in self.tuned}
         data["objective"] = [written(term) for term in self.objective.terms]
         if self.recording is not None:
-            data["recording"] = self.recording.name if self.recording.parent == folder else str(self.recording)
+            data["recording"] = (
+                self.recording.name if self.recording.parent == folder else str(self.recording)
+            )
         if self.method != default_method(len(self.tuned)):
             data["method"] = named_section(self.method, TUNING_METHODS)
         data["optimizer"] = self.optimizer.written()
@@ -450,7 +501,11 @@ class Tuning(WalkSpec, Described):
 
         A method keeps its former name here, so that a directory of an older version contains the same tuning.
         """
-        data = {key: value for key, value in self.resolved().items() if key not in (*_FREE_OF_TUNING, "recording")}
+        data = {
+            key: value
+            for key, value in self.resolved().items()
+            if key not in (*_FREE_OF_TUNING, "recording")
+        }
         for former, present in FORMER_METHODS.items():
             if present in data.get("method", ()):
                 data["method"] = {former: data["method"][present]}
@@ -467,7 +522,9 @@ class Tuning(WalkSpec, Described):
         try:
             recorded = b"" if self.recording is None else read_bytes(self.recording, MOST_FILE)
         except OSError as error:
-            raise SpecError(f"recording is {self.recording}: cannot be read ({error.strerror or error}).") from None
+            raise SpecError(
+                f"recording is {self.recording}: cannot be read ({error.strerror or error})."
+            ) from None
         return {
             "fields": self.decisive(),
             "defaults": {name: about.default for name, about in self.parameters.items()},
@@ -500,10 +557,16 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
         file = read(doc, TuningFile)
     walk = read_walk(doc, file)
     _refuse_distance(doc, walk["run"])
-    objective, method = read_objective(doc, file.objective), file.method or default_method(len(file.tune))
+    objective, method = (
+        read_objective(doc, file.objective),
+        file.method or default_method(len(file.tune)),
+    )
     if method is None:
         many = f"with more than {MOST_SECANTS} parameters"
-        doc.fail(("method",), f"is missing: {many}, name local_gradient or wide_differences, or {_SEARCH}.")
+        doc.fail(
+            ("method",),
+            f"is missing: {many}, name local_gradient or wide_differences, or {_SEARCH}.",
+        )
     recording: Path | None = None
     compared = TRAJECTORY_ERROR in objective.metrics
     if file.recording is not None:
@@ -514,7 +577,9 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
         if recorded and not recording.is_file():
             doc.fail(("recording",), f"is {file.recording!r}: there is no file {recording}.")
         if not compared:
-            doc.fail(("recording",), f"is not read: no term of the objective names {TRAJECTORY_ERROR}.")
+            doc.fail(
+                ("recording",), f"is not read: no term of the objective names {TRAJECTORY_ERROR}."
+            )
     elif compared:
         missing = f"names {TRAJECTORY_ERROR}, but there is no 'recording' to compare with: give the path of an NPZ."
         doc.fail(("objective",), missing)
@@ -524,7 +589,9 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     parameters = all_parameters(walk["setup"])
     tuning = Tuning(
         **walk,
-        tuned=tuple((each or Tuned()).of(doc, name, parameters[name]) for name, each in file.tune.items()),
+        tuned=tuple(
+            (each or Tuned()).of(doc, name, parameters[name]) for name, each in file.tune.items()
+        ),
         objective=objective,
         recording=recording,
         optimizer=OptimizerFields.optimizer(doc),
@@ -555,7 +622,9 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
 REPEATS: Final = 3
 
 
-def sweep_of(walk: WalkSpec, head: str, values: Mapping[str, float], seed: int, folder: Path | None = None) -> str:
+def sweep_of(
+    walk: WalkSpec, head: str, values: Mapping[str, float], seed: int, folder: Path | None = None
+) -> str:
     """A sweep file of a found point: setup, run and `set`, run a few times from slightly different starts.
 
     Args:
@@ -565,7 +634,10 @@ def sweep_of(walk: WalkSpec, head: str, values: Mapping[str, float], seed: int, 
         seed: of the starts.
         folder: where the file is to stand, see `walk_fields`.
     """
-    data = walk.walk_fields(folder) | {"set": {**walk.fixed, **values}, "randomize": {"repeats": REPEATS}}
+    data = walk.walk_fields(folder) | {
+        "set": {**walk.fixed, **values},
+        "randomize": {"repeats": REPEATS},
+    }
     return f"# {head}\n" + dump({**data, "seed": seed, "plots": False})
 
 
@@ -631,8 +703,12 @@ class BudgetFields(OneOf):
 class KeepFields(Fields):
     what: ClassVar = "a field of what is kept"
     expected: ClassVar = "{best: N}, or of an atlas {elites: N}"
-    best: Annotated[int, Whole(0, 10_000)] = optional("recordings of the best points, or along a front")
-    elites: Annotated[int, Whole(0, 10_000)] = optional("number of an atlas's elites to record, evenly chosen")
+    best: Annotated[int, Whole(0, 10_000)] = optional(
+        "recordings of the best points, or along a front"
+    )
+    elites: Annotated[int, Whole(0, 10_000)] = optional(
+        "number of an atlas's elites to record, evenly chosen"
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -669,7 +745,10 @@ class Aim:
     @property
     def metrics(self) -> tuple[str, ...]:
         """Every metric that counts, each once."""
-        measured, limited = (each.metric for each in self.measures), (each.metric for each in self.limits)
+        measured, limited = (
+            (each.metric for each in self.measures),
+            (each.metric for each in self.limits),
+        )
         return tuple(dict.fromkeys([*self.objective.metrics, *measured, *limited]))
 
     def written(self) -> dict[str, Any]:
@@ -677,7 +756,9 @@ class Aim:
         terms = [written(term) for term in self.objective.terms]
         data: dict[str, Any] = {"pareto" if self.pareto else "objective": terms}
         if self.measures:
-            data["atlas"] = {each.metric: [each.low, each.high, each.cells] for each in self.measures}
+            data["atlas"] = {
+                each.metric: [each.low, each.high, each.cells] for each in self.measures
+            }
         if self.limits:
             data["subject_to"] = {each.metric: written(each) for each in self.limits}
         return data
@@ -693,18 +774,28 @@ def _read_aim(doc: Document, file: SearchFile) -> Aim:
             "stands beside 'objective': give the terms of one objective there, or several objectives here, not both.",
         )
     if pareto and file.atlas:
-        doc.fail(("pareto",), "stands beside 'atlas', which takes one objective: put it under 'objective'.")
+        doc.fail(
+            ("pareto",),
+            "stands beside 'atlas', which takes one objective: put it under 'objective'.",
+        )
     if pareto and len(terms) < 2:
-        doc.fail(("pareto",), f"has {len(terms)} entries: expected two or more; one alone stands under 'objective'.")
+        doc.fail(
+            ("pareto",),
+            f"has {len(terms)} entries: expected two or more; one alone stands under 'objective'.",
+        )
     for i, term in enumerate(terms or ()):
         if term.metric == TRAJECTORY_ERROR:
             path = ("pareto" if pareto else "objective", i, term.aim)
-            doc.fail(path, f"is {TRAJECTORY_ERROR}, which needs a recording: only a tuning has one.")
+            doc.fail(
+                path, f"is {TRAJECTORY_ERROR}, which needs a recording: only a tuning has one."
+            )
     for section in ("atlas", "subject_to"):
         for name in getattr(file, section):
             if name not in searched():
                 allowed = f"{', '.join(searched())}{did_you_mean(name, searched())}"
-                doc.fail((section, name), f"is not a metric that can be aimed at; allowed are {allowed}")
+                doc.fail(
+                    (section, name), f"is not a metric that can be aimed at; allowed are {allowed}"
+                )
     for name, (low, high, cells) in file.atlas.items():
         if not (math.isfinite(low) and math.isfinite(high)) or low >= high:
             doc.fail(
@@ -712,11 +803,16 @@ def _read_aim(doc: Document, file: SearchFile) -> Aim:
                 f"has the range {low:g} to {high:g}: expected finite numbers, the lower one first.",
             )
         if cells != int(cells) or not 1 <= cells <= MOST_CELLS:
-            doc.fail(("atlas", name), f"has {cells:g} cells: expected a whole number from 1 to {MOST_CELLS:,}.")
+            doc.fail(
+                ("atlas", name),
+                f"has {cells:g} cells: expected a whole number from 1 to {MOST_CELLS:,}.",
+            )
     return Aim(
         read_objective(doc, terms),
         pareto,
-        tuple(Measure(name, low, high, int(cells)) for name, (low, high, cells) in file.atlas.items()),
+        tuple(
+            Measure(name, low, high, int(cells)) for name, (low, high, cells) in file.atlas.items()
+        ),
         tuple(dataclasses.replace(limit, metric=name) for name, limit in file.subject_to.items()),
     )
 
@@ -748,23 +844,31 @@ class OneOrMore(Checked):
 class SearchFile(WalkFields):
     """A file for `nermo-mjx search`."""
 
-    model_config = ConfigDict(json_schema_extra={"required": ["vary"]}, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        json_schema_extra={"required": ["vary"]}, use_attribute_docstrings=True
+    )
     what: ClassVar = "a field of a search"
     sources: ClassVar = "'vary', 'set' or 'randomize'"
     vary: Annotated[dict[str, Axis], ByParameter()] = Field({})
     """searched parameters with their bounds"""
-    objective: Annotated[list[ObjectiveTerm], OneOrMore()] = optional("a term, or several whose sum is minimized")
+    objective: Annotated[list[ObjectiveTerm], OneOrMore()] = optional(
+        "a term, or several whose sum is minimized"
+    )
     pareto: list[ObjectiveTerm] = optional("several objectives, each a term")
-    atlas: dict[str, Annotated[list[float], Numbers("[low, high, cells]", 3, 3, of_parameter=False)]] = Field({})
+    atlas: dict[
+        str, Annotated[list[float], Numbers("[low, high, cells]", 3, 3, of_parameter=False)]
+    ] = Field({})
     """measures by metric: [low, high, cells] of each"""
     subject_to: dict[str, Limit] = Field({})
     """constraints by metric: {max: x}, {min: x}"""
-    method: Annotated[SearchMethod, one_of("SearchMethod", "is not a method", SEARCH_METHODS)] = optional(
-        "search method; the default depends on the objectives"
+    method: Annotated[SearchMethod, one_of("SearchMethod", "is not a method", SEARCH_METHODS)] = (
+        optional("search method; the default depends on the objectives")
     )
     budget: BudgetFields = Field(BudgetFields.model_validate(1000.0))
     """how long it runs, 1000 evaluations by default; the batch that reaches it is the last"""
-    batch: Annotated[int, Whole(4, 100_000)] = optional("points that are evaluated together, a generation")
+    batch: Annotated[int, Whole(4, 100_000)] = optional(
+        "points that are evaluated together, a generation"
+    )
     randomize: Randomized = Field(Randomized.model_validate({}))
     """what is drawn at random in each run"""
     seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
@@ -835,7 +939,9 @@ class Search(Described):
             values: parameters that differ between runs, name -> (runs,).
         """
         known = self.sweep.constants | dict(values)
-        rate = self.setup.cycle_rate({name: known[name] for name in self.setup.timing if name in known})
+        rate = self.setup.cycle_rate(
+            {name: known[name] for name in self.setup.timing if name in known}
+        )
         return np.broadcast_to(np.asarray(self.run.seconds(rate)[1], float), runs)
 
     def reached(self, evaluations: int, simulated_seconds: float) -> float:
@@ -846,11 +952,21 @@ class Search(Described):
         return simulated_seconds / self.simulated_seconds
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        data = {key: value for key, value in self.sweep.resolved(folder).items() if key not in ("sample", "plots")}
-        options = {k: v for k, v in written(self.method).items() if v != getattr(type(self.method), k)}
-        data |= self.aim.written() | {"method": {self.method.name: options} if options else self.method.name}
+        data = {
+            key: value
+            for key, value in self.sweep.resolved(folder).items()
+            if key not in ("sample", "plots")
+        }
+        options = {
+            k: v for k, v in written(self.method).items() if v != getattr(type(self.method), k)
+        }
+        data |= self.aim.written() | {
+            "method": {self.method.name: options} if options else self.method.name
+        }
         data["budget"] = (
-            self.evaluations if self.evaluations is not None else {"simulated_seconds": self.simulated_seconds}
+            self.evaluations
+            if self.evaluations is not None
+            else {"simulated_seconds": self.simulated_seconds}
         )
         if self.batch is not None:
             data["batch"] = self.batch
@@ -875,9 +991,14 @@ def _read_search(doc: Document) -> Search:
         aim = _read_aim(doc, file)
     walk = read_walk(doc, file)
     parameters = all_parameters(walk["setup"])
-    axes = [read_axis(doc, name, form, parameters[name], grid=False) for name, form in file.vary.items()]
+    axes = [
+        read_axis(doc, name, form, parameters[name], grid=False) for name, form in file.vary.items()
+    ]
     if not axes:
-        doc.fail(("vary",), "is missing or empty: expected bounds such as {spine.phase: {uniform: [-3.14, 3.14]}}.")
+        doc.fail(
+            ("vary",),
+            "is missing or empty: expected bounds such as {spine.phase: {uniform: [-3.14, 3.14]}}.",
+        )
     for axis in axes:
         path: FieldPath = ("vary", axis.name)
         if axis.form == "values":
@@ -909,7 +1030,9 @@ def _read_search(doc: Document) -> Search:
     allowed = [each for each in SEARCH_METHODS.values() if aim.kind in each.aims]
     method = allowed[0]() if file.method is None else file.method
     if type(method) not in allowed:
-        asked = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}[aim.kind]
+        asked = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}[
+            aim.kind
+        ]
         names = ", ".join(each.name for each in allowed)
         doc.fail(("method",), f"is {method.name}, which is not for {asked}: allowed are {names}.")
     if file.keep.elites is not None and not aim.measures:

@@ -105,7 +105,9 @@ class CEngine:
 class CSession:
     """A batch of worlds in MuJoCo's C engine; see `Session`."""
 
-    def __init__(self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> None:
+    def __init__(
+        self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]
+    ) -> None:
         self.engine = engine
         self._spans = _spans(len(qpos), engine.threads)
         threads = max(1, engine.threads // len(self._spans))
@@ -118,7 +120,9 @@ class CSession:
                 part = jax.tree.map(lambda leaf, lanes=lanes: np.asarray(leaf)[lanes], params)
                 varied = {name: values[span] for name, values in fields.items()}
                 self._blocks.append(_Block(engine, part, qpos[span], varied, threads))
-            self.loop.step(*self.arguments)  # compiled before several threads need it at the same time
+            self.loop.step(
+                *self.arguments
+            )  # compiled before several threads need it at the same time
 
     @property
     def loop_state(self) -> Any:
@@ -170,7 +174,10 @@ class CSession:
         """The results of `work` for each block, with the blocks in parallel on all cores."""
 
         def run(block: _Block) -> Result:
-            with jax.enable_x64(self._x64), jax.default_device(self._device):  # settings of a thread
+            with (
+                jax.enable_x64(self._x64),
+                jax.default_device(self._device),
+            ):  # settings of a thread
                 return work(block)
 
         with _warnings_logged():
@@ -187,13 +194,17 @@ class CBodies:
         moving: worlds that are stepped.
     """
 
-    def __init__(self, engine: CEngine, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int) -> None:
+    def __init__(
+        self, engine: CEngine, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
+    ) -> None:
         self.engine, self.worlds = engine, len(qpos)
         self.steps = engine.loop.steps_per_tick
         self.batch = Batch(engine.model, self.worlds, nthread=threads)
         self.models = vary(self.batch, engine.model, fields)
         self.servos = _Servos(engine.model, fields[SERVO_PLAY]) if SERVO_PLAY in fields else None
-        self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        self.qpos, self.qvel, self.ctrl = (
+            self.batch.bind(name) for name in ("qpos", "qvel", "ctrl")
+        )
         self.qpos[...] = qpos
         self.sensordata = self.batch.bind("sensordata")
         self.batch.forward()
@@ -203,7 +214,11 @@ class CBodies:
         """One tick of physics; `readings` (n, steps, n_sensordata) are overwritten, those of a failed world by NaN."""
         ids = None if len(self.moving) == self.worlds else self.moving
         out = readings if ids is None else readings[ids]
-        lost = self._rollout(self.steps, ids, out) if self.servos is None else self._play(self.servos, ids, out)
+        lost = (
+            self._rollout(self.steps, ids, out)
+            if self.servos is None
+            else self._play(self.servos, ids, out)
+        )
         if ids is not None:
             readings[ids] = out
         if len(lost):
@@ -236,7 +251,12 @@ class _Block(CBodies):
     """Some worlds of a batch: n in MuJoCo, and their loop in `LANES` lanes, of which the first n are used."""
 
     def __init__(
-        self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
+        self,
+        engine: CEngine,
+        params: Any,
+        qpos: np.ndarray,
+        fields: dict[str, np.ndarray],
+        threads: int,
     ) -> None:
         super().__init__(engine, qpos, fields, threads)
         lanes = np.pad(self.sensordata, ((0, LANES - self.worlds), (0, 0)), mode="edge")
@@ -248,7 +268,9 @@ class _Block(CBodies):
     @property
     def loop_state(self) -> Any:
         """State of the loop, leaves (n, ...)."""
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[: self.worlds], self.loop.unpack(self._state))
+        return jax.tree.map(
+            lambda leaf: np.asarray(leaf)[: self.worlds], self.loop.unpack(self._state)
+        )
 
     @property
     def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
@@ -273,7 +295,9 @@ class _Block(CBodies):
         if not len(self.moving):
             return
         self._state, ctrl = self.loop.step(*self.arguments)
-        self.ctrl[...], force = np.split(np.asarray(ctrl)[: self.worlds], self.ctrl.shape[1:], axis=1)
+        self.ctrl[...], force = np.split(
+            np.asarray(ctrl)[: self.worlds], self.ctrl.shape[1:], axis=1
+        )
         if force.size:
             self.batch.bind("xfrc_applied")[:, self.engine.model.body("torso").id, :2] = force
         self.move(self._sensordata[: self.worlds])
@@ -291,7 +315,13 @@ class _Servos:
     def controls(self, target: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Controls for the next step (n, n_servos); moves the motors."""
         control, self.motor = played(
-            Play.unpacked(self.play), self.motor, target, qpos[:, self._qpos], qvel[:, self._dofs], self._timestep, np
+            Play.unpacked(self.play),
+            self.motor,
+            target,
+            qpos[:, self._qpos],
+            qvel[:, self._dofs],
+            self._timestep,
+            np,
         )
         return control
 
@@ -310,7 +340,9 @@ def _spans(worlds: int, threads: int) -> list[np.ndarray]:
 class CDriven(CSession):
     """A batch whose loop is a `DrivenLoop`. Results depend neither on the batch nor on the number of cores."""
 
-    def __init__(self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> None:
+    def __init__(
+        self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]
+    ) -> None:
         super().__init__(engine, params, qpos, fields)
         for block in self._blocks:
             block.params = np.array(block.params)
@@ -321,7 +353,9 @@ class CDriven(CSession):
 
     def drive(self, inputs: np.ndarray, ticks: int) -> Any:
         """Run all worlds for some ticks with inputs (n, k); returns their observations afterwards, leaves (n, ...)."""
-        given = {id(block): inputs[span] for span, block in zip(self._spans, self._blocks, strict=True)}
+        given = {
+            id(block): inputs[span] for span, block in zip(self._spans, self._blocks, strict=True)
+        }
 
         def run(block: _Block) -> Any:
             block.params[: block.worlds, self.loop.input] = given[id(block)]
@@ -330,7 +364,9 @@ class CDriven(CSession):
 
         return _joined(self._each(run))
 
-    def restart(self, worlds: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> Any:
+    def restart(
+        self, worlds: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]
+    ) -> Any:
         """Reset some worlds, at rest.
 
         Args:
@@ -349,7 +385,11 @@ class CDriven(CSession):
         with jax.default_device(self._device):
             for block, ids, chosen in parts:
                 some = jax.tree.map(lambda leaf, chosen=chosen: np.asarray(leaf)[chosen], params)
-                seen.append(_restarted(block, ids, some, qpos[chosen], {k: v[chosen] for k, v in fields.items()}))
+                seen.append(
+                    _restarted(
+                        block, ids, some, qpos[chosen], {k: v[chosen] for k, v in fields.items()}
+                    )
+                )
         return _joined(seen)
 
 
@@ -358,7 +398,9 @@ def _observed(block: _Block) -> Any:
     return block.loop.observe(block.worlds, params, state, sensordata)
 
 
-def _restarted(block: _Block, ids: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> Any:
+def _restarted(
+    block: _Block, ids: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]
+) -> Any:
     batch, lanes = block.batch, np.pad(np.arange(len(ids)), (0, LANES - len(ids)), mode="edge")
     batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
     block.models = vary(batch, block.engine.model, fields, block.models, ids)
@@ -377,4 +419,8 @@ def _restarted(block: _Block, ids: np.ndarray, params: Any, qpos: np.ndarray, fi
 
 
 def _joined(parts: list[Any]) -> Any:
-    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    return (
+        parts[0]
+        if len(parts) == 1
+        else jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    )

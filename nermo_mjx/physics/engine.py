@@ -155,7 +155,9 @@ class Devices:
             return tree
         return jax.tree.map(lambda leaf: leaf[:worlds], jax.device_get(tree))
 
-    def divide(self, function: Callable[..., Any], arguments: Any, results: Any) -> Callable[..., Any]:
+    def divide(
+        self, function: Callable[..., Any], arguments: Any, results: Any
+    ) -> Callable[..., Any]:
         """A function of batches that runs on each device with that device's worlds.
 
         Args:
@@ -165,7 +167,9 @@ class Devices:
         if self.mesh is None:
             return function
         # Without JAX's check of varying values, which loops in other libraries fail.
-        return jax.shard_map(function, mesh=self.mesh, in_specs=arguments, out_specs=results, check_vma=False)
+        return jax.shard_map(
+            function, mesh=self.mesh, in_specs=arguments, out_specs=results, check_vma=False
+        )
 
     def _filled(self, leaf: Any) -> np.ndarray:
         more = self.padded(len(leaf)) - len(leaf)
@@ -187,7 +191,9 @@ def choose_devices(wanted: int | None = None) -> Devices:
     if wanted is None:
         name, value = VARIABLE, os.environ.get(VARIABLE) or str(len(local))
     if not value.isdecimal() or not 1 <= (count := int(value)) <= len(local):
-        raise ParameterError(f"{name} is {value}: allowed is 1 to {len(local)}, as many as JAX finds here.")
+        raise ParameterError(
+            f"{name} is {value}: allowed is 1 to {len(local)}, as many as JAX finds here."
+        )
     # Where batches must stay small to keep programs from hanging, they run in parts on one device.
     if count == 1 or batch_limit() is not None:
         return Devices()
@@ -238,12 +244,16 @@ class PackedLoop:
         @full_precision
         @jax.vmap
         def step(
-            params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]
+            params: Float[Array, " p"],
+            state: Float[Array, " s"],
+            sensordata: Float[Array, "steps n"],
         ) -> tuple[Float[Array, " s"], Float[Array, " n_servos"]]:
             after, ctrl = loop.step(unpack_params(params), unpack_state(state), sensordata)
             return ravel_pytree(after)[0], ctrl
 
-        def step_once(once: Any, params: Array, state: Array, sensordata: Array) -> tuple[Array, Array]:
+        def step_once(
+            once: Any, params: Array, state: Array, sensordata: Array
+        ) -> tuple[Array, Array]:
             """One step, as a loop with one iteration that XLA compiles to a single function
             (`runtime.EXTRA_OPTIONS`)."""
 
@@ -278,9 +288,13 @@ class PackedLoop:
 
         @jax.vmap
         def some(
-            params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]
+            params: Float[Array, " p"],
+            state: Float[Array, " s"],
+            sensordata: Float[Array, "steps n"],
         ) -> Float[Array, " o"]:
-            return ravel_pytree(one_world(unpack_params(params), unpack_state(state), sensordata))[0]
+            return ravel_pytree(one_world(unpack_params(params), unpack_state(state), sensordata))[
+                0
+            ]
 
         def observe(rounds: Any, *given: Array) -> Float[Array, "n o"]:
             """The observations of the first `rounds` times `_OBSERVED` worlds."""
@@ -290,7 +304,9 @@ class PackedLoop:
                 rows = [jax.lax.dynamic_slice_in_dim(each, at, _OBSERVED) for each in given]
                 return jax.lax.dynamic_update_slice_in_dim(seen, some(*rows), at, 0)
 
-            return jax.lax.fori_loop(0, rounds, body, jnp.zeros((len(given[0]), width), given[0].dtype))
+            return jax.lax.fori_loop(
+                0, rounds, body, jnp.zeros((len(given[0]), width), given[0].dtype)
+            )
 
         self._observe = jax.jit(observe, compiler_options=compiler_options())
         places = np.arange(sum(leaf.size for leaf in jax.tree.leaves(one)))
@@ -299,11 +315,15 @@ class PackedLoop:
 
     def observe(self, worlds: int, params: Array, state: Array, sensordata: np.ndarray) -> Any:
         """Observations of the first worlds, leaves (worlds, ...)."""
-        rows = np.asarray(self._observe(np.int32(-(-worlds // _OBSERVED)), params, state, sensordata))[:worlds]
+        rows = np.asarray(
+            self._observe(np.int32(-(-worlds // _OBSERVED)), params, state, sensordata)
+        )[:worlds]
         leaves, structure = jax.tree.flatten(self._seen)
         parts = np.split(rows, np.cumsum([leaf.size for leaf in leaves])[:-1], axis=1)
         split = zip(parts, leaves, strict=True)
-        return jax.tree.unflatten(structure, [part.reshape(-1, *leaf.shape).astype(leaf.dtype) for part, leaf in split])
+        return jax.tree.unflatten(
+            structure, [part.reshape(-1, *leaf.shape).astype(leaf.dtype) for part, leaf in split]
+        )
 
 
 def _unpacking(tree: Any) -> Callable[[Array], Any]:

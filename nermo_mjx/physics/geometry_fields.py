@@ -40,10 +40,16 @@ class GeometryFields:
         self.model = robot.physical
         about = {f"geometry.{name}": each for name, each in quantities(Geometry)}
         self._start = np.array([float(about[name].default) for name in self.names])  # type: ignore[arg-type]
-        ends = np.array([(about[name].low, about[name].high) for name in self.names]) - self._start[:, None]
+        ends = (
+            np.array([(about[name].low, about[name].high) for name in self.names])
+            - self._start[:, None]
+        )
         base = _Read.of(self.model)
         reads = [
-            [_Read.of(robot.physical_with_geometry(_geometry(name, self._start[i] + end))) for end in ends[i]]
+            [
+                _Read.of(robot.physical_with_geometry(_geometry(name, self._start[i] + end)))
+                for end in ends[i]
+            ]
             for i, name in enumerate(self.names)
         ]
         self._linear = {
@@ -82,7 +88,9 @@ class GeometryFields:
     def fields(self) -> tuple[str, ...]:
         """Names of the fields that differ between worlds; they depend on the parameters' names alone."""
         found = [name for name in _LINEAR if name in self._linear]
-        found += ["geom_rbound"] * ("geom_size" in found) + ["body_inertia"] * bool(len(self._bodies))
+        found += ["geom_rbound"] * ("geom_size" in found) + ["body_inertia"] * bool(
+            len(self._bodies)
+        )
         found += ["body_iquat"] * bool(self._turning) + ["tendon_range"]
         return tuple(found)
 
@@ -91,11 +99,15 @@ class GeometryFields:
         """Bodies whose principal axes turn, and the axis that they turn about: the hip, with the tail that is fixed to
         it."""
         _, slope, curve = self._inertia
-        change = np.abs(np.einsum("bji,pbjk,bkl->pbil", self._turn, np.concatenate([slope, curve]), self._turn))
+        change = np.abs(
+            np.einsum("bji,pbjk,bkl->pbil", self._turn, np.concatenate([slope, curve]), self._turn)
+        )
         found: dict[int, int] = {}
         for first, second in ((0, 1), (0, 2), (1, 2)):
             turned = np.flatnonzero(change[:, :, first, second].max(axis=0) > 1e-12)
-            assert not found.keys() & set(turned.tolist()), "a body turns about more than one of its axes"
+            assert not found.keys() & set(turned.tolist()), (
+                "a body turns about more than one of its axes"
+            )
             found |= dict.fromkeys(turned.tolist(), 3 - first - second)
         return found
 
@@ -106,13 +118,19 @@ class GeometryFields:
             geometry: leaves of shape ().
         """
         known = {f"geometry.{name}": value for name, value in values_of(geometry)}
-        more = jnp.stack([jnp.asarray(known[name], float) for name in self.names]) - jnp.asarray(self._start, float)
+        more = jnp.stack([jnp.asarray(known[name], float) for name in self.names]) - jnp.asarray(
+            self._start, float
+        )
         found = {
             name: jnp.asarray(base, float) + jnp.tensordot(more, jnp.asarray(slopes, float), 1)
             for name, (base, slopes) in self._linear.items()
         }
-        places = {name: found.get(name, jnp.asarray(getattr(self.model, name), float)) for name in _LINEAR}
-        world: dict[str, Array] = {name: found.pop(name) for name in ("site_xpos", "geom_xpos") if name in found}
+        places = {
+            name: found.get(name, jnp.asarray(getattr(self.model, name), float)) for name in _LINEAR
+        }
+        world: dict[str, Array] = {
+            name: found.pop(name) for name in ("site_xpos", "geom_xpos") if name in found
+        }
         if "geom_size" in found:
             found["geom_rbound"] = self._bounds(found["geom_size"])
         if len(self._bodies):
@@ -130,7 +148,9 @@ class GeometryFields:
         radius = jnp.where(tall, jnp.sqrt(jnp.sum(wide**2, axis=-1)), radius)
         return jnp.where(varied, radius, jnp.asarray(self.model.geom_rbound, float))
 
-    def _inertias(self, more: Float[Array, " p"], com: Float[Array, "nbody 3"]) -> dict[str, Float[Array, ...]]:
+    def _inertias(
+        self, more: Float[Array, " p"], com: Float[Array, "nbody 3"]
+    ) -> dict[str, Float[Array, ...]]:
         """Principal moments, and the axes that turn, from inertia tensors about the bodies' origins.
 
         The tensors are quadratic in the parameters: masses are constant, and positions linear.
@@ -149,7 +169,10 @@ class GeometryFields:
         quat = jnp.asarray(self.model.body_iquat, float)
         for body, fixed in self._turning.items():
             pair, turned, angle = _principal(own[body], fixed)
-            moments, quat = moments.at[body, pair].set(turned), quat.at[body].set(_turned(quat[body], fixed, angle))
+            moments, quat = (
+                moments.at[body, pair].set(turned),
+                quat.at[body].set(_turned(quat[body], fixed, angle)),
+            )
         return {"body_inertia": moments} | ({"body_iquat": quat} if self._turning else {})
 
     def _limits(
@@ -160,9 +183,14 @@ class GeometryFields:
         for pair in ("front", "rear"):
             own, known = leg_geometry(geometry, pair, jnp), leg_geometry(published, pair, np)
             ids = np.array([i for limb, i in self._legs.items() if limb.startswith(pair)])
-            limits = limits.at[ids, 1].add(own.tendon_length - jnp.asarray(known.tendon_length, float))
+            limits = limits.at[ids, 1].add(
+                own.tendon_length - jnp.asarray(known.tendon_length, float)
+            )
         for tendon in self._tendons:
-            place = {name: world.get(name, jnp.asarray(tendon.places[name], float)) for name in tendon.places}
+            place = {
+                name: world.get(name, jnp.asarray(tendon.places[name], float))
+                for name in tendon.places
+            }
             longer = tendon.length(place, size) - tendon.length(
                 {name: jnp.asarray(each, float) for name, each in tendon.places.items()},
                 jnp.asarray(self.model.geom_size, float),
@@ -211,13 +239,17 @@ def _of_point(mass: Any, place: Any, xp: Any) -> Any:
     return mass[:, None, None] * (square - place[:, :, None] * place[:, None, :])
 
 
-def _parabola(a: float, at_a: np.ndarray, b: float, at_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _parabola(
+    a: float, at_a: np.ndarray, b: float, at_b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Slope and curvature at 0 of parabolas through the origin, from their values at a < 0 and b > 0."""
     curve = (at_b / b - at_a / a) / (b - a)
     return at_a / a - curve * a, curve
 
 
-def _principal(own: Float[Array, "3 3"], fixed: int) -> tuple[np.ndarray, Float[Array, " 2"], Array]:
+def _principal(
+    own: Float[Array, "3 3"], fixed: int
+) -> tuple[np.ndarray, Float[Array, " 2"], Array]:
     """Principal moments of an inertia tensor with one principal axis known.
 
     Returns:
@@ -280,16 +312,25 @@ class _Antagonist:
         known = cls(tendon, np.delete(ids, at), int(ids[at]), int(at) - 1, frame, 1.0, places)
         both = [dataclasses.replace(known, turn=turn) for turn in (1.0, -1.0)]
         size = np.asarray(model.geom_size)
-        return min(both, key=lambda each: abs(float(each.length(places, size, np)) - model.tendon_length0[tendon]))
+        return min(
+            both,
+            key=lambda each: abs(
+                float(each.length(places, size, np)) - model.tendon_length0[tendon]
+            ),
+        )
 
     def length(self, places: Mapping[str, Any], size: Any, xp: Any = jnp) -> Any:
         """Length [m] from world positions and the geoms' sizes."""
         points = places["site_xpos"][self.sites]
         spans = xp.sqrt(xp.sum((points[1:] - points[:-1]) ** 2, axis=-1))
-        ends = (points[self.span : self.span + 2] - places["geom_xpos"][self.pulley]) @ xp.asarray(self.frame)
+        ends = (points[self.span : self.span + 2] - places["geom_xpos"][self.pulley]) @ xp.asarray(
+            self.frame
+        )
         radius, distance = size[self.pulley, 0], xp.sqrt(xp.sum(ends[:, :2] ** 2, axis=-1))
         angle = xp.arctan2(ends[:, 1], ends[:, 0])
-        arc = (self.turn * (angle[1] - angle[0]) - xp.sum(xp.arccos(radius / distance))) % (2.0 * np.pi)
+        arc = (self.turn * (angle[1] - angle[0]) - xp.sum(xp.arccos(radius / distance))) % (
+            2.0 * np.pi
+        )
         flat = xp.sum(xp.sqrt(distance**2 - radius**2)) + radius * arc
         # Unrolled, the path around a cylinder is straight.
         wrapped = xp.sqrt(flat**2 + (ends[1, 2] - ends[0, 2]) ** 2)

@@ -26,7 +26,9 @@ class Lanes:
         Args:
             function: of one world.
         """
-        self._program = jax.jit(full_precision(jax.vmap(function)), compiler_options=compiler_options(level=0))
+        self._program = jax.jit(
+            full_precision(jax.vmap(function)), compiler_options=compiler_options(level=0)
+        )
 
     def __call__(self, *arguments: Any) -> Any:
         """The results of all worlds; n is at least 1."""

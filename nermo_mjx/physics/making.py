@@ -33,7 +33,9 @@ def resolve_engine(name: str) -> str:
     return name
 
 
-def make_engine(name: str, robot: Robot, loop: Loop, devices: int | None = None, threads: int | None = None) -> Engine:
+def make_engine(
+    name: str, robot: Robot, loop: Loop, devices: int | None = None, threads: int | None = None
+) -> Engine:
     """Build an engine by name.
 
     >>> from nermo_mjx import ClosedLoop, Setup, load_robot

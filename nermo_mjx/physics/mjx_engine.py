@@ -30,7 +30,15 @@ from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.solver import ROUNDS
 from nermo_mjx.physics.c_engine import CEngine
-from nermo_mjx.physics.engine import FIRST, NOWHERE, SECOND, Loop, Trace, batch_limit, choose_devices
+from nermo_mjx.physics.engine import (
+    FIRST,
+    NOWHERE,
+    SECOND,
+    Loop,
+    Trace,
+    batch_limit,
+    choose_devices,
+)
 from nermo_mjx.physics.servo_play import SERVO_PLAY, Play, played, servo_addresses, without_play
 from nermo_mjx.physics.variation import DERIVED_FIELDS, moves_constants, vary
 from nermo_mjx.robot import ParameterError, Robot
@@ -67,7 +75,11 @@ def with_sensors(model: mjx.Model, read: Bool[np.ndarray, " nsensordata"]) -> mj
     if read.all():
         return model
     kept = np.array(
-        [read[start : start + size].any() for start, size in zip(model.sensor_adr, model.sensor_dim, strict=True)], bool
+        [
+            read[start : start + size].any()
+            for start, size in zip(model.sensor_adr, model.sensor_dim, strict=True)
+        ],
+        bool,
     )
     fields = {
         field.name: np.asarray(getattr(model, field.name))[kept]
@@ -91,7 +103,9 @@ class MjxState(NamedTuple):
 
     def into(self, data: mjx.Data) -> mjx.Data:
         """Data in this state, of all but the motors, which MuJoCo does not know."""
-        return data.replace(qpos=self.qpos, qvel=self.qvel, act=self.act, qacc_warmstart=self.qacc_warmstart)
+        return data.replace(
+            qpos=self.qpos, qvel=self.qvel, act=self.act, qacc_warmstart=self.qacc_warmstart
+        )
 
 
 class Carry(NamedTuple):
@@ -131,7 +145,9 @@ class MjxEngine:
         options = compiler_options()
         self.open_worlds = jax.jit(self._open_worlds, compiler_options=options)
         self.advance = jax.jit(self._advance, donate_argnums=2, compiler_options=options)
-        self.record = jax.jit(self._record, donate_argnums=2, static_argnums=3, compiler_options=options)
+        self.record = jax.jit(
+            self._record, donate_argnums=2, static_argnums=3, compiler_options=options
+        )
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """The model for MJX, and data of a single world.
@@ -183,7 +199,9 @@ class MjxEngine:
         motor = jnp.zeros_like(carry.physics.qpos[..., self._servo_qpos])
         return carry._replace(physics=carry.physics._replace(motor=motor))
 
-    def tick(self, params: Any, fields: dict[str, Array], carry: Carry, *, shown: bool = False) -> tuple[Carry, Array]:
+    def tick(
+        self, params: Any, fields: dict[str, Array], carry: Carry, *, shown: bool = False
+    ) -> tuple[Carry, Array]:
         """One control tick of one world: the new carry, and the servos' targets.
 
         Args:
@@ -195,7 +213,13 @@ class MjxEngine:
 
     @full_precision
     def _tick(
-        self, batched: bool, shown: bool, blank: mjx.Data, params: Any, fields: dict[str, Array], carry: Carry
+        self,
+        batched: bool,
+        shown: bool,
+        blank: mjx.Data,
+        params: Any,
+        fields: dict[str, Array],
+        carry: Carry,
     ) -> tuple[Carry, Array]:
         """`tick` of one world, or of all worlds of a device.
 
@@ -214,12 +238,16 @@ class MjxEngine:
             return jax.ShapeDtypeStruct(leaf.shape[batched:], leaf.dtype)
 
         given = params, carry.loop, carry.sensordata
-        program, result = jax.make_jaxpr(self.loop.step, return_shape=True)(*jax.tree.map(of_one, given))
+        program, result = jax.make_jaxpr(self.loop.step, return_shape=True)(
+            *jax.tree.map(of_one, given)
+        )
         read = np.full(carry.sensordata.shape[-1], True) if shown else self.read_entries(program)
         found = each(jaxpr_as_fun(program))(*jax.tree.leaves(given))
         loop, ctrl = jax.tree.unflatten(jax.tree.structure(result), found)
 
-        def advanced(fields: dict[str, Array], ctrl: Array, state: MjxState) -> tuple[MjxState, tuple[Array, Array]]:
+        def advanced(
+            fields: dict[str, Array], ctrl: Array, state: MjxState
+        ) -> tuple[MjxState, tuple[Array, Array]]:
             model = with_sensors(self.model, read).tree_replace(without_play(fields))
             servo, motor = ctrl[: self.model.nu], state.motor
             if motor is not None:
@@ -227,19 +255,25 @@ class MjxEngine:
             data = blank.replace(ctrl=servo)
             if ctrl.size > servo.size:
                 torso = self.robot.physical.body("torso").id
-                data = data.replace(xfrc_applied=data.xfrc_applied.at[torso, :2].set(ctrl[servo.size :]))
+                data = data.replace(
+                    xfrc_applied=data.xfrc_applied.at[torso, :2].set(ctrl[servo.size :])
+                )
             after = self.physics_step(model, state.into(data))
             found = after.sensordata, self.is_unsolved(after)
             return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart, motor), found
 
         def step(state: MjxState, _: None) -> tuple[MjxState, tuple[Array, Array]]:
-            after: tuple[MjxState, tuple[Array, Array]] = each(keeping_little(advanced))(fields, ctrl, state)
+            after: tuple[MjxState, tuple[Array, Array]] = each(keeping_little(advanced))(
+                fields, ctrl, state
+            )
             return after
 
         steps = self.loop.steps_per_tick
         physics, (sensordata, unsolved) = jax.lax.scan(step, carry.physics, None, length=steps)
         counted = carry.unsolved + jnp.sum(unsolved, axis=0, dtype=jnp.int32)
-        return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2), counted), ctrl[..., : self.model.nu]
+        return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2), counted), ctrl[
+            ..., : self.model.nu
+        ]
 
     def _played(self, play: Play, ctrl: Array, state: MjxState) -> tuple[Array, Array]:
         """Controls of a step, and where the motors are after it, for servos with play."""
@@ -254,19 +288,27 @@ class MjxEngine:
         self, params: Any, fields: dict[str, Array], shown: bool = False
     ) -> Callable[[Carry], tuple[Carry, Array]]:
         """`tick` for all worlds of a device; computes all sensors if their readings are returned."""
-        return lambda carry: self._tick(True, shown, self.data_among(len(carry.physics.qpos)), params, fields, carry)
+        return lambda carry: self._tick(
+            True, shown, self.data_among(len(carry.physics.qpos)), params, fields, carry
+        )
 
     def _open_worlds(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
-        return self.devices.divide(jax.vmap(self.start), (FIRST,) * 4, FIRST)(params, qpos, qvel, sensordata)
+        return self.devices.divide(jax.vmap(self.start), (FIRST,) * 4, FIRST)(
+            params, qpos, qvel, sensordata
+        )
 
     def _advance(self, params: Any, fields: dict[str, Array], carry: Carry, ticks: Array) -> Carry:
         def advance(params: Any, fields: dict[str, Array], carry: Carry, ticks: Array) -> Carry:
             tick = self._ticks(params, fields)
             return jax.lax.fori_loop(0, ticks, lambda _, c: tick(c)[0], carry)
 
-        return self.devices.divide(advance, (FIRST, FIRST, FIRST, NOWHERE), FIRST)(params, fields, carry, ticks)
+        return self.devices.divide(advance, (FIRST, FIRST, FIRST, NOWHERE), FIRST)(
+            params, fields, carry, ticks
+        )
 
-    def _record(self, params: Any, fields: dict[str, Array], carry: Carry, ticks: int) -> tuple[Carry, Any]:
+    def _record(
+        self, params: Any, fields: dict[str, Array], carry: Carry, ticks: int
+    ) -> tuple[Carry, Any]:
         def record(params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Any]:
             tick = self._ticks(params, fields, shown=True)
 
@@ -282,14 +324,18 @@ class MjxEngine:
 class MjxSession:
     """A batch of worlds in MJX; see `Session`."""
 
-    def __init__(self, engine: MjxEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> None:
+    def __init__(
+        self, engine: MjxEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]
+    ) -> None:
         self.engine, self.worlds = engine, len(qpos)
         at_rest, fields = _constants(engine.robot.physical, qpos, fields)
         real, put = engine.data.qpos.dtype, engine.devices.put
         self.params = put(params)
         self.fields = put({name: np.asarray(values, real) for name, values in fields.items()})
         qvel = np.zeros((self.worlds, engine.model.nv))
-        carry = engine.open_worlds(self.params, *put([np.asarray(each, real) for each in (qpos, qvel, at_rest)]))
+        carry = engine.open_worlds(
+            self.params, *put([np.asarray(each, real) for each in (qpos, qvel, at_rest)])
+        )
         self.carry = engine.playing(carry, self.fields)
         padded = engine.devices.padded(self.worlds)
         size = min(padded, batch_limit() or padded)
@@ -315,7 +361,10 @@ class MjxSession:
         parts = [self.engine.record(*self._part(span), ticks) for span in self.slices]
         self.carry = _join([carry for carry, _ in parts])
         columns = zip(*(rows for _, rows in parts), strict=True)
-        joined = (np.concatenate([np.moveaxis(np.asarray(part), 0, 1) for part in column]) for column in columns)
+        joined = (
+            np.concatenate([np.moveaxis(np.asarray(part), 0, 1) for part in column])
+            for column in columns
+        )
         return Trace(*(column[: self.worlds] for column in joined))
 
     def retire(self, done: np.ndarray) -> None:
@@ -328,7 +377,11 @@ class MjxSession:
 
 
 def _join(parts: list[Any]) -> Any:
-    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    return (
+        parts[0]
+        if len(parts) == 1
+        else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    )
 
 
 def _constants(
@@ -344,7 +397,9 @@ def _constants(
     if moves_constants(fields) and models is None:
         derived = {name: batch.expand(name).copy() for name in DERIVED_FIELDS}
     elif moves_constants(fields) and models is not None:
-        derived = {name: np.stack([getattr(model, name) for model in models]) for name in DERIVED_FIELDS}
+        derived = {
+            name: np.stack([getattr(model, name) for model in models]) for name in DERIVED_FIELDS
+        }
     sensordata = batch.bind("sensordata")
     batch.bind("qpos")[...] = qpos
     batch.forward()
@@ -383,10 +438,6 @@ class WarpEngine(MjxEngine):
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """See `MjxEngine.put`."""
-        import warp
-
-        # Warp's messages about its start and its kernels do not belong on standard output.
-        warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)
         self._reference = copy.copy(model)
         # Warp does not support the flag, and never resets a world by itself.
         self._reference.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
@@ -400,7 +451,9 @@ class WarpEngine(MjxEngine):
         if worlds not in self._among:
             contacts, constraints = self._capacity
             with jax.ensure_compile_time_eval():  # also called during tracing
-                data = mjx.make_data(self._reference, impl="warp", naconmax=worlds * contacts, njmax=constraints)
+                data = mjx.make_data(
+                    self._reference, impl="warp", naconmax=worlds * contacts, njmax=constraints
+                )
             self._among[worlds] = data
         return self._among[worlds]
 
@@ -434,9 +487,13 @@ class WarpSession(MjxSession):
     On an NVIDIA H100, Warp 1.18 returned wrong states of large batches without an error (docs/benchmarks/README.md).
     """
 
-    def __init__(self, engine: WarpEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> None:
+    def __init__(
+        self, engine: WarpEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]
+    ) -> None:
         super().__init__(engine, params, qpos, fields)
-        self._chosen = chosen = np.unique(np.linspace(0, self.worlds - 1, COMPANIONS).round().astype(int))
+        self._chosen = chosen = np.unique(
+            np.linspace(0, self.worlds - 1, COMPANIONS).round().astype(int)
+        )
         some, own = jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], (params, fields))
         self._beside = CEngine(engine.robot, engine.loop).open(some, qpos[chosen], own)
         self._ticks = 0
@@ -487,4 +544,6 @@ def _step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 @_step.defjvp
 def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    raise ParameterError("engine is 'warp': it has no derivatives; take the engine mjx for gradients.")
+    raise ParameterError(
+        "engine is 'warp': it has no derivatives; take the engine mjx for gradients."
+    )

@@ -50,10 +50,14 @@ FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 #: Activations whose next value follows from themselves and the control.
 _SIMPLE: Final = ("NONE", "INTEGRATOR", "FILTER", "FILTEREXACT", "MUSCLE")
 _FULL: Final = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_FIRST_ONLY: Final = "A trajectory on MuJoCo C has first derivatives only: for others take nermo_mjx.dynamics.step."
+_FIRST_ONLY: Final = (
+    "A trajectory on MuJoCo C has first derivatives only: for others take nermo_mjx.dynamics.step."
+)
 
 
-def first_order_callback(function: Callable[..., Any], shapes: Any, refusal: str, *given: Array) -> Any:
+def first_order_callback(
+    function: Callable[..., Any], shapes: Any, refusal: str, *given: Array
+) -> Any:
     """A callback under `jit` and `vmap`, which has no further derivative: who asks for one gets the refusal."""
 
     @jax.custom_jvp
@@ -122,14 +126,21 @@ class Trajectory:
             ParameterError: the model has states beside positions, velocities and activations.
         """
         if model.npluginstate or getattr(model, "nhistory", 0):
-            raise ParameterError("The model has states of plugins or delays, which a trajectory does not contain.")
+            raise ParameterError(
+                "The model has states of plugins or delays, which a trajectory does not contain."
+            )
         self.model = copy.copy(model)
         self.model.opt.tolerance = min(model.opt.tolerance, TOLERANCE)
         self.model.opt.iterations = max(model.opt.iterations, ITERATIONS)
         self._inverse = copy.copy(self.model)
         self._inverse.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
-        dynamics = {mujoco.mjtDyn(int(kind)).name.removeprefix("mjDYN_") for kind in model.actuator_dyntype}
-        invertible = model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4 and not model.opt.noslip_iterations
+        dynamics = {
+            mujoco.mjtDyn(int(kind)).name.removeprefix("mjDYN_") for kind in model.actuator_dyntype
+        }
+        invertible = (
+            model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
+            and not model.opt.noslip_iterations
+        )
         self._by_inverse = bool(invertible and dynamics <= set(_SIMPLE))
         self.threads, self._local = thread_count(threads), threading.local()
         self._simulated = self._differentiable()
@@ -153,7 +164,9 @@ class Trajectory:
                     f"{name} has shape {jnp.shape(given)}: expected ({size},); use jax.vmap for a batch."
                 )
         if jnp.ndim(ctrl) != 2 or jnp.shape(ctrl)[1] != self.model.nu:
-            raise ParameterError(f"ctrl has shape {jnp.shape(ctrl)}: expected (steps, {self.model.nu}).")
+            raise ParameterError(
+                f"ctrl has shape {jnp.shape(ctrl)}: expected (steps, {self.model.nu})."
+            )
         return self._simulated(*(jnp.asarray(each, float) for each in (qpos, qvel, act, ctrl)))
 
     def linearized(self, qpos: Any, qvel: Any, ctrl: Any, act: Any = None) -> Linearized:
@@ -171,7 +184,9 @@ class Trajectory:
 
         def shapes(steps: int) -> tuple[States, tuple[Any, ...]]:
             real = jnp.zeros(()).dtype
-            parts: Any = [jax.ShapeDtypeStruct((steps + 1, size), real) for size in (m.nq, m.nv, m.na)]
+            parts: Any = [
+                jax.ShapeDtypeStruct((steps + 1, size), real) for size in (m.nq, m.nv, m.na)
+            ]
             sizes = ((steps, nx, nx), (steps, nx, m.nu), (steps + 1, m.nq, m.nv))
             return States(*parts), tuple(jax.ShapeDtypeStruct(size, real) for size in sizes)
 
@@ -182,11 +197,15 @@ class Trajectory:
             return start.shape[:-1], rows, ctrl.reshape(len(rows), *ctrl.shape[-2:])
 
         def like(tree: Any, lead: tuple[int, ...], expected: Any) -> Any:
-            return jax.tree.map(lambda each, one: each.reshape(*lead, *one.shape).astype(one.dtype), tree, expected)
+            return jax.tree.map(
+                lambda each, one: each.reshape(*lead, *one.shape).astype(one.dtype), tree, expected
+            )
 
         def values(*given: Any) -> States:
             lead, start, controls = batched(*given)
-            return like(self._parts(self._states(start, controls)), lead, shapes(controls.shape[1])[0])
+            return like(
+                self._parts(self._states(start, controls)), lead, shapes(controls.shape[1])[0]
+            )
 
         def slopes(*given: Any) -> tuple[States, tuple[Any, ...]]:
             lead, start, controls = batched(*given)
@@ -209,7 +228,9 @@ class Trajectory:
 
         @simulated.defjvp
         def rule(given: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[States, States]:
-            states, (a, b, turns) = first_order_callback(slopes, shapes(given[-1].shape[0]), _FIRST_ONLY, *given)
+            states, (a, b, turns) = first_order_callback(
+                slopes, shapes(given[-1].shape[0]), _FIRST_ONLY, *given
+            )
             dqpos, dqvel, dact, dctrl = tangents
             # Of a quaternion only what turns it counts: its rows have the square 1/4.
             scale = jnp.where((turns[0] ** 2).sum(axis=0) < 0.5, 4.0, 1.0)
@@ -241,10 +262,14 @@ class Trajectory:
             mujoco.mj_normalizeQuat(self.model, row[1 : 1 + self.model.nq])
         if not steps:
             return first[:, None, 1:]
-        found, _ = rollout.rollout(self.model, data, first, controls if self.model.nu else None, nstep=steps)
+        found, _ = rollout.rollout(
+            self.model, data, first, controls if self.model.nu else None, nstep=steps
+        )
         return np.concatenate([first[:, None], found], axis=1)[:, :, 1:]
 
-    def _steps(self, states: np.ndarray, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _steps(
+        self, states: np.ndarray, controls: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivatives of the steps between states: a (n, T, x, x), b (n, T, x, u), and kinks (n, T)."""
         (worlds, steps, nu), nx = controls.shape, 2 * self.model.nv + self.model.na
         a, b = np.zeros((worlds, steps, nx, nx)), np.zeros((worlds, steps, nx, nu))
@@ -258,7 +283,9 @@ class Trajectory:
                     if found is not None:
                         a[n, t], b[n, t], kinks[n, t] = found
                         continue
-                a[n, t], b[n, t], kinks[n, t] = self._explicit(forward, states[n, t], controls[n, t])
+                a[n, t], b[n, t], kinks[n, t] = self._explicit(
+                    forward, states[n, t], controls[n, t]
+                )
 
         places = [(n, t) for n in range(worlds) for t in range(steps)]
         shares = [places[i :: self.threads] for i in range(self.threads)]
@@ -292,12 +319,18 @@ class Trajectory:
             return np.concatenate([turned, (high - low)[m.nq :]])
 
         middle = after(0, 0.0)
-        upper = np.stack([rise(middle, after(i, STEP_WIDTH)) / STEP_WIDTH for i in range(nx + m.nu)], axis=1)
-        lower = np.stack([rise(after(i, -STEP_WIDTH), middle) / STEP_WIDTH for i in range(nx + m.nu)], axis=1)
+        upper = np.stack(
+            [rise(middle, after(i, STEP_WIDTH)) / STEP_WIDTH for i in range(nx + m.nu)], axis=1
+        )
+        lower = np.stack(
+            [rise(after(i, -STEP_WIDTH), middle) / STEP_WIDTH for i in range(nx + m.nu)], axis=1
+        )
         whole = 0.5 * (upper + lower)
         return whole[:, :nx], whole[:, nx:], _apart(upper, lower)
 
-    def _set(self, model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray, control: np.ndarray) -> None:
+    def _set(
+        self, model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray, control: np.ndarray
+    ) -> None:
         """The data in a state, as a rollout has it, with no warm start from another one."""
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, np.concatenate([[0.0], state]), _FULL)
@@ -314,7 +347,10 @@ class Trajectory:
         data.qacc[:] = (v_next - v) / h
         mujoco.mj_inverse(m, data)
         acceleration = data.qacc.copy()
-        most = max(np.abs(each).max(initial=0.0) for each in (data.qfrc_inverse, data.qfrc_constraint, data.qfrc_bias))
+        most = max(
+            np.abs(each).max(initial=0.0)
+            for each in (data.qfrc_inverse, data.qfrc_constraint, data.qfrc_bias)
+        )
         mujoco.mj_fwdActuation(m, data)
         if np.abs(data.qfrc_inverse - data.qfrc_actuator).max(initial=0.0) > RESIDUAL * most:
             return None
@@ -324,8 +360,12 @@ class Trajectory:
         for width in WIDTHS:
             sides = [[np.zeros((nv, nv)) for _ in range(3)] for _ in "+-"]
             for side, by in zip((1.0, -1.0), sides, strict=True):
-                mujoco.mjd_inverseFD(m, data, side * width, True, by[0], by[1], None, None, None, None, None)
-                mujoco.mjd_inverseFD(m, data, side * width * fast, True, None, None, by[2], None, None, None, None)
+                mujoco.mjd_inverseFD(
+                    m, data, side * width, True, by[0], by[1], None, None, None, None, None
+                )
+                mujoco.mjd_inverseFD(
+                    m, data, side * width * fast, True, None, None, by[2], None, None, None, None
+                )
             kink = any(_apart(up, down) for up, down in zip(*sides, strict=True))
             if not kink:
                 break
@@ -340,8 +380,13 @@ class Trajectory:
 
         columns = []
         # At the end of its range a control is differentiated from within.
-        limits = np.where(m.actuator_ctrllimited[:, None] > 0, m.actuator_ctrlrange, [-np.inf, np.inf])
-        for values, (low, high) in ((data.act, np.full((na, 2), [-np.inf, np.inf]).T), (data.ctrl, limits.T)):
+        limits = np.where(
+            m.actuator_ctrllimited[:, None] > 0, m.actuator_ctrlrange, [-np.inf, np.inf]
+        )
+        for values, (low, high) in (
+            (data.act, np.full((na, 2), [-np.inf, np.inf]).T),
+            (data.ctrl, limits.T),
+        ):
             force_by, next_by = np.zeros((nv, len(values))), np.zeros((na, len(values)))
             for i in range(len(values)):
                 at, width = values[i], ACTUATION_WIDTH * max(1.0, abs(values[i]))
@@ -357,7 +402,9 @@ class Trajectory:
             columns.append((force_by, next_by))
         (force_act, act_act), (force_u, act_u) = columns
         try:
-            v_by = -h * np.linalg.solve(force_a, np.concatenate([force_q, force_v, force_act, force_u], axis=1))
+            v_by = -h * np.linalg.solve(
+                force_a, np.concatenate([force_q, force_v, force_act, force_u], axis=1)
+            )
         except np.linalg.LinAlgError:
             return None
         v_by[:, nv : 2 * nv] += np.eye(nv)
@@ -402,14 +449,19 @@ class Trajectory:
         """d qpos / d tangent (..., nq, nv): half of a quaternion's product by the left, for its rows."""
         m = self.model
         found = np.zeros((*qpos.shape[:-1], m.nq, m.nv))
-        for kind, place, dof in zip(m.jnt_type.tolist(), m.jnt_qposadr.tolist(), m.jnt_dofadr.tolist(), strict=True):
+        for kind, place, dof in zip(
+            m.jnt_type.tolist(), m.jnt_qposadr.tolist(), m.jnt_dofadr.tolist(), strict=True
+        ):
             plain = {FREE: 3, BALL: 0}.get(kind, 1)
             for i in range(plain):
                 found[..., place + i, dof + i] = 1.0
             if kind in (FREE, BALL):
                 w, x, y, z = np.moveaxis(qpos[..., place + plain : place + plain + 4], -1, 0)
                 product = np.stack([-x, -y, -z, w, -z, y, z, w, -x, -y, x, w], axis=-1)
-                rows, dofs = slice(place + plain, place + plain + 4), slice(dof + plain, dof + plain + 3)
+                rows, dofs = (
+                    slice(place + plain, place + plain + 4),
+                    slice(dof + plain, dof + plain + 3),
+                )
                 found[..., rows, dofs] = 0.5 * product.reshape(*product.shape[:-1], 4, 3)
         return found
 

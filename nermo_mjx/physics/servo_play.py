@@ -53,7 +53,9 @@ class Play(NamedTuple):
     @classmethod
     def of(cls, servo: Servo) -> Play:
         """The play of servos with these parameters."""
-        return cls(servo.dead_band, servo.backlash, servo.kp, servo.kv, servo.stall_torque, servo.top_speed)
+        return cls(
+            servo.dead_band, servo.backlash, servo.kp, servo.kv, servo.stall_torque, servo.top_speed
+        )
 
     @property
     def packed(self) -> Any:

@@ -27,7 +27,13 @@ from nermo_mjx.robot.model_parameters import Build, gravity_vector, is_shaped
 from nermo_mjx.robot.parameters import LEGS
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.scene import scene_geoms
-from nermo_mjx.robot.terrains import TERRAINS, TerrainShape, field_shares, geom_names, terrain_values
+from nermo_mjx.robot.terrains import (
+    TERRAINS,
+    TerrainShape,
+    field_shares,
+    geom_names,
+    terrain_values,
+)
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array
 
@@ -65,7 +71,9 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
 #: Parameters that turn the mounts of the legs.
 TILTS: Final = ("build.front_tilt", "build.rear_tilt")
 #: Model fields that depend on the geometry, or on how the robot is built.
-_BUILT: Final = frozenset(("body_pos", "body_quat", "body_ipos", "body_iquat", "site_pos", "tendon_range"))
+_BUILT: Final = frozenset(
+    ("body_pos", "body_quat", "body_ipos", "body_iquat", "site_pos", "tendon_range")
+)
 #: Fields that the constants below are derived from.
 _MASSES_AND_PLACES: Final = _BUILT - {"tendon_range"} | {"body_mass", "body_inertia"}
 #: Constants that MuJoCo derives from masses and positions (`mj_setConst`) and that MJX's step reads.
@@ -87,12 +95,18 @@ class Variation:
         self.model, self._hinges = model, robot.config.hinges
         #: Created once for each combination of names of lengths.
         self._geometry = functools.cache(functools.partial(GeometryFields, robot))
-        self._batched = functools.cache(lambda lengths: Lanes(functools.partial(self.fields, lengths=lengths)))
+        self._batched = functools.cache(
+            lambda lengths: Lanes(functools.partial(self.fields, lengths=lengths))
+        )
         names = [model.joint(i).name for i in range(model.njnt)]
         dof = {name: int(model.jnt_dofadr[i]) for i, name in enumerate(names)}
 
         def joints(end: str, start: str = "") -> np.ndarray:
-            of = [i for i, name in enumerate(names) if chain_of(name).endswith(end) and name.startswith(start)]
+            of = [
+                i
+                for i, name in enumerate(names)
+                if chain_of(name).endswith(end) and name.startswith(start)
+            ]
             return np.array(of, int)
 
         spine = np.array([i for i, name in enumerate(names) if is_spine_joint(name)])
@@ -102,25 +116,40 @@ class Variation:
             "ankle": joints("_ankle"),
             "spine": spine,
         }
-        dampers = {"hip": joints("_hip"), "knee": joints("_knee"), "ankle": joints("_ankle"), "spine": spine}
+        dampers = {
+            "hip": joints("_hip"),
+            "knee": joints("_knee"),
+            "ankle": joints("_ankle"),
+            "spine": spine,
+        }
         dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck"), joints("head_tilt")])
-        self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
-        self._spine_servo = np.array([model.actuator(i).name == "spine_servo" for i in range(model.nu)])
+        self._dampers = {
+            key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()
+        }
+        self._spine_servo = np.array(
+            [model.actuator(i).name == "spine_servo" for i in range(model.nu)]
+        )
         self._servo_dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
         left = np.array(["left" in names[i] for i in range(model.njnt)])
         knees = np.concatenate([self._springs["front_knee"], self._springs["rear_knee"]])
         self._knees = {1.0: knees[left[knees]], -1.0: knees[~left[knees]]}
         self._tendons = {
-            pair: np.array([i for i in range(model.ntendon) if pair_of(model.tendon(i).name) == pair], int)
+            pair: np.array(
+                [i for i in range(model.ntendon) if pair_of(model.tendon(i).name) == pair], int
+            )
             for pair in ("front", "rear", "spine")
         }
-        self._mounts = {pair: [_mount(model, limb) for limb in LIMBS if limb.startswith(pair)] for pair in LEGS}
+        self._mounts = {
+            pair: [_mount(model, limb) for limb in LIMBS if limb.startswith(pair)] for pair in LEGS
+        }
         self._scene = str(robot.config.scene)
         self._terrain = np.array([model.geom(name).id for name in geom_names(self._scene)], int)
         self._pairs = contact_kinds(model, scene_geoms(str(robot.config.scene)))
         self._front = np.array([i > 0 and is_front(model.body(i).name) for i in range(model.nbody)])
 
-    def fields(self, parameters: ModelParameters, lengths: tuple[str, ...] = ()) -> dict[str, Float[Array, ...]]:
+    def fields(
+        self, parameters: ModelParameters, lengths: tuple[str, ...] = ()
+    ) -> dict[str, Float[Array, ...]]:
         """Model fields of one world, named and shaped as in `mujoco.MjModel`; pure JAX, differentiable.
 
         Args:
@@ -130,7 +159,13 @@ class Variation:
         p, model = parameters, self.model
         # With explicit dtypes: JAX caches the dtype that it chose for a NumPy array, even across precisions.
         gain = jnp.asarray(model.actuator_gainprm, float).at[:, 0].set(p.servo.kp)
-        bias = jnp.asarray(model.actuator_biasprm, float).at[:, 1].set(-p.servo.kp).at[:, 2].set(-p.servo.kv)
+        bias = (
+            jnp.asarray(model.actuator_biasprm, float)
+            .at[:, 1]
+            .set(-p.servo.kp)
+            .at[:, 2]
+            .set(-p.servo.kv)
+        )
         share = jnp.where(self._spine_servo, p.servo.spine_torque, 1.0)
         force = (p.servo.stall_torque * share)[:, None] * jnp.array([-1.0, 1.0])
 
@@ -150,10 +185,17 @@ class Variation:
             .set(jnp.stack([jnp.asarray(contact.time_constant), contact.damping_ratio]))
         )
         solimp = (
-            jnp.asarray(model.pair_solimp, float).at[soles, 1].set(contact.impedance).at[soles, 2].set(contact.width)
+            jnp.asarray(model.pair_solimp, float)
+            .at[soles, 1]
+            .set(contact.impedance)
+            .at[soles, 2]
+            .set(contact.width)
         )
 
-        stiffness, damping = jnp.asarray(model.jnt_stiffness, float), jnp.asarray(model.dof_damping, float)
+        stiffness, damping = (
+            jnp.asarray(model.jnt_stiffness, float),
+            jnp.asarray(model.dof_damping, float),
+        )
         for name, ids in self._springs.items():
             stiffness = stiffness.at[ids].set(self._hinges * getattr(p.stiffness, name))
         for name, ids in self._dampers.items():
@@ -161,10 +203,15 @@ class Variation:
             damping = damping.at[ids].set(hinges * getattr(p.damping, name))
         damping = damping.at[self._servo_dofs].add(p.servo.brake)
         for side, ids in self._knees.items():
-            stiffness = stiffness.at[ids].multiply(1.0 + side * p.build.asymmetry, unique_indices=True)
+            stiffness = stiffness.at[ids].multiply(
+                1.0 + side * p.build.asymmetry, unique_indices=True
+            )
 
         mass = jnp.asarray(model.body_mass, float)
-        front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()
+        front, rear = (
+            model.body_mass[self._front].sum(),
+            model.body_mass[1:][~self._front[1:]].sum(),
+        )
         scale = jnp.where(self._front, p.mass.front / front, p.mass.rear / rear)
         geometry = tuple(name for name in lengths if name not in TILTS)
         placed = self._geometry(geometry)(p.geometry) if geometry else {}
@@ -192,31 +239,45 @@ class Variation:
             "tendon_solimp_lim": taut,
             "body_mass": mass * scale,
             "body_inertia": inertia * scale[:, None],
-            "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
+            "opt.gravity": gravity_vector(
+                p.ground.gravity, p.ground.slope, p.ground.direction, jnp
+            ),
             SERVO_PLAY: Play.of(p.servo).packed,
-            "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED) * jnp.array([-1.0, 1.0]),
+            "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED)
+            * jnp.array([-1.0, 1.0]),
             **self._shaped(p.terrain, placed),
         }
 
     def _tilted(self, build: Build, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
         """Fields of the legs, turned about the axes of their hips with their pulleys and all that leads tendons."""
         model = self.model
-        found = {name: jnp.asarray(getattr(model, name), float) for name in ("body_pos", "body_quat", "site_pos")}
+        found = {
+            name: jnp.asarray(getattr(model, name), float)
+            for name in ("body_pos", "body_quat", "site_pos")
+        }
         found |= {name: field for name, field in placed.items() if name in found}
         for pair, limbs in self._mounts.items():
             angle = jnp.asarray(getattr(build, f"{pair}_tilt"), float)
             cosine, sine = jnp.cos(angle / 2), jnp.sin(angle / 2)
             for hip, cross, bodies, sites in limbs:
                 centre = found["body_pos"][hip]
-                turn = jnp.eye(3) + jnp.sin(angle) * cross + (1.0 - jnp.cos(angle)) * (cross @ cross)
+                turn = (
+                    jnp.eye(3) + jnp.sin(angle) * cross + (1.0 - jnp.cos(angle)) * (cross @ cross)
+                )
                 for name, ids in (("body_pos", bodies), ("site_pos", sites)):
-                    found[name] = found[name].at[ids].set(centre + (found[name][ids] - centre) @ turn.T)
+                    found[name] = (
+                        found[name].at[ids].set(centre + (found[name][ids] - centre) @ turn.T)
+                    )
                 quat = found["body_quat"][bodies]
                 across = quat[:, np.array([1, 0, 3, 2])] * jnp.array([-1.0, 1.0, 1.0, -1.0])
-                found["body_quat"] = found["body_quat"].at[bodies].set(cosine * quat + sine * across)
+                found["body_quat"] = (
+                    found["body_quat"].at[bodies].set(cosine * quat + sine * across)
+                )
         return found
 
-    def _shaped(self, shape: TerrainShape, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
+    def _shaped(
+        self, shape: TerrainShape, placed: Mapping[str, Array]
+    ) -> dict[str, Float[Array, ...]]:
         """Fields of the geoms that a terrain's shape moves, merged with those of the robot; none in other scenes."""
         model, geoms = self.model, self._terrain
         if not len(geoms):
@@ -228,9 +289,15 @@ class Variation:
             # As shares of the compiled height, which MJX knows at trace time.
             highest = model.hfield_size[model.geom_dataid[geoms[0]], 2]
             moved.pop("geom_quat")
-            heights = {"hfield_data": jnp.asarray(field_shares().ravel(), float) * (shape.height / highest)}
+            heights = {
+                "hfield_data": jnp.asarray(field_shares().ravel(), float) * (shape.height / highest)
+            }
         else:
-            bound = jnp.linalg.norm(size, axis=-1) if kind.geom == mujoco.mjtGeom.mjGEOM_BOX else size.sum(axis=-1)
+            bound = (
+                jnp.linalg.norm(size, axis=-1)
+                if kind.geom == mujoco.mjtGeom.mjGEOM_BOX
+                else size.sum(axis=-1)
+            )
             moved |= {"geom_size": size, "geom_rbound": bound}
             heights = {}
         return heights | {
@@ -238,7 +305,9 @@ class Variation:
             for name, value in moved.items()
         }
 
-    def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:
+    def batch(
+        self, parameters: ModelParameters, worlds: int, named: Iterable[str]
+    ) -> dict[str, np.ndarray]:
         """The fields that the named parameters affect, (worlds, ...) each; the others keep the model's values.
 
         With `servo.dead_band` or `servo.backlash` two of them are `PLAY_FIELDS`, which are for the engines alone.
@@ -254,13 +323,17 @@ class Variation:
         reached = _reached(named)
         if not reached:
             return {}
-        leaves = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), (worlds,)), parameters)
+        leaves = jax.tree.map(
+            lambda leaf: np.broadcast_to(np.asarray(leaf, float), (worlds,)), parameters
+        )
         start_jax()
         with jax.enable_x64(True):
             fields = self._batched(_lengths(named))(leaves)
         return {name: np.asarray(fields[name], float) for name in reached if name in fields}
 
-    def differentiable(self, parameters: ModelParameters, named: Iterable[str]) -> dict[str, Float[Array, ...]]:
+    def differentiable(
+        self, parameters: ModelParameters, named: Iterable[str]
+    ) -> dict[str, Float[Array, ...]]:
         """The same fields of one world in pure JAX, and the constants that MuJoCo derives from masses and positions.
 
         Args:
@@ -269,7 +342,11 @@ class Variation:
         """
         named = tuple(named)
         reached, lengths = _reached(named), _lengths(named)
-        fields = {name: value for name, value in self.fields(parameters, lengths).items() if name in reached}
+        fields = {
+            name: value
+            for name, value in self.fields(parameters, lengths).items()
+            if name in reached
+        }
         if lengths:
             fields |= self._place_constants(fields)
         elif "body_mass" in fields:
@@ -302,8 +379,16 @@ def _mount(model: mujoco.MjModel, limb: str) -> tuple[int, np.ndarray, np.ndarra
     hip, along = model.body(f"{limb}_upper").id, np.zeros(3)
     mujoco.mju_rotVecQuat(along, np.array([1.0, 0.0, 0.0]), model.body_quat[hip])
     trunk = model.body_parentid[hip]
-    bodies = [i for i in range(model.nbody) if model.body_parentid[i] == trunk and model.body(i).name.startswith(limb)]
-    sites = [i for i in range(model.nsite) if model.site_bodyid[i] == trunk and model.site(i).name.startswith(limb)]
+    bodies = [
+        i
+        for i in range(model.nbody)
+        if model.body_parentid[i] == trunk and model.body(i).name.startswith(limb)
+    ]
+    sites = [
+        i
+        for i in range(model.nsite)
+        if model.site_bodyid[i] == trunk and model.site(i).name.startswith(limb)
+    ]
     return hip, np.cross(along, np.eye(3)).T, np.array(bodies), np.array(sites, int)
 
 
@@ -318,14 +403,20 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     standing = mass_values(robot.config.robot) | terrain_values(str(robot.config.scene))
     parameters = replace_quantities(ModelParameters(), standing | dict(values))
     # Built with its geometry, so that its meshes match.
-    model = robot.with_geometry(parameters.geometry, parameters.build) if is_shaped(values) else copy.copy(robot.model)
+    model = (
+        robot.with_geometry(parameters.geometry, parameters.build)
+        if is_shaped(values)
+        else copy.copy(robot.model)
+    )
     for name, field in variation.batch(parameters, 1, values).items():
         if name in _BUILT or name in PLAY_FIELDS:
             continue
         if name.startswith("geom_"):
             # Geoms have different ids than in the model that engines step; all other ids are the same.
             names = geom_names(str(robot.config.scene))
-            ours, theirs = ([one.geom(each).id for each in names] for one in (model, variation.model))
+            ours, theirs = (
+                [one.geom(each).id for each in names] for one in (model, variation.model)
+            )
             getattr(model, name)[ours] = field[0][theirs]
         elif name == "hfield_data":
             set_heights(model, robot.model, field[0])
@@ -335,7 +426,9 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     return model
 
 
-def set_heights(model: mujoco.MjModel, compiled: mujoco.MjModel, data: Float[np.ndarray, " points"]) -> None:
+def set_heights(
+    model: mujoco.MjModel, compiled: mujoco.MjModel, data: Float[np.ndarray, " points"]
+) -> None:
     """Write the heights of the only height field: MuJoCo looks for contacts up to the field's height.
 
     Args:

@@ -25,10 +25,28 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize, to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
-from matplotlib.ticker import FormatStrFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import (
+    FormatStrFormatter,
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+)
 
 from nermo_mjx.plotting.shown import ShownValues, cost, half_width, spoken, titled
-from nermo_mjx.plotting.style import BAND, BEST, COLOURS, GAIN_COLOURS, GRID, INK, LINE, MISSING, MUTED, SERIES, SMALL
+from nermo_mjx.plotting.style import (
+    BAND,
+    BEST,
+    COLOURS,
+    GAIN_COLOURS,
+    GRID,
+    INK,
+    LINE,
+    MISSING,
+    MUTED,
+    SERIES,
+    SMALL,
+)
 
 # ---
 # Scales and grids.
@@ -62,7 +80,9 @@ def colour_scale(values: np.ndarray) -> tuple[Normalize, str]:
         return Normalize(low - abs(low) * 0.01 - 1e-9, high + abs(high) * 0.01 + 1e-9), "neither"
     first, last = np.quantile(good, [_TAIL, 1 - _TAIL]).tolist()
     cut_low, cut_high = first - low > _MOST * (high - low), high - last > _MOST * (high - low)
-    extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}[cut_low, cut_high]
+    extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}[
+        cut_low, cut_high
+    ]
     return Normalize(first if cut_low else low, last if cut_high else high), extend
 
 
@@ -114,7 +134,9 @@ class FigurePage:
         axes: (rows, columns) of `Axes`.
     """
 
-    def __init__(self, title: str, size: tuple[float, float], rows: int = 1, columns: int = 1, **subplots) -> None:
+    def __init__(
+        self, title: str, size: tuple[float, float], rows: int = 1, columns: int = 1, **subplots
+    ) -> None:
         self.figure = blank(*size)
         self.axes: np.ndarray = self.figure.subplots(rows, columns, squeeze=False, **subplots)
         self._title = title
@@ -146,22 +168,41 @@ def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()
     width, height = figure.get_size_inches()
     head = textwrap.wrap(title, int((width - 2 * _EDGE) / _TITLE_CHARACTER))
     figure.text(
-        _EDGE / width, 1 - _EDGE / height, "\n".join(head), va="top", fontsize=11.5, fontweight="bold", linespacing=1.15
+        _EDGE / width,
+        1 - _EDGE / height,
+        "\n".join(head),
+        va="top",
+        fontsize=11.5,
+        fontweight="bold",
+        linespacing=1.15,
     )
     lines = note_lines(note, width)
     figure.text(
-        _EDGE / width, _EDGE / height, "\n".join(lines), va="bottom", fontsize=SMALL, color=MUTED, linespacing=1.2
+        _EDGE / width,
+        _EDGE / height,
+        "\n".join(lines),
+        va="bottom",
+        fontsize=SMALL,
+        color=MUTED,
+        linespacing=1.2,
     )
     below = _EDGE + _LINE * len(lines) + _GAP * bool(lines)
     if handles:
         below += _legend(figure, handles, below) + _GAP
     above = _EDGE + _TITLE_LINE * len(head) + 0.07
-    rect = (0.5 * _EDGE / width, below / height, 1 - 1.5 * _EDGE / width, 1 - (below + above) / height)
+    rect = (
+        0.5 * _EDGE / width,
+        below / height,
+        1 - 1.5 * _EDGE / width,
+        1 - (below + above) / height,
+    )
     figure.get_layout_engine().set(rect=rect, hspace=0.05, wspace=0.05)  # type: ignore[union-attr, call-arg]
     return figure
 
 
-def colour_bar(figure: Figure, axes: Any, colours: ScalarMappable, label: str, **look: Any) -> Colorbar:
+def colour_bar(
+    figure: Figure, axes: Any, colours: ScalarMappable, label: str, **look: Any
+) -> Colorbar:
     """A colour bar beside axes, with its label and without a frame."""
     bar = figure.colorbar(colours, ax=axes, **{"pad": 0.02, "extendfrac": 0.03} | look)
     bar.set_label(label)
@@ -232,7 +273,9 @@ def density_note(count: int) -> str:
 def cloud(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> None:
     """Draw points as dots of a size [pt^2], or many of them as hexagons, darker (logarithmically) for more points."""
     if len(x.values) < CROWD:
-        ax.scatter(x.values, y.values, s=size, color=BAND, lw=0, rasterized=len(x.values) > 2000, zorder=2)
+        ax.scatter(
+            x.values, y.values, s=size, color=BAND, lw=0, rasterized=len(x.values) > 2000, zorder=2
+        )
         return
     ax.hexbin(
         x.values,
@@ -273,13 +316,17 @@ def heat_maps(
     where they would leave the gains pale), marks show their value, and only points where `gain` holds are marked.
     """
     xs, ys = np.unique(x.values), np.unique(y.values)
-    grids = [cell_means(x.values[mask], y.values[mask], z.values[mask], xs, ys) for _, mask in panels]
+    grids = [
+        cell_means(x.values[mask], y.values[mask], z.values[mask], xs, ys) for _, mask in panels
+    ]
     values = np.concatenate([grid.ravel() for grid in grids])
     scale, extend = colour_scale(values)
     marked, colours, fill, edge = grids, COLOURS, "none", "white"
     if gain is not None:
         chosen = np.where(gain, z.values, np.nan)
-        marked = [cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
+        marked = [
+            cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels
+        ]
         colours, fill, edge = GAIN_COLOURS, "white", INK
         # Symmetric around 0; losses beyond 25 % and three times the best gain are cut off.
         good = values[np.isfinite(values)]
@@ -288,16 +335,32 @@ def heat_maps(
         scale, extend = Normalize(-far, far), "min" if low < -far else "neither"
     figure, axes = panelled(len(panels), 2.5 if len(panels) > 1 else 4.4)
     prices = [cost(z.side, grid) for grid in marked]
-    lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
+    lowest = min(
+        (float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan
+    )
     best = math.nan
-    for ax, (name, _), grid, candidates, price in zip(axes, panels, grids, marked, prices, strict=False):
+    for ax, (name, _), grid, candidates, price in zip(
+        axes, panels, grids, marked, prices, strict=False
+    ):
         ax.add_patch(
             matplotlib.patches.Rectangle(
-                (0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white", hatch="////", lw=0, zorder=0
+                (0, 0),
+                1,
+                1,
+                transform=ax.transAxes,
+                fc=MISSING,
+                ec="white",
+                hatch="////",
+                lw=0,
+                zorder=0,
             )
         )
         ax.pcolormesh(
-            cell_edges(xs, x.log), cell_edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=colours
+            cell_edges(xs, x.log),
+            cell_edges(ys, y.log),
+            np.ma.masked_invalid(grid.T),
+            norm=scale,
+            cmap=colours,
         )
         set_scales(ax, x, y)
         ax.set_title(name)
@@ -318,10 +381,21 @@ def heat_maps(
             )
             if gain is not None:
                 left, apart = bool(i >= len(xs) / 2), 11 if star else 8  # of the mark, in points
-                look: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "color": INK, "zorder": 6}
-                look |= {"va": "center", "ha": "right" if left else "left", "textcoords": "offset points"}
+                look: dict[str, Any] = {
+                    "fontsize": 8.5,
+                    "fontweight": "bold",
+                    "color": INK,
+                    "zorder": 6,
+                }
+                look |= {
+                    "va": "center",
+                    "ha": "right" if left else "left",
+                    "textcoords": "offset points",
+                }
                 look["bbox"] = {"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0}
-                ax.annotate(signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look)
+                ax.annotate(
+                    signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look
+                )
     columns = axes[0].get_gridspec().ncols  # type: ignore[union-attr]
     for place, ax in enumerate(axes):  # labels at the outside of the panels only
         bottom, left = place + columns >= len(axes), place % columns == 0
@@ -332,7 +406,11 @@ def heat_maps(
         bar.formatter = FuncFormatter(lambda value, _: signed(value).removesuffix(" %"))
     word = best_word(z) if gain is None else "best"
     ring = f"; ring: {word} of its panel" if len(panels) > 1 else ""
-    return around(figure, title, f"{note}star: {word}, {z.shown(best) if gain is None else signed(best)}{ring}")
+    return around(
+        figure,
+        title,
+        f"{note}star: {word}, {z.shown(best) if gain is None else signed(best)}{ring}",
+    )
 
 
 def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
@@ -344,7 +422,9 @@ def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
     ax.plot(xs, mean, "-o", color=LINE, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
         at = int(np.nanargmin(cost(z.side, mean)))
-        ax.scatter(xs[at], mean[at], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
+        ax.scatter(
+            xs[at], mean[at], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False
+        )
         note += f"star: {best_word(z)}, {z.shown(mean[at])} at {x.shown(xs[at])}"
     set_scales(ax, x)
     horizontal_grid(ax)
@@ -352,13 +432,21 @@ def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
     return around(figure, title, note)
 
 
-def scatters(xs: Sequence[ShownValues], z: ShownValues, titles: Sequence[str], title: str, note: str) -> Figure:
+def scatters(
+    xs: Sequence[ShownValues], z: ShownValues, titles: Sequence[str], title: str, note: str
+) -> Figure:
     """The metric against each parameter: every run, or their density; a running mean over runs of similar value."""
     figure, axes = panelled(len(xs), 2.5 if len(xs) > 1 else 4.0)
     for ax, x, name in zip(axes, xs, titles, strict=False):
         centres, mean, _ = binned(x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9)))
         cloud(ax, x, z, size=7)
-        ax.plot(centres, mean, color=LINE, lw=2, path_effects=[Stroke(linewidth=4, foreground="white"), Normal()])
+        ax.plot(
+            centres,
+            mean,
+            color=LINE,
+            lw=2,
+            path_effects=[Stroke(linewidth=4, foreground="white"), Normal()],
+        )
         set_scales(ax, x)
         horizontal_grid(ax)
         ax.set_title(name)
@@ -368,11 +456,19 @@ def scatters(xs: Sequence[ShownValues], z: ShownValues, titles: Sequence[str], t
 
 
 def pair_scatters(
-    pairs: Sequence[tuple[ShownValues, ShownValues]], z: ShownValues, title: str, note: str, *, star: bool = True
+    pairs: Sequence[tuple[ShownValues, ShownValues]],
+    z: ShownValues,
+    title: str,
+    note: str,
+    *,
+    star: bool = True,
 ) -> Figure:
     """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best may be a star."""
     figure, axes = panelled(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
-    (scale, extend), order = colour_scale(z.values), np.argsort(-cost(z.side, z.values), kind="stable")
+    (scale, extend), order = (
+        colour_scale(z.values),
+        np.argsort(-cost(z.side, z.values), kind="stable"),
+    )
     for ax, (x, y) in zip(axes, pairs, strict=False):
         ax.scatter(
             x.values[order],
@@ -385,7 +481,15 @@ def pair_scatters(
             rasterized=len(z.values) > 2000,
         )
         if star:
-            ax.scatter(x.values[order[-1]], y.values[order[-1]], s=170, marker="*", fc=BEST, ec="white", zorder=5)
+            ax.scatter(
+                x.values[order[-1]],
+                y.values[order[-1]],
+                s=170,
+                marker="*",
+                fc=BEST,
+                ec="white",
+                zorder=5,
+            )
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
     colour_bar(figure, axes, ScalarMappable(scale, COLOURS), z.label, extend=extend, **_BAR)
@@ -415,7 +519,9 @@ def signed(percent: float) -> str:
     return f"{'0' if text in ('+0', '-0') else text.replace('-', '−')} %"
 
 
-def cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+def cell_means(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: np.ndarray
+) -> np.ndarray:
     """Means of z in the cells of a grid, (len(xs), len(ys)); NaN where there are none."""
     cell = np.searchsorted(xs, x) * len(ys) + np.searchsorted(ys, y)
     good = np.isfinite(z)
@@ -424,7 +530,9 @@ def cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: 
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(len(xs), len(ys))
 
 
-def binned(x: np.ndarray, z: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def binned(
+    x: np.ndarray, z: np.ndarray, nodes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean x, mean z and half the 95 % interval of it in the bin of each node that holds anything."""
     nodes = np.unique(nodes)
     bins = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 1)
@@ -497,7 +605,9 @@ def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
             what = ", ".join(chosen) + (f"; mean over {', '.join(left)}" if left else "")
             pairs = ((key[:-1], key[-1]) if len(chosen) > 1 else (key, "") for key in places)
             heads, tails = dict[Any, int](), dict[Any, int]()
-            looks = tuple((heads.setdefault(a, len(heads)), tails.setdefault(b, len(tails))) for a, b in pairs)
+            looks = tuple(
+                (heads.setdefault(a, len(heads)), tails.setdefault(b, len(tails))) for a, b in pairs
+            )
             names = tuple(", ".join(map(spoken, key)) for key in places)
             return Groups(names, np.array([places[key] for key in each]), what, looks)
         chosen.pop()
@@ -528,7 +638,16 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool)
     return around(figure, title, f"{note}{groups.what}: {what}{told}")
 
 
-def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str, *, even: bool, spread: bool) -> Figure:
+def lines(
+    x: ShownValues,
+    z: ShownValues,
+    groups: Groups,
+    title: str,
+    note: str,
+    *,
+    even: bool,
+    spread: bool,
+) -> Figure:
     """A line for each structure: the mean at each value of x, or in bins with as many runs where x is `even`.
 
     A structure that has no such parameter is a level line at its mean. With `spread`, where runs of a structure at one
@@ -541,7 +660,10 @@ def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str,
         own = (groups.of == place) & np.isfinite(z.values)
         colour, dashes = groups.looks[place]
         dashes += colour // len(SERIES)
-        style: dict[str, Any] = {"color": SERIES[colour % len(SERIES)], "ls": _DASHES[dashes % len(_DASHES)]}
+        style: dict[str, Any] = {
+            "color": SERIES[colour % len(SERIES)],
+            "ls": _DASHES[dashes % len(_DASHES)],
+        }
         handles.append(Line2D([], [], label=name, **style))
         there = own & np.isfinite(x.values)
         if not there.any():
@@ -549,7 +671,11 @@ def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str,
                 ax.axhline(z.values[own].mean(), lw=1.2, alpha=0.8, **style)
                 level = True
             continue
-        nodes = np.quantile(x.values[there], np.linspace(0, 1, _BINS)) if even else np.unique(x.values[there])
+        nodes = (
+            np.quantile(x.values[there], np.linspace(0, 1, _BINS))
+            if even
+            else np.unique(x.values[there])
+        )
         xs, mean, half = binned(x.values[there], z.values[there], nodes)
         if spread:
             ax.fill_between(xs, mean - half, mean + half, color=style["color"], alpha=0.15, lw=0)
@@ -576,7 +702,9 @@ def structure_figures(
         yield f"{metric}-over-{x.name}-by-structure", figure
     for x, y in itertools.combinations(drawn[:_MOST_PAIRED] if grid else [], 2):
         good = np.isfinite(x.values) & np.isfinite(y.values)
-        across, up, value = (dataclasses.replace(each, values=each.values[good]) for each in (x, y, z))
+        across, up, value = (
+            dataclasses.replace(each, values=each.values[good]) for each in (x, y, z)
+        )
         which = groups.of[good]
         here = np.unique(which)
         note = remark
@@ -588,7 +716,10 @@ def structure_figures(
             note += f"{len(here) - MOST_GROUPS} more structures not shown; "
         title = f"{titled(metric)} over {x.spoken} and {y.spoken}, by structure"
         panels = [(groups.names[place], which == place) for place in here[:MOST_GROUPS]]
-        yield f"{metric}-over-{x.name}-and-{y.name}-by-structure", heat_maps(across, up, value, panels, title, note)
+        yield (
+            f"{metric}-over-{x.name}-and-{y.name}-by-structure",
+            heat_maps(across, up, value, panels, title, note),
+        )
 
 
 # ---
@@ -622,15 +753,21 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     ax.add_collection(rest)
     ax.add_collection(LineCollection(list(lines[-few:]), colors="white", linewidths=3.4, zorder=3))
     ax.add_collection(LineCollection(list(lines[-few:]), colors=BEST, linewidths=1.7, zorder=4))
-    for place, each in enumerate(axes):  # a line with ticks: each value where there are few, else round ones
+    for place, each in enumerate(
+        axes
+    ):  # a line with ticks: each value where there are few, else round ones
         ax.plot([place, place], [0, 1], color=MUTED, lw=1.0, zorder=5)
         values = np.unique(each.values[np.isfinite(each.values)])
         if not each.names and len(values) > _EACH:
             low, high = values[0], values[-1]
             locator = LogLocator(subs=(1.0, 2.0, 5.0)) if each.log else MaxNLocator(5)
             ticks = locator.tick_values(low, high)
-            values = np.array([tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)])
-        box: dict[str, Any] = {"bbox": {"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0}}
+            values = np.array(
+                [tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)]
+            )
+        box: dict[str, Any] = {
+            "bbox": {"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0}
+        }
         for value, height in zip(values, _share(each, values), strict=True):
             ax.plot([place, place + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
             text = each.shown(value) if each.names else f"{value + 0.0:.4g}".replace("-", "−")
@@ -638,7 +775,14 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
             ax.annotate(text, (place, height), fontsize=SMALL, color=INK, zorder=6, **at, **box)
     strip = np.linspace(0, 1, 256)[:, None]
     right = len(axes) - 1
-    ax.imshow(strip, cmap=COLOURS, extent=(right - 0.022, right + 0.022, 0, 1), origin="lower", aspect="auto", zorder=5)
+    ax.imshow(
+        strip,
+        cmap=COLOURS,
+        extent=(right - 0.022, right + 0.022, 0, 1),
+        origin="lower",
+        aspect="auto",
+        zorder=5,
+    )
     ax.set(xlim=(-0.35, right + 0.55), ylim=(-0.04, 1.04))
     ax.set_xticks(range(len(axes)), [textwrap.fill(each.label, 14) for each in axes])
     ax.tick_params(axis="x", length=0, labelcolor=INK)
@@ -650,7 +794,9 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
 
 def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
     """Where values stand on an axis, from 0 at its lowest to 1 at its highest."""
-    own, wanted = (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
+    own, wanted = (
+        (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
+    )
     low, high = float(np.nanmin(own)), float(np.nanmax(own))
     return (wanted - low) / (high - low) if high > low else np.full(np.shape(wanted), 0.5)
 
@@ -708,7 +854,9 @@ def trade_off(
     letters = string.ascii_uppercase
     lines = [f"{letter}\t{text}" for letter, (_, text) in zip(letters, named, strict=False)]
     words = {"max": "more", "min": "less", "nearest zero": "nearer to zero"}
-    both = ", ".join(f"{each.spoken}: {words[side]}" for each, side in zip((x, y), sides, strict=True))
+    both = ", ".join(
+        f"{each.spoken}: {words[side]}" for each, side in zip((x, y), sides, strict=True)
+    )
     lines.append(f"{note}orange: nothing is better in both ({both})")
     text = "\n".join(lines) + density_note(len(x.values))
     figure = blank(_WIDTH, 4.4 + 0.15 * len(note_lines(text, _WIDTH)))

@@ -53,12 +53,19 @@ def lay_out(figure: Figure) -> None:
     for _ in range(2):  # axes of equal scales take a second time
         figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    for ax in figure.axes:  # the layout's last digits differ from run to run, and with them the files' bytes
+    for ax in (
+        figure.axes
+    ):  # the layout's last digits differ from run to run, and with them the files' bytes
         ax.set_position(np.round(ax.get_position(original=True).bounds, 6).tolist())
 
 
 def _encode(figure: Figure, form: str) -> bytes:
     """The figure as PNG or SVG; the same figure gives the same bytes."""
     stream = io.BytesIO()
-    figure.savefig(stream, format=form, dpi=_DPI, metadata={"Date": None} if form == "svg" else {"Software": None})
+    figure.savefig(
+        stream,
+        format=form,
+        dpi=_DPI,
+        metadata={"Date": None} if form == "svg" else {"Software": None},
+    )
     return stream.getvalue()

@@ -87,7 +87,9 @@ class ShownValues:
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
 
-def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False, side: str = "") -> ShownValues:
+def shown(
+    name: str, unit: str, values: ArrayLike, *, log: bool = False, side: str = ""
+) -> ShownValues:
     """A column in SI units as a `ShownValues`."""
     unit, factor = _SHOWN_UNITS.get(unit, ("" if unit == "1" else unit, 1.0))
     return ShownValues(name, unit, np.asarray(values, dtype=float) * factor, log, side=side)

@@ -23,7 +23,9 @@ INK, MUTED, GRID, SHADE, MISSING = "#222222", "#555555", "#e6e6e6", "#f1f1f1", "
 #: The main line, secondary lines, and the best value.
 LINE, BAND, BEST = OKABE_ITO["blue"], "#9cc9e6", OKABE_ITO["vermilion"]
 #: Several things side by side, in this order; yellow is too pale for lines on white.
-SERIES: Final = tuple(OKABE_ITO[name] for name in ("blue", "orange", "green", "purple", "sky", "vermilion"))
+SERIES: Final = tuple(
+    OKABE_ITO[name] for name in ("blue", "orange", "green", "purple", "sky", "vermilion")
+)
 #: The feet: front blue, rear red; left dark, right light.
 FOOT: Final = {
     "front_left": OKABE_ITO["blue"],
@@ -41,7 +43,9 @@ SMALL: Final = 8.0
 
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],  # bundled with matplotlib, so that it is the same on all machines
+    "font.sans-serif": [
+        "DejaVu Sans"
+    ],  # bundled with matplotlib, so that it is the same on all machines
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "axes.labelsize": 9.5,

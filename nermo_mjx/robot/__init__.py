@@ -9,6 +9,24 @@ from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.robot import JointIndex, Robot, load_robot
 from nermo_mjx.robot.terrains import gates
 
-__all__ = ["GAITS", "GAIT_CODES", "LIMBS", "SERVOS", "Geometry", "JointIndex", "MassModel", "ModelParameters"]
-__all__ += ["ParameterError", "Quantity", "Robot", "RobotConfig", "Sensors", "ServoAngles", "assemble", "assemble_leg"]
+__all__ = [
+    "GAITS",
+    "GAIT_CODES",
+    "LIMBS",
+    "SERVOS",
+    "Geometry",
+    "JointIndex",
+    "MassModel",
+    "ModelParameters",
+]
+__all__ += [
+    "ParameterError",
+    "Quantity",
+    "Robot",
+    "RobotConfig",
+    "Sensors",
+    "ServoAngles",
+    "assemble",
+    "assemble_leg",
+]
 __all__ += ["assemble_spine", "gates", "identified", "load_robot"]

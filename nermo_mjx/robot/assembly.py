@@ -40,7 +40,14 @@ from nermo_mjx.robot.parameters import (
     RoutingName,
 )
 from nermo_mjx.robot.parts import load_part, mirror, stance_height
-from nermo_mjx.robot.quantity import ParameterError, allowed_names, choice, replace_quantities, static, with_attributes
+from nermo_mjx.robot.quantity import (
+    ParameterError,
+    allowed_names,
+    choice,
+    replace_quantities,
+    static,
+    with_attributes,
+)
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
 
 RobotName = Literal["nermo_lite", "nermo_41"]
@@ -58,9 +65,12 @@ EYES: Final = ("left_eye", "right_eye")
 class RobotConfig:
     """Which robot to build; every name is resolved before anything compiles."""
 
-    robot: RobotName = static("nermo_lite", "`nermo_41` has vertical spine joints, and a head that tilts")
+    robot: RobotName = static(
+        "nermo_lite", "`nermo_41` has vertical spine joints, and a head that tilts"
+    )
     scene: Scene = static(
-        "flat", "a scene of mjcf/scenes, or a custom one as the path of an MJCF file or as MJCF itself, which is stored"
+        "flat",
+        "a scene of mjcf/scenes, or a custom one as the path of an MJCF file or as MJCF itself, which is stored",
     )
     tail: TailName = static(
         ProfileChoice("rigid"),
@@ -82,7 +92,9 @@ class RobotConfig:
         ProfileChoice("spheres"),
         "form of the soles; capsules: 7 mm wide, and front ankles touch, too; in as_published by default capsules",
     )
-    hinges: int = static(1, f"of each compliant joint of legs and spine, from 1 to {MOST_HINGES}; see `flexure`")
+    hinges: int = static(
+        1, f"of each compliant joint of legs and spine, from 1 to {MOST_HINGES}; see `flexure`"
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", resolve_scene(self.scene))
@@ -93,7 +105,9 @@ class RobotConfig:
         if not 1e-5 <= self.timestep <= 0.005:
             raise ParameterError(f"timestep is {self.timestep!r}: allowed is [1e-05, 0.005] s.")
         if type(self.hinges) is not int or not 1 <= self.hinges <= MOST_HINGES:
-            raise ParameterError(f"hinges is {self.hinges!r}: allowed is a whole number from 1 to {MOST_HINGES}.")
+            raise ParameterError(
+                f"hinges is {self.hinges!r}: allowed is a whole number from 1 to {MOST_HINGES}."
+            )
 
     @property
     def preset(self) -> PhysicsPreset:
@@ -101,7 +115,9 @@ class RobotConfig:
         return PRESETS[self.physics]
 
 
-def assemble(config: RobotConfig | None = None, parameters: ModelParameters | None = None) -> mujoco.MjSpec:
+def assemble(
+    config: RobotConfig | None = None, parameters: ModelParameters | None = None
+) -> mujoco.MjSpec:
     """The whole robot in its scene, as an editable `MjSpec`; gravity is the scene's unless parameters are given."""
     config = config or RobotConfig()
     scene = str(config.scene)
@@ -114,7 +130,9 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     geometry = parameters.geometry
     robot = config.robot
     spec.modelname = f"{robot}_{scene_name(scene)}"
-    _attach(spec, geometry, spec.worldbody, "torso", robot, plain=("torso", "root", "imu", *FOLLOWING))
+    _attach(
+        spec, geometry, spec.worldbody, "torso", robot, plain=("torso", "root", "imu", *FOLLOWING)
+    )
     _attach(spec, geometry, spec.frame("torso_spine_mount"), "spine", robot, hinges=config.hinges)
     eyes = ("head", "neck", "head_tilt", "eyes", *EYES)
     _attach(spec, geometry, spec.frame("torso_neck_mount"), "head", robot, plain=eyes)
@@ -128,16 +146,28 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     _pose(spec, config)
     _finish(spec, config, parameters)
     add_sensors(spec)
-    add_contacts(spec, scene_geoms(scene), parameters, config.preset.trunk_contacts, config.feet == "capsules")
+    add_contacts(
+        spec,
+        scene_geoms(scene),
+        parameters,
+        config.preset.trunk_contacts,
+        config.feet == "capsules",
+    )
     return spec
 
 
 def assemble_leg(
-    limb: str, routing: RoutingName = "type3", parameters: ModelParameters | None = None, hinges: int = 1
+    limb: str,
+    routing: RoutingName = "type3",
+    parameters: ModelParameters | None = None,
+    hinges: int = 1,
 ) -> mujoco.MjSpec:
     """One leg on a test stand: its hip axis is fixed at the world's origin, without gravity or ground."""
     choice("limb", limb, LIMBS)
-    config, parameters = RobotConfig(routing=routing, hinges=hinges), parameters or ModelParameters()
+    config, parameters = (
+        RobotConfig(routing=routing, hinges=hinges),
+        parameters or ModelParameters(),
+    )
     spec = _stand(f"{limb}_leg_stand")
     _attach_leg(spec, parameters, spec.worldbody, limb, config)
     _pose(spec, config)
@@ -191,7 +221,9 @@ def _attach(
                 element.name = short
 
 
-def _attach_leg(spec: mujoco.MjSpec, parameters: ModelParameters, place: Any, limb: str, config: RobotConfig) -> None:
+def _attach_leg(
+    spec: mujoco.MjSpec, parameters: ModelParameters, place: Any, limb: str, config: RobotConfig
+) -> None:
     pair, side = limb.split("_")
     leg = load_part(f"{pair}_leg", parameters.geometry)
     for tendon in list(leg.tendons):
@@ -254,7 +286,9 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     option.impratio = 3.0
     # A world that diverges must stay diverged, so that it is flagged, and must not be reset. One robot is one island:
     # searching for others in every step gives bit-identical forces and takes 4 % longer.
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
+    option.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
+    )
     place_hinges(spec, config.hinges)
     set_masses(spec, config.robot, parameters)
     set_joints(spec, parameters, config.hinges)

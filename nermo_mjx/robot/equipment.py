@@ -82,12 +82,22 @@ def _direction(joint: Any, hinges: int) -> np.ndarray:
     name = chain_of(joint.name)
     if name.startswith("spine"):
         return np.array([1.0, 0.0, 0.0])
-    turn = hinges * joint.ref * joint.axis[0] if name.endswith("knee") else -LEGS[name.split("_")[0]].theta3
+    turn = (
+        hinges * joint.ref * joint.axis[0]
+        if name.endswith("knee")
+        else -LEGS[name.split("_")[0]].theta3
+    )
     return np.array([0.0, -np.sin(turn / 2), -np.cos(turn / 2)])
 
 
 #: Rotor and gear inertia seen at the joint [kg m^2], as in the author's model.
-ARMATURE: Final = {"servo": 0.00065, "knee": 0.000065, "ankle": 0.000065, "spine": 0.00065, "tail": 0.00065}
+ARMATURE: Final = {
+    "servo": 0.00065,
+    "knee": 0.000065,
+    "ankle": 0.000065,
+    "spine": 0.00065,
+    "tail": 0.00065,
+}
 TAIL_STIFFNESS: Final = 1.2
 TAIL_DAMPING: Final = 0.01
 #: Knee angle at which the torsion spring rests [rad].
@@ -153,7 +163,11 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1
     Args:
         hinges: of each compliant joint; in series they have these values together.
     """
-    stiffness, damping, brake = parameters.stiffness, parameters.damping, float(parameters.servo.brake)
+    stiffness, damping, brake = (
+        parameters.stiffness,
+        parameters.damping,
+        float(parameters.servo.brake),
+    )
     for joint in spec.joints:
         kind = chain_of(joint.name).rstrip("_0123456789").rsplit("_", 1)[-1]
         if joint.name.startswith("tail_joint"):
@@ -194,9 +208,13 @@ def compliant_kind(joint: str) -> str | None:
     return kind if kind in COMPLIANT else None
 
 
-def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0, hinges: int = 1) -> None:
+def _compliant(
+    joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0, hinges: int = 1
+) -> None:
     # Coefficients of a polynomial in the angle; only the linear one is used.
-    joint.stiffness, joint.damping = (np.array([hinges * value, 0.0, 0.0]) for value in (stiffness, damping))
+    joint.stiffness, joint.damping = (
+        np.array([hinges * value, 0.0, 0.0]) for value in (stiffness, damping)
+    )
     joint.armature, joint.springref = hinges * armature, rest / hinges
 
 
@@ -215,11 +233,15 @@ def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
         tendon.solimp_limit = np.array(TENDON_SOLIMP)
         pair = pair_of(tendon.name)
         if pair in LEGS:
-            tendon.solimp_limit = np.array([float(parameters.build.tendon_impedance), *LEG_TENDON_ONSET])
+            tendon.solimp_limit = np.array(
+                [float(parameters.build.tendon_impedance), *LEG_TENDON_ONSET]
+            )
         if pair is not None:
             softness = float(getattr(parameters.build, f"{pair}_softness"))
             tendon.solref_limit = np.array([time_constant * np.sqrt(softness), 1.0])
-            tendon.range = np.array(tendon.range) + np.array([0.0, float(parameters.build.slack(pair))])
+            tendon.range = np.array(tendon.range) + np.array(
+                [0.0, float(parameters.build.slack(pair))]
+            )
 
 
 def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -> None:
@@ -229,10 +251,14 @@ def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -
     for name in SERVOS:
         target = servo_joint(name)
         if target in joints:
-            actuator = spec.add_actuator(name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            actuator = spec.add_actuator(
+                name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
             actuator.set_to_position(kp=float(servo.kp), kv=float(servo.kv))
             actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name, routing))
-            limit = float(servo.stall_torque) * (float(servo.spine_torque) if name == "spine" else 1.0)
+            limit = float(servo.stall_torque) * (
+                float(servo.spine_torque) if name == "spine" else 1.0
+            )
             actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])
 
 
@@ -240,9 +266,10 @@ def servo_joint(servo: str) -> str:
     """The joint a servo turns: limbs' hips, neck and head directly, the others through their pulley."""
     if servo.endswith("_knee"):
         return servo.removesuffix("knee") + "pulley"
-    return {"head": "head_tilt", **{name: f"{name}_pulley" for name in ("spine", "spine_vertical", "tail")}}.get(
-        servo, servo
-    )
+    return {
+        "head": "head_tilt",
+        **{name: f"{name}_pulley" for name in ("spine", "spine_vertical", "tail")},
+    }.get(servo, servo)
 
 
 def add_sensors(spec: mujoco.MjSpec) -> None:
@@ -259,7 +286,9 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
     add("gyro", kind.mjSENS_GYRO, site, "imu")
     add("accelerometer", kind.mjSENS_ACCELEROMETER, site, "imu")
     for reading in ("angle", "velocity", "torque"):
-        sensor = {"angle": "ACTUATORPOS", "velocity": "ACTUATORVEL", "torque": "ACTUATORFRC"}[reading]
+        sensor = {"angle": "ACTUATORPOS", "velocity": "ACTUATORVEL", "torque": "ACTUATORFRC"}[
+            reading
+        ]
         for servo in spec.actuators:
             add(f"{servo.name}_{reading}", getattr(kind, f"mjSENS_{sensor}"), actuator, servo.name)
     for limb in LIMBS:
@@ -278,8 +307,14 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
                 add(f"{joint.name}_velocity", kind.mjSENS_JOINTVEL, objects.mjOBJ_JOINT, joint.name)
     for geom, touch in _tail_ground(spec):
         add(f"{geom}_force", kind.mjSENS_TOUCH, site, touch)
-    nearest = [1 << int(mujoco.mjtConDataField.mjCONDATA_DIST), 1, 1]  # the distance of the deepest one of all contacts
-    deepest = spec.add_sensor(name="contact_distance", type=kind.mjSENS_CONTACT, objtype=objects.mjOBJ_UNKNOWN)
+    nearest = [
+        1 << int(mujoco.mjtConDataField.mjCONDATA_DIST),
+        1,
+        1,
+    ]  # the distance of the deepest one of all contacts
+    deepest = spec.add_sensor(
+        name="contact_distance", type=kind.mjSENS_CONTACT, objtype=objects.mjOBJ_UNKNOWN
+    )
     deepest.intprm = nearest
 
 
@@ -289,7 +324,11 @@ def _tail_ground(spec: mujoco.MjSpec) -> list[tuple[str, str]]:
 
 
 def add_contacts(
-    spec: mujoco.MjSpec, scene: SceneGeoms, parameters: ModelParameters, trunk_contacts: bool, capsules: bool
+    spec: mujoco.MjSpec,
+    scene: SceneGeoms,
+    parameters: ModelParameters,
+    trunk_contacts: bool,
+    capsules: bool,
 ) -> None:
     """Declare the few contact pairs that matter; there are no other collisions.
 
@@ -306,7 +345,9 @@ def add_contacts(
     for limb in LIMBS if capsules else ():
         sole = spec.geom(f"{limb}_sole")
         if limb.startswith("front"):
-            ankle = spec.body(f"{limb}_foot").add_geom(sole.classname, name=f"{limb}_ankle", size=[ANKLE_RADIUS, 0, 0])
+            ankle = spec.body(f"{limb}_foot").add_geom(
+                sole.classname, name=f"{limb}_ankle", size=[ANKLE_RADIUS, 0, 0]
+            )
             soft[ankle.name] = contact.friction
         sole.type, sole.size[1], sole.quat = mujoco.mjtGeom.mjGEOM_CAPSULE, SOLE_WIDTH / 2, ACROSS
     soft |= {geom: contact.tail_friction for geom, _ in _tail_ground(spec)}
@@ -335,7 +376,9 @@ def _add_pair(spec: mujoco.MjSpec, scenery: str, part: str, friction: Any) -> An
 def contact_kinds(model: mujoco.MjModel, scene: SceneGeoms) -> dict[str, np.ndarray]:
     """Ids of the contact pairs by what touches: `sole`, `tail` and `trunk` the ground, any part an `obstacle`."""
     kinds: dict[str, list[int]] = {"sole": [], "tail": [], "trunk": [], "obstacle": []}
-    for i, geoms in enumerate(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)):
+    for i, geoms in enumerate(
+        zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    ):
         names = {model.geom(geom).name for geom in geoms}
         if names & set(scene.obstacles):
             kinds["obstacle"].append(i)

@@ -45,7 +45,9 @@ class FrontLeg:
     """Links of both front legs, in their sagittal plane."""
 
     upper: Any = _link(FRONT_LEG.l1, "l1, shoulder to knee")
-    attachment: Any = _link(FRONT_LEG.l2, "l2, knee to where the tendon is tied; at most to the ankle")
+    attachment: Any = _link(
+        FRONT_LEG.l2, "l2, knee to where the tendon is tied; at most to the ankle"
+    )
     lower: Any = _link(FRONT_LEG.l3, "l3, knee to ankle")
     foot: Any = _link(FRONT_LEG.l4, "l4, ankle to the sole's centre")
 
@@ -55,7 +57,9 @@ class RearLeg:
     """Links of both rear legs, in their sagittal plane."""
 
     upper: Any = _link(REAR_LEG.l1, "l1, hip to knee")
-    attachment: Any = _link(REAR_LEG.l2, "l2, knee to where the tendon is tied; at most to the ankle")
+    attachment: Any = _link(
+        REAR_LEG.l2, "l2, knee to where the tendon is tied; at most to the ankle"
+    )
     lower: Any = _link(REAR_LEG.l3, "l3, knee to ankle")
     foot: Any = _link(REAR_LEG.l4, "l4, ankle to the sole's centre")
 
@@ -96,14 +100,18 @@ class SpineLengths:
         0.022,
         "one lateral joint to the next; behind the third 2.2 mm more",
     )
-    pulley_radius: Any = quantity(SPINE.pulley_radius, "m", 0.004, 0.008, "of the spine servo's pulley")
+    pulley_radius: Any = quantity(
+        SPINE.pulley_radius, "m", 0.004, 0.008, "of the spine servo's pulley"
+    )
 
 
 @parameter_tree
 class TailLength:
     """The tail, which is stretched as a whole; its segments stay as wide as they are."""
 
-    length: Any = quantity(TAIL.length, "m", 0.05, 0.2, "first joint to the centre of the tip, backward")
+    length: Any = quantity(
+        TAIL.length, "m", 0.05, 0.2, "first joint to the centre of the tip, backward"
+    )
 
 
 @parameter_tree
@@ -147,7 +155,9 @@ def check_geometry(geometry: Geometry) -> None:
                 f"at most geometry.{pair}_leg.lower, {length:g} m."
             )
     inside = SERVO_INSIDE + SERVO_DEPTH + PULLEY_RIM
-    beside, radius = _first(geometry.hip.x, geometry.spine.pulley_radius, lambda x, radius: x < inside + radius)
+    beside, radius = _first(
+        geometry.hip.x, geometry.spine.pulley_radius, lambda x, radius: x < inside + radius
+    )
     if beside:
         raise ParameterError(
             f"geometry.hip.x is {beside:g} m: the hips' servos would overlap the spine's pulley, whose radius is "
@@ -157,7 +167,10 @@ def check_geometry(geometry: Geometry) -> None:
 
 def _first(one: Any, other: Any, wrong: Callable[[Any, Any], Any]) -> tuple[float, float]:
     """The first invalid pair of numbers; zeros if all are valid."""
-    one, other = (np.ravel(each) for each in np.broadcast_arrays(np.asarray(one, float), np.asarray(other, float)))
+    one, other = (
+        np.ravel(each)
+        for each in np.broadcast_arrays(np.asarray(one, float), np.asarray(other, float))
+    )
     (found,) = np.nonzero(wrong(one, other))
     return (float(one[found[0]]), float(other[found[0]])) if len(found) else (0.0, 0.0)
 
@@ -195,7 +208,8 @@ def dh_table(geometry: Geometry) -> list[tuple[float, Any, float, float]]:
     """Rows (alpha_prev [rad], a_prev [m], theta [rad], d [m]) of Table 5.3, with the geometry's spine segment."""
     longer = geometry.spine.segment / 2 - SPINE.dh[SEGMENT_ROWS[0]][1]
     return [
-        (alpha, a + longer if i in SEGMENT_ROWS else a, theta, d) for i, (alpha, a, theta, d) in enumerate(SPINE.dh)
+        (alpha, a + longer if i in SEGMENT_ROWS else a, theta, d)
+        for i, (alpha, a, theta, d) in enumerate(SPINE.dh)
     ]
 
 
@@ -258,10 +272,14 @@ def pull(leg: Any, q1: Any, knee_angle: Any, routing: str, xp: Any = jnp) -> Any
     # theta_2 = atan(l_t/r_p) - th_s of the spiral model; th_s = pi/2 - atan2(y, down) puts its cut above the pulley.
     wrap = xp.arctan2(tangent, radius) - math.pi / 2 + xp.arctan2(y, down)
     length = tangent - radius * wrap
-    if routing == "type3_idler":  # behind which B may pull it straight, from where it crosses the leg's axis
+    if (
+        routing == "type3_idler"
+    ):  # behind which B may pull it straight, from where it crosses the leg's axis
         height = lead_height(leg)
         touch = xp.arcsin(IDLER_RADIUS / height)
-        straight = xp.sqrt(y**2 + (down + height) ** 2) - xp.sqrt(height**2 - radius**2) - radius * touch
+        straight = (
+            xp.sqrt(y**2 + (down + height) ** 2) - xp.sqrt(height**2 - radius**2) - radius * touch
+        )
         length = xp.where(wrap > touch, straight, length)
     return xp.where(outside, length, 0.0)
 
@@ -315,4 +333,6 @@ def lead_height(leg: Any) -> Any:
 def _tangent(point: tuple[float, float], radius: float, turn: float) -> tuple[float, float]:
     """Length of the tangent from a point to a circle about the origin, and the angle of the tangent point."""
     distance = math.hypot(*point)
-    return math.sqrt(distance**2 - radius**2), math.atan2(point[1], point[0]) + turn * math.acos(radius / distance)
+    return math.sqrt(distance**2 - radius**2), math.atan2(point[1], point[0]) + turn * math.acos(
+        radius / distance
+    )

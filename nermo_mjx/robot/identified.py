@@ -72,7 +72,9 @@ def bodies(source: str = IDENTIFIED) -> Ensemble:
             f"{source} is no directory of an identification with bodies: {path} cannot be read."
         ) from None
     except (ValueError, KeyError, IndexError):
-        raise ParameterError(f"{path} is damaged: expected names of columns, and then a body in each line.") from None
+        raise ParameterError(
+            f"{path} is damaged: expected names of columns, and then a body in each line."
+        ) from None
 
 
 def best(source: str) -> dict[str, float]:
@@ -96,7 +98,9 @@ def choose(n: int, seed: int) -> dict[str, np.ndarray]:
     """
     ensemble = bodies()
     if not 1 <= n <= len(ensemble):
-        raise ParameterError(f"bodies is {n}: allowed is 1 to {len(ensemble)}, the size of the identified ensemble.")
+        raise ParameterError(
+            f"bodies is {n}: allowed is 1 to {len(ensemble)}, the size of the identified ensemble."
+        )
     if n == len(ensemble):
         return ensemble.take(np.arange(n))
     # Each body's time to the first event at a rate of its weight: the earliest are a draw without replacement.

@@ -108,7 +108,10 @@ _STRETCHED: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
     "rear_upper": (2, lambda geometry: geometry.rear_leg.upper / REAR_LEG.l1),
     "rear_lower": (2, lambda geometry: geometry.rear_leg.lower / REAR_LEG.l3),
     "rear_foot": (2, lambda geometry: geometry.rear_leg.foot / REAR_LEG.l4),
-    "spine_vertebra": (0, lambda geometry: geometry.spine.segment / (2 * SPINE.dh[SEGMENT_ROWS[0]][1])),
+    "spine_vertebra": (
+        0,
+        lambda geometry: geometry.spine.segment / (2 * SPINE.dh[SEGMENT_ROWS[0]][1]),
+    ),
     "spine_link": (0, lambda geometry: geometry.spine.segment / (2 * SPINE.dh[SEGMENT_ROWS[0]][1])),
     "tail_segment": (1, lambda geometry: geometry.tail.length / TAIL.length),
 }
@@ -120,7 +123,12 @@ _SERVO_41: Final = 0.00250
 PARTS_41: Final[dict[str, RigidPart]] = PARTS | {
     "torso": RigidPart(
         TORSO.mass + _SERVO_41,
-        tuple(float(c) for c in np.average([TORSO.com, SERVO_PLACE_41], axis=0, weights=[TORSO.mass, _SERVO_41])),  # type: ignore[arg-type]
+        tuple(
+            float(c)
+            for c in np.average(
+                [TORSO.com, SERVO_PLACE_41], axis=0, weights=[TORSO.mass, _SERVO_41]
+            )
+        ),  # type: ignore[arg-type]
         TORSO.half_size,
     ),
     "neck": RigidPart(HEAD.mass / 3, (0.0, -0.0080, 0.0080), (0.009, 0.009, 0.008)),
@@ -217,7 +225,9 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
         spec: of the whole robot; it is not changed.
         model: compiled from it.
     """
-    around = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
+    around = np.isin(
+        model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER)
+    )
     # Sites that tendons go through, or choose a side by, that actuators pull, or that sensors read or refer to.
     sites = np.concatenate(
         [

@@ -38,24 +38,52 @@ class Servo:
     model, already brake by as much as 0.39 V s/rad would.
     """
 
-    kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=350.0, doc="proportional gain; see servo_limits")
-    kv: Any = quantity(0.01561, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop")
+    kp: Any = quantity(
+        19.11, unit="N m/rad", low=0.1, high=350.0, doc="proportional gain; see servo_limits"
+    )
+    kv: Any = quantity(
+        0.01561, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop"
+    )
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
     spine_torque: Any = quantity(
-        1.0, unit="1", low=0.01, high=1.0, doc="torque limit of the lateral spine's servo, over that of the others"
+        1.0,
+        unit="1",
+        low=0.01,
+        high=1.0,
+        doc="torque limit of the lateral spine's servo, over that of the others",
     )
-    speed: Any = quantity(15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at")
-    knee_range: Any = quantity(0.0, unit="rad", low=0.0, high=0.6, doc="by how much those of knees turn further")
+    speed: Any = quantity(
+        15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at"
+    )
+    knee_range: Any = quantity(
+        0.0, unit="rad", low=0.0, high=0.6, doc="by how much those of knees turn further"
+    )
     supply_voltage: Any = quantity(
-        NOMINAL_VOLTAGE, unit="V", low=3.0, high=9.0, doc="stall torque and speed are in proportion to it"
+        NOMINAL_VOLTAGE,
+        unit="V",
+        low=3.0,
+        high=9.0,
+        doc="stall torque and speed are in proportion to it",
     )
     back_emf: Any = quantity(
-        0.0, unit="V s/rad", low=0.0, high=2.0, doc="back-EMF constant at the output: supply voltage per no-load speed"
+        0.0,
+        unit="V s/rad",
+        low=0.0,
+        high=2.0,
+        doc="back-EMF constant at the output: supply voltage per no-load speed",
     )
-    dead_band: Any = quantity(0.0, unit="rad", low=0.0, high=0.2, doc="error of its angle that it does not respond to")
-    backlash: Any = quantity(0.0, unit="rad", low=0.0, high=0.2, doc="free travel of its gears, from flank to flank")
-    idle_current: Any = quantity(0.008, unit="A", low=0.0, high=1.0, doc="of one servo without torque")
-    stall_current: Any = quantity(0.8, unit="A", low=0.0, high=10.0, doc="of one servo at its stall torque, at 6 V")
+    dead_band: Any = quantity(
+        0.0, unit="rad", low=0.0, high=0.2, doc="error of its angle that it does not respond to"
+    )
+    backlash: Any = quantity(
+        0.0, unit="rad", low=0.0, high=0.2, doc="free travel of its gears, from flank to flank"
+    )
+    idle_current: Any = quantity(
+        0.008, unit="A", low=0.0, high=1.0, doc="of one servo without torque"
+    )
+    stall_current: Any = quantity(
+        0.8, unit="A", low=0.0, high=10.0, doc="of one servo at its stall torque, at 6 V"
+    )
 
     @property
     def stall_torque(self) -> Any:
@@ -77,8 +105,12 @@ class Servo:
 class Battery:
     """The battery, which feeds servos and electronics directly; only metrics depend on it."""
 
-    capacity: Any = quantity(1.0, unit="A h", low=0.01, high=100.0, doc="charge of the full battery")
-    electronics_current: Any = quantity(0.3, unit="A", low=0.0, high=10.0, doc="drawn by everything but the servos")
+    capacity: Any = quantity(
+        1.0, unit="A h", low=0.01, high=100.0, doc="charge of the full battery"
+    )
+    electronics_current: Any = quantity(
+        0.3, unit="A", low=0.0, high=10.0, doc="drawn by everything but the servos"
+    )
 
 
 @parameter_tree
@@ -96,13 +128,23 @@ class Contact:
     """
 
     friction: Any = quantity(1.4, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
-    tail_friction: Any = quantity(0.4, unit="1", low=0.0, high=5.0, doc="sliding friction of the tail on the ground")
-    trunk_friction: Any = quantity(1.0, unit="1", low=0.0, high=5.0, doc="the same of chest, pelvis, head")
-    obstacle_friction: Any = quantity(0.4, unit="1", low=0.0, high=5.0, doc="friction of all parts on obstacles")
-    time_constant: Any = quantity(0.004, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
+    tail_friction: Any = quantity(
+        0.4, unit="1", low=0.0, high=5.0, doc="sliding friction of the tail on the ground"
+    )
+    trunk_friction: Any = quantity(
+        1.0, unit="1", low=0.0, high=5.0, doc="the same of chest, pelvis, head"
+    )
+    obstacle_friction: Any = quantity(
+        0.4, unit="1", low=0.0, high=5.0, doc="friction of all parts on obstacles"
+    )
+    time_constant: Any = quantity(
+        0.004, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps"
+    )
     damping_ratio: Any = quantity(1.5, unit="1", low=0.5, high=10.0, doc="solref damping ratio")
     impedance: Any = quantity(0.95, unit="1", low=0.5, high=0.9999, doc="solimp at full depth")
-    width: Any = quantity(0.005, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
+    width: Any = quantity(
+        0.005, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached"
+    )
 
 
 @parameter_tree
@@ -126,7 +168,9 @@ class Damping:
     knee: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=0.5, doc="knee joints")
     ankle: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
     spine: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="spine joints")
-    pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of knees and spine, neck, head")
+    pulley: Any = quantity(
+        0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of knees and spine, neck, head"
+    )
 
 
 @parameter_tree
@@ -137,10 +181,18 @@ class Mass:
     """
 
     front: Any = quantity(
-        ROBOT_MASSES["nermo_lite"][0], unit="kg", low=0.05, high=0.5, doc="torso, head, front legs and half the spine"
+        ROBOT_MASSES["nermo_lite"][0],
+        unit="kg",
+        low=0.05,
+        high=0.5,
+        doc="torso, head, front legs and half the spine",
     )
     rear: Any = quantity(
-        ROBOT_MASSES["nermo_lite"][1], unit="kg", low=0.03, high=0.5, doc="hip, rear legs, tail and half the spine"
+        ROBOT_MASSES["nermo_lite"][1],
+        unit="kg",
+        low=0.03,
+        high=0.5,
+        doc="hip, rear legs, tail and half the spine",
     )
 
 
@@ -153,30 +205,64 @@ class Build:
     """
 
     leg_slack: Any = quantity(
-        0.0, unit="m", low=-0.002, high=0.004, doc="by how much all legs' tendons are too long; negative: too short"
+        0.0,
+        unit="m",
+        low=-0.002,
+        high=0.004,
+        doc="by how much all legs' tendons are too long; negative: too short",
     )
-    front_slack: Any = quantity(0.0, unit="m", low=-0.002, high=0.004, doc="the same of the front legs, in addition")
-    rear_slack: Any = quantity(0.0, unit="m", low=-0.002, high=0.004, doc="the same of the rear legs, in addition")
-    spine_slack: Any = quantity(0.0, unit="m", low=0.0, high=0.004, doc="by how much the spine's tendons are too long")
-    front_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the front legs' tendons are")
-    rear_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the rear legs' tendons are")
-    spine_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the spine's tendons are")
+    front_slack: Any = quantity(
+        0.0, unit="m", low=-0.002, high=0.004, doc="the same of the front legs, in addition"
+    )
+    rear_slack: Any = quantity(
+        0.0, unit="m", low=-0.002, high=0.004, doc="the same of the rear legs, in addition"
+    )
+    spine_slack: Any = quantity(
+        0.0, unit="m", low=0.0, high=0.004, doc="by how much the spine's tendons are too long"
+    )
+    front_softness: Any = quantity(
+        1.0, unit="1", low=1.0, high=1000.0, doc="how soft the front legs' tendons are"
+    )
+    rear_softness: Any = quantity(
+        1.0, unit="1", low=1.0, high=1000.0, doc="how soft the rear legs' tendons are"
+    )
+    spine_softness: Any = quantity(
+        1.0, unit="1", low=1.0, high=1000.0, doc="how soft the spine's tendons are"
+    )
     tendon_impedance: Any = quantity(
-        0.0, unit="1", low=0.0, high=0.98, doc="impedance with which the legs' tendons go taut; 0: without a jump"
+        0.0,
+        unit="1",
+        low=0.0,
+        high=0.98,
+        doc="impedance with which the legs' tendons go taut; 0: without a jump",
     )
     asymmetry: Any = quantity(
-        0.0, unit="1", low=-0.5, high=0.5, doc="share by which the left knees' springs are stiffer, the right softer"
+        0.0,
+        unit="1",
+        low=-0.5,
+        high=0.5,
+        doc="share by which the left knees' springs are stiffer, the right softer",
     )
     front_tilt: Any = quantity(
-        0.0, unit="rad", low=-0.3, high=0.3, doc="turn of both front legs with their servos; positive: feet backward"
+        0.0,
+        unit="rad",
+        low=-0.3,
+        high=0.3,
+        doc="turn of both front legs with their servos; positive: feet backward",
     )
     rear_tilt: Any = quantity(
-        0.0, unit="rad", low=-0.3, high=0.3, doc="turn of both rear legs with their servos; positive: feet backward"
+        0.0,
+        unit="rad",
+        low=-0.3,
+        high=0.3,
+        doc="turn of both rear legs with their servos; positive: feet backward",
     )
 
     def slack(self, pair: str) -> Any:
         """By how much the tendons of the `front` or `rear` legs, or of the `spine`, are too long [m]."""
-        return self.spine_slack if pair == "spine" else self.leg_slack + getattr(self, f"{pair}_slack")
+        return (
+            self.spine_slack if pair == "spine" else self.leg_slack + getattr(self, f"{pair}_slack")
+        )
 
 
 @parameter_tree
@@ -188,9 +274,15 @@ class Ground:
     """
 
     gravity: Any = quantity(9.81, unit="m/s^2", low=0.1, high=30.0, doc="acceleration of free fall")
-    slope: Any = quantity(0.0, unit="rad", low=-0.8, high=0.8, doc="how steep the ground rises in its direction")
+    slope: Any = quantity(
+        0.0, unit="rad", low=-0.8, high=0.8, doc="how steep the ground rises in its direction"
+    )
     direction: Any = quantity(
-        0.0, unit="rad", low=-np.pi, high=np.pi, doc="where it rises to: 0 is ahead at yaw 0, positive to the left"
+        0.0,
+        unit="rad",
+        low=-np.pi,
+        high=np.pi,
+        doc="where it rises to: 0 is ahead at yaw 0, positive to the left",
     )
 
 
@@ -216,7 +308,9 @@ def is_shaped(names: Iterable[str]) -> bool:
     >>> is_shaped(["build.rear_tilt"]), is_shaped(["build.asymmetry", "servo.kp"])
     (True, False)
     """
-    return any(name.startswith(("geometry.", "build.")) and name != "build.asymmetry" for name in names)
+    return any(
+        name.startswith(("geometry.", "build.")) and name != "build.asymmetry" for name in names
+    )
 
 
 # ---
@@ -234,7 +328,9 @@ def gravity_vector(gravity: Any, slope: Any, direction: Any, xp: Any = np) -> An
         xp: `numpy`, or `jax.numpy`.
     """
     along = -gravity * xp.sin(slope)
-    return xp.stack([along * xp.sin(direction), -along * xp.cos(direction), -gravity * xp.cos(slope)])
+    return xp.stack(
+        [along * xp.sin(direction), -along * xp.cos(direction), -gravity * xp.cos(slope)]
+    )
 
 
 def gravity_values(vector: np.ndarray) -> dict[str, float]:

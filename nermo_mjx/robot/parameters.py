@@ -344,7 +344,11 @@ SERVOS: Final = (
 )
 
 #: The servos that a robot lacks, by its number of servos.
-_LACKING: Final = {10: ("tail", "spine_vertical", "head"), 11: ("spine_vertical", "head"), 12: ("tail",)}
+_LACKING: Final = {
+    10: ("tail", "spine_vertical", "head"),
+    11: ("spine_vertical", "head"),
+    12: ("tail",),
+}
 
 #: Range of each servo [rad], by kind of servo. A knee's is limited to what its tendon can follow: the wrap stays
 #: between 40 and 175 degrees.
@@ -410,7 +414,10 @@ class ServoAngles:
     def vector(self, servos: Sequence[str]) -> Float[Array, "*batch n"]:
         """The `ctrl` vector of a robot with these servos, `Robot.servos`."""
         legs = 2 * len(LIMBS)
-        single = [jnp.broadcast_to(jnp.asarray(getattr(self, name)), self.hip.shape[:-1]) for name in servos[legs:]]
+        single = [
+            jnp.broadcast_to(jnp.asarray(getattr(self, name)), self.hip.shape[:-1])
+            for name in servos[legs:]
+        ]
         return jnp.concatenate([self.hip, self.knee, jnp.stack(single, axis=-1)], axis=-1)
 
 
@@ -469,7 +476,9 @@ def _feet(name: str) -> tuple[str, ...]:
 
 
 #: Points of the ground that a policy or a critic sees, left of and ahead of the torso [m].
-SCANNED: Final = tuple((side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side in (0.04, 0.0, -0.04))
+SCANNED: Final = tuple(
+    (side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side in (0.04, 0.0, -0.04)
+)
 #: Every reading by its one name, in the model, recordings, saved signals, observations, metrics and messages. A log
 #: says apart what a channel is of, and has the last word: its `angle` of the servo `spine` is `spine_servo_angle`.
 READINGS: Final[dict[str, Reading]] = {
@@ -487,12 +496,18 @@ READINGS: Final[dict[str, Reading]] = {
     "foot_position": Reading(_axes(*_feet("foot_position")), "m", "of the foot in the world"),
     "foot_velocity": Reading(_axes(*_feet("foot_velocity")), "m/s", "of the foot in the world"),
     "tail_force": Reading(("tail_force",), "N", "normal contact force of the tail"),
-    "contact_distance": Reading(("contact_distance",), "m", "of the deepest contact, negative where bodies overlap"),
-    "attitude": Reading(("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"),
+    "contact_distance": Reading(
+        ("contact_distance",), "m", "of the deepest contact, negative where bodies overlap"
+    ),
+    "attitude": Reading(
+        ("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"
+    ),
     "speed": Reading(("speed",), "m/s", "horizontal speed of the IMU"),
     "foot_contact": Reading(_feet("foot_contact"), "1", "whether a foot bears load"),
     "motor_current": Reading((), "A", "current in the servo's motor, by its torque"),
-    "projected_gravity": Reading(_axes("projected_gravity"), "1", "direction of gravity in the IMU's frame"),
+    "projected_gravity": Reading(
+        _axes("projected_gravity"), "1", "direction of gravity in the IMU's frame"
+    ),
     "height_scan": Reading(
         tuple(f"height_scan_{1e3 * ahead:g}_{1e3 * side:g}" for side, ahead in SCANNED),
         "m",

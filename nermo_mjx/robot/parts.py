@@ -19,7 +19,16 @@ from jaxtyping import Float, Int
 
 from nermo_mjx.robot.geometry import Geometry, dh_table, lead_height, leg_geometry, tendon_limit
 from nermo_mjx.robot.meshes.shapes import Shape
-from nermo_mjx.robot.parameters import BODY, EYE, IDLER_RADIUS, LEGS, ROUTINGS, SERVO_INSIDE, SPINE, TAIL
+from nermo_mjx.robot.parameters import (
+    BODY,
+    EYE,
+    IDLER_RADIUS,
+    LEGS,
+    ROUTINGS,
+    SERVO_INSIDE,
+    SPINE,
+    TAIL,
+)
 
 # ---
 # Mesh files: Wavefront OBJ in millimetres, to a hundredth, without normals; small, and readable in a diff.
@@ -89,7 +98,9 @@ def mirror(spec: mujoco.MjSpec) -> None:
     """
     for joint in spec.joints:
         if np.any(np.abs(joint.axis[1:]) > 1e-12):
-            raise ValueError(f"joint {joint.name} has axis {joint.axis}: a mirrored limb needs hinges along x.")
+            raise ValueError(
+                f"joint {joint.name} has axis {joint.axis}: a mirrored limb needs hinges along x."
+            )
         joint.pos = joint.pos * _POINT
     for element in (*spec.bodies[1:], *spec.geoms, *spec.sites, *spec.frames):
         element.pos, element.quat = element.pos * _POINT, element.quat * _QUATERNION
@@ -141,13 +152,17 @@ def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
         for side, sign in sides.items():
             middle = end * (_EYELET / along)
             name = f"{side}_{i}"
-            parent.add_site(spec.find_default("marker"), name=name, pos=[sign * width, middle[1], middle[2]])
+            parent.add_site(
+                spec.find_default("marker"), name=name, pos=[sign * width, middle[1], middle[2]]
+            )
             spec.tendon(side).wrap_site(name)
         if i in _GROUNDED or i == len(ends):
             last = i == len(ends)
             geom, site = ("tip", "touch") if last else (f"ground_{i}", f"touch_{i}")
             radius = TAIL.tip_radius if last else width
-            parent.add_geom(spec.find_default("ground"), name=geom, pos=end, size=[radius, 0.0, 0.0])
+            parent.add_geom(
+                spec.find_default("ground"), name=geom, pos=end, size=[radius, 0.0, 0.0]
+            )
             parent.add_site(spec.find_default("touch"), name=site, pos=end)
         place = end
     spec.delete(spec.mesh("segment"))
@@ -161,7 +176,10 @@ def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: flo
     # The last one ends at the tip, and is no shorter than the others.
     long = math.hypot(end[1], end[2]) / TAIL.spacing if i <= len(TAIL.drops) else 1.0
     spec.add_mesh(
-        name=name, uservert=bead.uservert, userface=bead.userface, scale=1e-3 * np.array([across, long, across])
+        name=name,
+        uservert=bead.uservert,
+        userface=bead.userface,
+        scale=1e-3 * np.array([across, long, across]),
     )
     drawn = segment.add_geom(spec.find_default("visual"), meshname=name)
     turn(drawn, math.atan2(end[2], end[1]), 0.0, 0.0)
@@ -204,7 +222,12 @@ def _torso(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     """The cameras in front of the lenses; a camera's own axes are right, up and back."""
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
-        c, s, level, rise = np.cos(EYE.outward), side * np.sin(EYE.outward), np.cos(EYE.up), np.sin(EYE.up)
+        c, s, level, rise = (
+            np.cos(EYE.outward),
+            side * np.sin(EYE.outward),
+            np.cos(EYE.up),
+            np.sin(EYE.up),
+        )
         ahead = np.array([s * level, -c * level, rise])
         up = np.array([-s * rise, c * rise, level])
         camera, quat = spec.camera(name), np.zeros(4)
@@ -270,7 +293,9 @@ def _leg(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     for bumper, beside, end in (("upper_bumper", 0.001, "knee"), ("lower_bumper", 0.0015, "ankle")):
         spec.geom(bumper).fromto = np.array([beside, 0.0, 0.0, beside, 0.0, down[end][2]])
     for routing in ROUTINGS:
-        spec.tendon(routing).range = np.array([0.0, round(tendon_limit(leg, routing), _DIGITS["leg"])])
+        spec.tendon(routing).range = np.array(
+            [0.0, round(tendon_limit(leg, routing), _DIGITS["leg"])]
+        )
 
 
 def _spine(spec: mujoco.MjSpec, geometry: Geometry) -> None:
@@ -372,7 +397,9 @@ def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
                 site.pos = np.array([half if int(number) % 2 else -half, sign * beside, 0.0])
     for element in (spec.body("vertical_pulley"), spec.frame("vertical_servo")):
         element.pos = np.array(PULLEY)
-    spec.body("vertical_pulley").quat = np.array([np.cos(PULLEY_PITCH / 2), np.sin(PULLEY_PITCH / 2), 0.0, 0.0])
+    spec.body("vertical_pulley").quat = np.array(
+        [np.cos(PULLEY_PITCH / 2), np.sin(PULLEY_PITCH / 2), 0.0, 0.0]
+    )
     for side, sign in (("left", 1.0), ("right", -1.0)):
         spec.site(f"vertical_{side}_side").pos = np.add(PULLEY, (sign * SIDE, 0.0, 0.0))
     spec.site("vertical_guide").pos = np.array(GUIDE)

@@ -14,7 +14,16 @@ import importlib.util
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Final, Literal, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Final,
+    Literal,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import jax
 import numpy as np
@@ -148,10 +157,14 @@ class Quantity:
         try:
             numbers = np.asarray(value, dtype=float)
         except (TypeError, ValueError):
-            raise ParameterError(f"{name} is {value!r}: expected a number in {self.allowed()}.") from None
+            raise ParameterError(
+                f"{name} is {value!r}: expected a number in {self.allowed()}."
+            ) from None
         # A closed bound includes its own rounding to float32.
         below = numbers <= self.low if self.open_low else numbers < self.low - 1e-6 * abs(self.low)
-        above = numbers >= self.high if self.open_high else numbers > self.high + 1e-6 * abs(self.high)
+        above = (
+            numbers >= self.high if self.open_high else numbers > self.high + 1e-6 * abs(self.high)
+        )
         bad = ~np.isfinite(numbers) | below | above
         if bad.any():
             worst = numbers[bad].flat[0]
@@ -246,7 +259,9 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
     replaced = _replace(tree, values, "", unknown) if values else tree
     if unknown:
         name = sorted(unknown)[0]
-        known = dict(quantities(tree)) | dict(quantities(type(tree)))  # also of what a tree may have and leaves out
+        known = dict(quantities(tree)) | dict(
+            quantities(type(tree))
+        )  # also of what a tree may have and leaves out
         raise ParameterError(f"{name} is not a parameter{did_you_mean(name, known)}")
     return replaced
 
@@ -296,7 +311,9 @@ def _replace(tree: Any, values: Mapping[str, Any], prefix: str, unknown: set[str
         elif prefix + field.name in values and not about.labels:
             changes[field.name] = values[prefix + field.name]
             unknown.discard(prefix + field.name)
-        elif about.labels and any(f"{prefix}{field.name}.{label}" in values for label in about.labels):
+        elif about.labels and any(
+            f"{prefix}{field.name}.{label}" in values for label in about.labels
+        ):
             names = [f"{prefix}{field.name}.{label}" for label in about.labels]
             parts = [values.get(name, value[..., i]) for i, name in enumerate(names)]
             xp = jax.numpy if any(isinstance(part, jax.Array) for part in parts) else np
@@ -354,7 +371,9 @@ def with_attributes(cls: type[T]) -> type[T]:
     lines, allowed = [], allowed_names(cls)  # type: ignore[arg-type]
     for field in dataclasses.fields(cls):  # type: ignore[arg-type]
         names = allowed.get(field.name, ())
-        lines.append(f"{field.name}: {field.metadata['doc']}{'; one of ' * bool(names)}{', '.join(names)}.")
+        lines.append(
+            f"{field.name}: {field.metadata['doc']}{'; one of ' * bool(names)}{', '.join(names)}."
+        )
     cls.__doc__ = "\n        ".join((f"{cls.__doc__}\n    Attributes:", *lines)) + "\n"
     return cls
 
@@ -375,17 +394,24 @@ def nearest(name: str, allowed: Iterable[str]) -> str | None:
     >>> nearest("spine.ampl", ["gait.amplitude", "spine.amplitude"])
     'spine.amplitude'
     """
-    wanted = _parts(name[:100])  # a longer one is near none, and comparing letters takes as long as both are long
+    wanted = _parts(
+        name[:100]
+    )  # a longer one is near none, and comparing letters takes as long as both are long
 
     def likeness(full: str) -> tuple[float, float]:
         parts = _parts(full)
         # As many parts as it has, or one more, which is joined where a sign is left out; all in any order; and all.
         pairs = [(wanted, parts[-count:]) for count in (len(wanted), len(wanted) + 1)]
         pairs += [(sorted(wanted), sorted(parts)), (wanted, parts)]
-        ratios = [difflib.SequenceMatcher(None, ".".join(one), ".".join(other)).ratio() for one, other in pairs]
+        ratios = [
+            difflib.SequenceMatcher(None, ".".join(one), ".".join(other)).ratio()
+            for one, other in pairs
+        ]
         return max(ratios), ratios[-1]
 
-    ranked = sorted(((likeness(full), full) for full in allowed), key=lambda each: each[0], reverse=True)
+    ranked = sorted(
+        ((likeness(full), full) for full in allowed), key=lambda each: each[0], reverse=True
+    )
     return ranked[0][1] if ranked and ranked[0][0][0] >= NEAR else None
 
 
@@ -410,5 +436,9 @@ def choice(field: str, name: str, options: Iterable[str]) -> str:
         return name
     near = nearest(str(name), names)
     hint = f"did you mean {near!r}? " if near else ""
-    allowed = ", ".join(names) if len(names) <= 12 else f"{', '.join(names[:4])}, ... ({len(names)} names)"
+    allowed = (
+        ", ".join(names)
+        if len(names) <= 12
+        else f"{', '.join(names[:4])}, ... ({len(names)} names)"
+    )
     raise ParameterError(f"{field} is {name!r}: {hint}allowed is one of {allowed}.")

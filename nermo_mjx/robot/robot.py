@@ -82,12 +82,23 @@ class _Compiled:
     def sensor_slices(self) -> dict[str, slice]:
         """Entries of `sensordata` by field of `Sensors`, in the order of `add_sensors`."""
         servos = tuple(self.model.actuator(i).name for i in range(self.model.nu))
-        own = {"knee_angle": np.size(self.joints.knee), "joint_velocity": len(self.compliant), "tail_force": 0}
+        own = {
+            "knee_angle": np.size(self.joints.knee),
+            "joint_velocity": len(self.compliant),
+            "tail_force": 0,
+        }
         names = [field.name for field in dataclasses.fields(Sensors)]
-        sizes = {name: own[name] if name in own else len(reading_names(name, servos)) for name in names}
-        sizes["tail_force"] = self.model.nsensordata - sum(sizes.values())  # one of each geom that touches the ground
+        sizes = {
+            name: own[name] if name in own else len(reading_names(name, servos)) for name in names
+        }
+        sizes["tail_force"] = self.model.nsensordata - sum(
+            sizes.values()
+        )  # one of each geom that touches the ground
         ends = itertools.accumulate(sizes.values())
-        return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+        return {
+            name: slice(end - size, end)
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
 
     @functools.cached_property
     def compliant(self) -> tuple[str, ...]:
@@ -179,11 +190,15 @@ class Robot:
             damping: leaves of one shape, that of the batch.
         """
         # Each of n hinges in series has n times the damping of the joint.
-        values = {kind: self.config.hinges * getattr(damping, kind) for kind in ("knee", "ankle", "spine")}
+        values = {
+            kind: self.config.hinges * getattr(damping, kind) for kind in ("knee", "ankle", "spine")
+        }
         values["tail"] = TAIL_DAMPING + 0.0 * values["knee"]
         each = [values[kind] for kind in self._compiled.compliant]
         # An operation of its own would be compiled by itself.
-        return (jnp if any(isinstance(value, jax.Array) for value in each) else np).stack(each, axis=-1)
+        return (jnp if any(isinstance(value, jax.Array) for value in each) else np).stack(
+            each, axis=-1
+        )
 
     @property
     def n_servos(self) -> int:
@@ -193,7 +208,9 @@ class Robot:
     def sensors(self, sensordata: Float[Array, "*batch n"] | np.ndarray) -> Sensors:
         """Read MuJoCo's `sensordata` by meaning; leading axes are kept, NumPy arrays stay NumPy arrays."""
         data = sensordata if isinstance(sensordata, jax.Array) else np.asarray(sensordata)
-        parts: dict[str, Any] = {name: data[..., span] for name, span in self._compiled.sensor_slices.items()}
+        parts: dict[str, Any] = {
+            name: data[..., span] for name, span in self._compiled.sensor_slices.items()
+        }
         for name in ("foot_position", "foot_velocity"):
             parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
         parts["knee_angle"] = parts["knee_angle"].reshape(*data.shape[:-1], 4, -1).sum(axis=-1)
@@ -243,7 +260,11 @@ class Robot:
     def mass_table(self) -> list[dict[str, float | str]]:
         """Mass of every body [kg], and whether it counts to the front or the rear."""
         return [
-            {"body": body.name, "group": "front" if is_front(body.name) else "rear", "mass": float(body.mass[0])}
+            {
+                "body": body.name,
+                "group": "front" if is_front(body.name) else "rear",
+                "mass": float(body.mass[0]),
+            }
             for body in (self.model.body(i) for i in range(1, self.model.nbody))
         ]
 
@@ -266,7 +287,9 @@ def _compile(config: RobotConfig) -> _Compiled:
         raise
     except ValueError as error:  # a custom scene that uses the name of one of the robot's parts
         why = str(error).splitlines()[0].removeprefix("Error: ")
-        raise ParameterError(f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}.") from None
+        raise ParameterError(
+            f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}."
+        ) from None
     terrain = Terrain(model, _ids(model, scene_geoms(str(config.scene)).ground), str(config.scene))
     return _Compiled(spec, model, _joint_index(model), terrain)
 
@@ -278,7 +301,9 @@ def _mass_model(model: mujoco.MjModel) -> MassModel:
     mass, com = model.body_mass[1:], data.xipos[1:]
     base, end = data.body("torso"), data.site("spine_end")
 
-    def share(chosen: np.ndarray, origin: np.ndarray, rotation: np.ndarray) -> tuple[float, np.ndarray]:
+    def share(
+        chosen: np.ndarray, origin: np.ndarray, rotation: np.ndarray
+    ) -> tuple[float, np.ndarray]:
         total = float(mass[chosen].sum())
         centre = rotation.reshape(3, 3).T @ (mass[chosen] @ com[chosen] / total - origin)
         centre.flags.writeable = False
@@ -286,7 +311,9 @@ def _mass_model(model: mujoco.MjModel) -> MassModel:
 
     front_mass, front_com = share(front, base.xpos, base.xmat)
     rear_mass, rear_com = share(~front, end.xpos, end.xmat)
-    return MassModel(front_mass=front_mass, rear_mass=rear_mass, front_com=front_com, rear_com=rear_com)
+    return MassModel(
+        front_mass=front_mass, rear_mass=rear_mass, front_com=front_com, rear_com=rear_com
+    )
 
 
 def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
@@ -304,7 +331,8 @@ def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
     for name, value in values_of(geometry):
         more = jnp.asarray(value, float) - jnp.asarray(start[name], float)
         front, rear = (
-            com + more * jnp.asarray(slope, float) for com, slope in zip((front, rear), slopes[name], strict=True)
+            com + more * jnp.asarray(slope, float)
+            for com, slope in zip((front, rear), slopes[name], strict=True)
         )
     return dataclasses.replace(published, front_com=front, rear_com=rear)
 
@@ -315,11 +343,18 @@ def _mass_slopes(config: RobotConfig) -> tuple[MassModel, dict[str, tuple[np.nda
     robot, slopes = Robot(config, _compile(config)), {}
     for name, about in quantities(Geometry):
         low, high = (
-            _mass_model(robot.physical_with_geometry(replace_quantities(Geometry(), {name: np.asarray(end)})))
+            _mass_model(
+                robot.physical_with_geometry(
+                    replace_quantities(Geometry(), {name: np.asarray(end)})
+                )
+            )
             for end in (about.low, about.high)
         )
         span = about.high - about.low
-        slopes[name] = (high.front_com - low.front_com) / span, (high.rear_com - low.rear_com) / span
+        slopes[name] = (
+            (high.front_com - low.front_com) / span,
+            (high.rear_com - low.rear_com) / span,
+        )
     return robot.mass_model, slopes
 
 
@@ -358,7 +393,9 @@ def load_robot(
             )
         return Robot(robot, _compile(robot))
     given = {} if timestep is None else {"timestep": timestep}
-    config = RobotConfig(robot, scene, tail, routing, cone, physics, hinges=hinges, feet=feet, **given)
+    config = RobotConfig(
+        robot, scene, tail, routing, cone, physics, hinges=hinges, feet=feet, **given
+    )
     return Robot(config, _compile(config))
 
 
@@ -383,6 +420,8 @@ def _joint_index(model: mujoco.MjModel) -> JointIndex:
         tail=tuple(at for name, at in address.items() if name.startswith("tail_joint")),
         tail_pulley=tuple(at for name, at in address.items() if name == "tail_pulley"),
         spine_vertical=tuple(filter(None, (chain(f"spine_vertical_{i}") for i in range(1, 5)))),
-        spine_vertical_pulley=tuple(at for name, at in address.items() if name == "spine_vertical_pulley"),
+        spine_vertical_pulley=tuple(
+            at for name, at in address.items() if name == "spine_vertical_pulley"
+        ),
         head_tilt=tuple(at for name, at in address.items() if name == "head_tilt"),
     )

@@ -96,7 +96,9 @@ def resolve_scene(scene: Scene) -> str:
     if isinstance(scene, str) and is_mjcf(scene):
         return _from_text(scene)
     if not isinstance(scene, str | os.PathLike):
-        raise ParameterError(f"scene is {scene!r}: expected a name, or the path of an MJCF file (.xml).")
+        raise ParameterError(
+            f"scene is {scene!r}: expected a name, or the path of an MJCF file (.xml)."
+        )
     path = Path(scene)
     if not os.path.isfile(path):
         if path.suffix != ".xml":
@@ -116,7 +118,9 @@ def read_mjcf(path: Path) -> mujoco.MjSpec:
         ParameterError: it cannot be read, or would make more than fits; MuJoCo refuses it.
     """
     with _refusals(repr(str(path))):
-        _check_sizes(ElementTree.fromstring(read_bytes(path, _MOST_FILE)), path.parent, repr(str(path)))
+        _check_sizes(
+            ElementTree.fromstring(read_bytes(path, _MOST_FILE)), path.parent, repr(str(path))
+        )
         return mujoco.MjSpec.from_file(str(path))
 
 
@@ -132,7 +136,11 @@ def load_scene(scene: str) -> mujoco.MjSpec:
         add_terrain(spec, scene)
         spec.modelname = scene
         return spec
-    return _dressed(mujoco.MjSpec.from_string(scene)) if is_mjcf(scene) else load_file(f"scenes/{scene}")
+    return (
+        _dressed(mujoco.MjSpec.from_string(scene))
+        if is_mjcf(scene)
+        else load_file(f"scenes/{scene}")
+    )
 
 
 def _dressed(spec: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -182,8 +190,14 @@ def is_mjcf(text: str) -> bool:
 def _geoms(spec: mujoco.MjSpec, role: str) -> list[Any]:
     """Geoms of a default class, or of a class nested in it."""
     tree = ElementTree.fromstring(spec.to_xml())
-    classes = {each.get("class") for each in tree.findall(f".//default[@class='{role}']//default")} | {role}
-    return [geom for geom in spec.geoms if geom.classname.name in classes or (role == GROUND and geom.name == FLOOR)]
+    classes = {
+        each.get("class") for each in tree.findall(f".//default[@class='{role}']//default")
+    } | {role}
+    return [
+        geom
+        for geom in spec.geoms
+        if geom.classname.name in classes or (role == GROUND and geom.name == FLOOR)
+    ]
 
 
 @contextlib.contextmanager
@@ -192,7 +206,9 @@ def _refusals(called: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ParameterError(f"scene is {called}: {error.filename} cannot be read ({error.strerror}).") from None
+        raise ParameterError(
+            f"scene is {called}: {error.filename} cannot be read ({error.strerror})."
+        ) from None
     except (ValueError, ElementTree.ParseError) as error:
         if isinstance(error, ParameterError):
             raise
@@ -221,12 +237,16 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
         element, home, copies = waiting.pop()
         given = element.attrib
         if element.tag in _MAKERS:
-            raise ParameterError(f"scene is {called}: it has a {element.tag}: only the robot may move.")
+            raise ParameterError(
+                f"scene is {called}: it has a {element.tag}: only the robot may move."
+            )
         if element.tag == "replicate":
             copies *= max(_number(given, "count"), 1.0)
         elif element.tag in ("include", "model") and "file" in given:
             path = home / given["file"]
-            if element.tag == "model" or path.resolve() not in included:  # MuJoCo includes no file twice
+            if (
+                element.tag == "model" or path.resolve() not in included
+            ):  # MuJoCo includes no file twice
                 content = read_bytes(path, _MOST_FILE)
                 size += len(content)
                 # As MuJoCo does: a model's files are named from its own folder, those of an included file from here.
@@ -234,17 +254,29 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
                 waiting.append((ElementTree.fromstring(content), inside, copies))
             included.add(path.resolve())
         elif element.tag == "size":
-            size += 8 * _MOST_ELEMENTS * sum(_number(given, name) for name in given if name.startswith("nuser_"))
+            size += (
+                8
+                * _MOST_ELEMENTS
+                * sum(_number(given, name) for name in given if name.startswith("nuser_"))
+            )
             size += 8 * (_number(given, "nkey") + _number(given, "nuserdata"))
         elif element.tag == "texture":
             faces = 1 if given.get("type") == "2d" else 6
-            size += 3 * faces * _number(given, "width") * (_number(given, "height") or _number(given, "width"))
+            size += (
+                3
+                * faces
+                * _number(given, "width")
+                * (_number(given, "height") or _number(given, "width"))
+            )
         elif element.tag == "hfield":
             size += 4 * _number(given, "nrow") * _number(given, "ncol")
         elif element.tag == "numeric":
             size += 8 * _number(given, "size")
         elements += copies
-        for count, most, what in ((elements, _MOST_ELEMENTS, "elements"), (size, _MOST_BYTES, "bytes")):
+        for count, most, what in (
+            (elements, _MOST_ELEMENTS, "elements"),
+            (size, _MOST_BYTES, "bytes"),
+        ):
             if not count <= most:
                 raise ParameterError(
                     f"scene is {called}: with its {element.tag} it asks for {count:,.0f} {what}: allowed are {most:,}."
@@ -286,7 +318,9 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
 
     for kind, what in _FOREIGN.items():
         for element in getattr(spec, kind):
-            refuse(f"has {what}{f' {element.name!r}' if element.name else ''}, and only the robot may")
+            refuse(
+                f"has {what}{f' {element.name!r}' if element.name else ''}, and only the robot may"
+            )
     for body in spec.bodies[1:]:
         if body.mocap:
             refuse(f"has a body {body.name!r} that moves (mocap), and only the robot may")
@@ -295,7 +329,9 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
         _check_files(spec, called)
         ground = _geoms(spec, GROUND)
     if not ground:
-        refuse(f"has no ground: give what the robot stands on the default class {GROUND!r}, or the name {FLOOR!r}")
+        refuse(
+            f"has no ground: give what the robot stands on the default class {GROUND!r}, or the name {FLOOR!r}"
+        )
     _check_options(spec, called)
     spec.compiler.discardvisual = False
     for geom in spec.geoms:
@@ -308,7 +344,9 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
     for geom in ground:
         if geom.type not in GROUND_TYPES:
             kind = geom.type.name.removeprefix("mjGEOM_").lower()
-            refuse(f"has the ground {geom.name!r}, a {kind}; allowed is a plane, a box, a capsule or an hfield")
+            refuse(
+                f"has the ground {geom.name!r}, a {kind}; allowed is a plane, a box, a capsule or an hfield"
+            )
     # Static bodies are merged into the world, so that the only bodies are the robot's.
     spec.compiler.fusestatic = True
     with _refusals(called):
@@ -330,8 +368,16 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
 def _check_options(spec: mujoco.MjSpec, called: str) -> None:
     """Refuse options that would change how the robot walks, and warn of the solver's, which are not taken."""
     default = mujoco.MjSpec().option
-    own = {name: getattr(spec.option, name) for name in dir(default) if not name.startswith("_") and name != "gravity"}
-    own = {name: value for name, value in own.items() if not np.array_equal(value, getattr(default, name))}
+    own = {
+        name: getattr(spec.option, name)
+        for name in dir(default)
+        if not name.startswith("_") and name != "gravity"
+    }
+    own = {
+        name: value
+        for name, value in own.items()
+        if not np.array_equal(value, getattr(default, name))
+    }
     if wrong := [name for name in own if name in _WITHOUT]:
         what = "flags" if wrong[0].endswith("flags") else f"{wrong[0]} {own[wrong[0]]}"
         raise ParameterError(
@@ -384,7 +430,9 @@ def _check_files(spec: mujoco.MjSpec, called: str) -> None:
         if head.startswith(b"\x89PNG"):
             size = 4 * int.from_bytes(head[16:20], "big") * int.from_bytes(head[20:24], "big")
         if size > _MOST_BYTES:
-            raise ParameterError(f"scene is {called}: {path} takes {size:,} bytes: allowed are {_MOST_BYTES:,}.")
+            raise ParameterError(
+                f"scene is {called}: {path} takes {size:,} bytes: allowed are {_MOST_BYTES:,}."
+            )
 
 
 # ---
@@ -412,7 +460,9 @@ class Terrain:
         kind = TERRAINS.get(scene)
         self._kind = None if kind is None or kind.obstacle else kind
         shaped = set(geom_names(scene))
-        self._still = [_surface(model, geom) for geom in geoms if model.geom(geom).name not in shaped]
+        self._still = [
+            _surface(model, geom) for geom in geoms if model.geom(geom).name not in shaped
+        ]
         self._shaped = [_surface(model, geom) for geom in geoms if model.geom(geom).name in shaped]
         #: Height where there is no ground: there a robot falls, and has fallen once it is lower.
         self._bottom = min(surface.bottom for surface in (*self._still, *self._shaped))
@@ -448,7 +498,10 @@ class Terrain:
         surface = _box_height if self._kind.geom == mujoco.mjtGeom.mjGEOM_BOX else _capsule_height
         # All elements at once, along the last axis.
         rotation = _rotation(quat)
-        return jnp.max(surface(x[..., None] - pos[:, 0], y[..., None] - pos[:, 1], rotation, size) + pos[:, 2], axis=-1)
+        return jnp.max(
+            surface(x[..., None] - pos[:, 0], y[..., None] - pos[:, 1], rotation, size) + pos[:, 2],
+            axis=-1,
+        )
 
 
 def _rotation(quat: Array) -> Array:
@@ -472,7 +525,11 @@ def _box_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array:
     top, base = jnp.full((), jnp.inf), jnp.full((), -jnp.inf)
     for i in range(3):
         # Points of the line are (dx, dy, h); their coordinate along the axis is offset + slope h.
-        offset, slope, half = rotation[..., 0, i] * dx + rotation[..., 1, i] * dy, rotation[..., 2, i], size[..., i]
+        offset, slope, half = (
+            rotation[..., 0, i] * dx + rotation[..., 1, i] * dy,
+            rotation[..., 2, i],
+            size[..., i],
+        )
         flat = jnp.abs(slope) < _PARALLEL
         safe, side = jnp.where(flat, 1.0, slope), jnp.where(slope < 0.0, -half, half)
         beside = jnp.where(jnp.abs(offset) <= half, jnp.inf, -jnp.inf)
@@ -515,21 +572,29 @@ class _Surface(NamedTuple):
 def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    place, turn, size = model.geom_pos[geom].copy(), rotation.reshape(3, 3), model.geom_size[geom].copy()
+    place, turn, size = (
+        model.geom_pos[geom].copy(),
+        rotation.reshape(3, 3),
+        model.geom_size[geom].copy(),
+    )
     name, kind = model.geom(geom).name, mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE):
         capsule = kind == mujoco.mjtGeom.mjGEOM_CAPSULE
 
         def solid(x: Array, y: Array) -> Array:
             enters = _capsule_height if capsule else _box_height
-            return place[2] + enters(x - place[0], y - place[1], jnp.asarray(turn, float), jnp.asarray(size, float))
+            return place[2] + enters(
+                x - place[0], y - place[1], jnp.asarray(turn, float), jnp.asarray(size, float)
+            )
 
         up = abs(turn[2, 2]) * size[1] + size[0] if capsule else np.abs(turn[2]) @ size
         return _Surface(solid, float(place[2] - up))
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
         normal = turn[:, 2]
         if normal[2] < _STEEPEST:
-            raise ParameterError(f"scene has the ground {name!r}, a plane that is too steep to stand on.")
+            raise ParameterError(
+                f"scene has the ground {name!r}, a plane that is too steep to stand on."
+            )
 
         def plane(x: Array, y: Array) -> Array:
             if not normal[:2].any():
@@ -540,7 +605,11 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
     field = model.geom_dataid[geom]
     if turn[2, 2] < 1.0 - 1e-6:
         raise ParameterError(f"scene has the ground {name!r}, an hfield that is not level.")
-    rows, columns, start = model.hfield_nrow[field], model.hfield_ncol[field], model.hfield_adr[field]
+    rows, columns, start = (
+        model.hfield_nrow[field],
+        model.hfield_ncol[field],
+        model.hfield_adr[field],
+    )
     data = np.array(model.hfield_data[start : start + rows * columns].reshape(rows, columns), float)
     extent, of_waves = model.hfield_size[field].copy(), name in geom_names("rough")
 
@@ -561,7 +630,12 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
         i = jnp.clip(jnp.floor(row), 0, rows - 2).astype(int)
         j = jnp.clip(jnp.floor(column), 0, columns - 2).astype(int)
         s, t = column - j, row - i
-        origin, right, up, opposite = share(i, j), share(i, j + 1), share(i + 1, j), share(i + 1, j + 1)
+        origin, right, up, opposite = (
+            share(i, j),
+            share(i, j + 1),
+            share(i + 1, j),
+            share(i + 1, j + 1),
+        )
         lower = origin + s * (right - origin) + t * (opposite - right)
         upper = origin + t * (up - origin) + s * (opposite - up)
         inside = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0)

@@ -36,7 +36,9 @@ class TerrainShape:
     """The shape of a terrain; each scene uses some of it (`TERRAINS`), and has its own defaults."""
 
     height: Any = quantity(0.01, "m", 0.0, 0.05, "of a plank, log, step, or of rough ground")
-    spacing: Any = quantity(0.2, "m", 0.05, 1.0, "way from one plank, log, step or gate to the next")
+    spacing: Any = quantity(
+        0.2, "m", 0.05, 1.0, "way from one plank, log, step or gate to the next"
+    )
     width: Any = quantity(0.1, "m", 0.01, 0.3, "of a plank, along the way")
     radius: Any = quantity(0.1, "m", 0.05, 2.0, "of a log, or of the way up the spiral stair")
     slope: Any = quantity(math.radians(10.0), "rad", 0.0, 0.6, "of the ramp")
@@ -100,7 +102,9 @@ def _along(shape: TerrainShape, count: int) -> Any:
 def _planks(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     y = -(_along(shape, 14) + 0.5 * shape.width)
     pos = _stacked(xp, 0.0, y, shape.height - 0.5 * BURIED)
-    return TerrainGeoms(pos, _level(xp, 14), _stacked(xp, np.full(14, HALF_WIDTH), 0.5 * shape.width, 0.5 * BURIED))
+    return TerrainGeoms(
+        pos, _level(xp, 14), _stacked(xp, np.full(14, HALF_WIDTH), 0.5 * shape.width, 0.5 * BURIED)
+    )
 
 
 def _logs(shape: TerrainShape, xp: Any) -> TerrainGeoms:
@@ -174,10 +178,18 @@ _BOX, _CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
 #: Every terrain, by the name of its scene.
 TERRAINS: Final[Mapping[str, TerrainKind]] = {
     "planks": TerrainKind(
-        "planks across the way", _BOX, 14, _planks, {"height": 0.01, "spacing": 0.2, "width": 0.1, "shift": 0.0}
+        "planks across the way",
+        _BOX,
+        14,
+        _planks,
+        {"height": 0.01, "spacing": 0.2, "width": 0.1, "shift": 0.0},
     ),
     "ramp": TerrainKind(
-        "a ramp, and the platform that it leads to", _BOX, 2, _ramp, {"slope": math.radians(10.0), "shift": 0.0}
+        "a ramp, and the platform that it leads to",
+        _BOX,
+        2,
+        _ramp,
+        {"slope": math.radians(10.0), "shift": 0.0},
     ),
     "logs": TerrainKind(
         "round logs across the way, sunk into the floor",
@@ -187,7 +199,11 @@ TERRAINS: Final[Mapping[str, TerrainKind]] = {
         {"height": 0.01, "spacing": 0.15, "radius": 0.1, "shift": 0.0},
     ),
     "stairs": TerrainKind(
-        "seven steps up to a platform", _BOX, 7, _stairs, {"height": 0.01, "spacing": 0.15, "shift": 0.0}
+        "seven steps up to a platform",
+        _BOX,
+        7,
+        _stairs,
+        {"height": 0.01, "spacing": 0.15, "shift": 0.0},
     ),
     "spiral_stairs": TerrainKind(
         "fifteen steps up, about a point to the left",
@@ -218,7 +234,9 @@ TERRAINS: Final[Mapping[str, TerrainKind]] = {
 def terrain_values(scene: str) -> dict[str, float]:
     """The parameters `terrain.*` that a scene reads."""
     kind = TERRAINS.get(scene)
-    return {} if kind is None else {f"terrain.{name}": value for name, value in kind.defaults.items()}
+    return (
+        {} if kind is None else {f"terrain.{name}": value for name, value in kind.defaults.items()}
+    )
 
 
 @functools.cache
@@ -244,7 +262,10 @@ def _waves() -> tuple[np.ndarray, ...]:
     """
     number, golden = np.arange(16), 0.5 * (np.sqrt(5.0) - 1.0)
     length = 0.1 * 5.0 ** (number / 15.0)
-    direction, phase = 2.0 * np.pi * ((golden * number) % 1.0), 2.0 * np.pi * ((golden * number**2) % 1.0)
+    direction, phase = (
+        2.0 * np.pi * ((golden * number) % 1.0),
+        2.0 * np.pi * ((golden * number**2) % 1.0),
+    )
     number_of_waves = 2.0 * np.pi / length
     return number_of_waves * np.cos(direction), number_of_waves * np.sin(direction), phase, length
 
@@ -297,10 +318,18 @@ def add_terrain(spec: mujoco.MjSpec, scene: str) -> None:
     if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
         shares = field_shares()
         size = [*FIELD_SIZE, max(float(shape.height), 1e-6), BURIED]
-        spec.add_hfield(name=scene, nrow=shares.shape[0], ncol=shares.shape[1], size=size, userdata=shares.ravel())
+        spec.add_hfield(
+            name=scene,
+            nrow=shares.shape[0],
+            ncol=shares.shape[1],
+            size=size,
+            userdata=shares.ravel(),
+        )
     classname = spec.find_default("obstacle" if kind.obstacle else "ground")
     for name, pos, quat, size in zip(geom_names(scene), *layout, strict=True):
-        geom = spec.worldbody.add_geom(classname, name=name, type=kind.geom, pos=pos, quat=quat, size=size)
+        geom = spec.worldbody.add_geom(
+            classname, name=name, type=kind.geom, pos=pos, quat=quat, size=size
+        )
         geom.material = kind.material
         if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
             geom.hfieldname, geom.size = scene, np.zeros(3)

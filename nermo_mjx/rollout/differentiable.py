@@ -51,7 +51,9 @@ ENGINES: Final = ("auto", "c", "mjx")
 MOST_DIFFERENCES: Final = 20
 #: Cost of value and gradient in MJX, in runs of it without: 4.5 were measured for any number of parameters.
 MJX_GRADIENT: Final = 5.0
-_FIRST_ONLY: Final = "A second derivative of a walk is not computed on engine c: take Rollout(..., engine='mjx')."
+_FIRST_ONLY: Final = (
+    "A second derivative of a walk is not computed on engine c: take Rollout(..., engine='mjx')."
+)
 #: Half-width of the differences, as a share of a parameter's scale; tolerance of the solver. Widths from 1e-8 to 1e-6
 #: give the same derivative; from 1e-5 on contacts change within the width.
 WIDTH: Final = 1e-7
@@ -132,10 +134,19 @@ class Rollout:
         of_type("slowest", slowest, (float, int, type(None)), "a frequency in Hz")
         self._wanted = choice("engine", engine, ENGINES)
         if self.length.distance is not None:
-            raise ParameterError("run.distance is given: a differentiable run ends by cycles or duration.")
-        lengths = (self.length.cycles, self.length.warmup_cycles, self.length.duration, self.length.warmup)
+            raise ParameterError(
+                "run.distance is given: a differentiable run ends by cycles or duration."
+            )
+        lengths = (
+            self.length.cycles,
+            self.length.warmup_cycles,
+            self.length.duration,
+            self.length.warmup,
+        )
         if any(jnp.ndim(value) for value in lengths if value is not None):
-            raise ParameterError("run has one length for each world: a differentiable run takes one for all.")
+            raise ParameterError(
+                "run has one length for each world: a differentiable run takes one for all."
+            )
         self.slowest = slowest
         self.loop = checked_loop(self.setup)
         self.robot, self.controller = self.loop.robot, self.loop.controller
@@ -150,7 +161,9 @@ class Rollout:
     @functools.cached_property
     def engine(self) -> MjxEngine:
         """The engine that traces the walk; made when it is first needed."""
-        from nermo_mjx.physics.mjx_engine import MjxEngine  # slow to import, and not needed on the engine c
+        from nermo_mjx.physics.mjx_engine import (
+            MjxEngine,
+        )  # slow to import, and not needed on the engine c
 
         with jax.enable_x64(self._x64), jax.ensure_compile_time_eval():
             return MjxEngine(self.robot, self.loop)
@@ -206,15 +219,20 @@ class Rollout:
         """
         given = {**self.setup.body, **self.setup.numbers(values)}
         self._check(given, None)
-        return self._differences.slopes({name: float(value) for name, value in given.items()}, tuple(names), width)
+        return self._differences.slopes(
+            {name: float(value) for name, value in given.items()}, tuple(names), width
+        )
 
-    def gradient_spread(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
+    def gradient_spread(
+        self, values: Mapping[str, float], names: Sequence[str]
+    ) -> dict[str, Float[np.ndarray, " n"]]:
         """How far the derivatives of `WIDTH` and of a tenth of it are apart, as a share of the larger: a derivative
         is sure to so many digits. Near a kink it is large. The arguments are those of `slopes`."""
         wide, narrow = (self.slopes(values, names, width) for width in (WIDTH, 0.1 * WIDTH))
         larger = {name: np.maximum(np.abs(wide[name]), np.abs(narrow[name])) for name in wide}
         return {
-            name: np.abs(wide[name] - narrow[name]) / np.where(most > 0, most, 1.0) for name, most in larger.items()
+            name: np.abs(wide[name] - narrow[name]) / np.where(most > 0, most, 1.0)
+            for name, most in larger.items()
         }
 
     def _walk(
@@ -231,7 +249,9 @@ class Rollout:
         if self._chosen(given, qpos, qvel, policy) == "mjx":
             return self._traced(given, qpos, qvel, policy)
         ticks = self._ticks(given, policy) if path else None
-        return self._differences.walk(given, None if qpos is None else np.asarray(qpos, float), policy, ticks)
+        return self._differences.walk(
+            given, None if qpos is None else np.asarray(qpos, float), policy, ticks
+        )
 
     def _chosen(self, values: Mapping[str, Any], qpos: Any, qvel: Any, policy: Any) -> str:
         """The engine for such arguments, which is said once."""
@@ -243,12 +263,20 @@ class Rollout:
         elif qvel is not None:
             beyond = "A start with velocities"
         if self._wanted == "c" and beyond:
-            raise ParameterError(f"{beyond} is not computed on engine c: take Rollout(..., engine='mjx').")
+            raise ParameterError(
+                f"{beyond} is not computed on engine c: take Rollout(..., engine='mjx')."
+            )
         numbers = sum(map(_traced, values.values()))
-        engine = self._wanted if self._wanted != "auto" else "mjx" if beyond else engine_for(numbers)
+        engine = (
+            self._wanted if self._wanted != "auto" else "mjx" if beyond else engine_for(numbers)
+        )
         if numbers and engine not in self._said and self._wanted == "auto":
             self._said.add(engine)
-            how = "central differences of whole walks" if engine == "c" else "tracing: compiling takes minutes on a CPU"
+            how = (
+                "central differences of whole walks"
+                if engine == "c"
+                else "tracing: compiling takes minutes on a CPU"
+            )
             logging.getLogger(__name__).warning(
                 "Rollout: engine %s for %d traced numbers, by %s.", engine, numbers, how
             )
@@ -259,7 +287,9 @@ class Rollout:
         for name, value in values.items():
             if jnp.ndim(value):
                 shape = jnp.shape(value)
-                raise ParameterError(f"{name} has shape {shape}: a rollout is one world; use jax.vmap for a batch.")
+                raise ParameterError(
+                    f"{name} has shape {shape}: a rollout is one world; use jax.vmap for a batch."
+                )
         known = {name: value for name, value in values.items() if not _traced(value)}
         self.setup.world(values)  # unknown names
         checked = self.setup.world(known, None if _traced(policy) else policy)
@@ -267,7 +297,11 @@ class Rollout:
 
     @full_precision
     def _traced(
-        self, values: Mapping[str, ArrayLike], qpos: ArrayLike | None, qvel: ArrayLike | None, policy: Any
+        self,
+        values: Mapping[str, ArrayLike],
+        qpos: ArrayLike | None,
+        qvel: ArrayLike | None,
+        policy: Any,
     ) -> tuple[dict[str, Scalar], Path]:
         """The walk in MJX."""
         if "mjx" not in self._said:
@@ -275,16 +309,22 @@ class Rollout:
             what = f"compiling the mjx program, about {COMPILE_SECONDS['mjx']} s, a gradient minutes, once per machine"
             logging.getLogger(__name__).warning("Rollout: %s.", what)
         params = canonical(
-            self.setup.world({name: jnp.asarray(value, float) for name, value in values.items()}, policy)
+            self.setup.world(
+                {name: jnp.asarray(value, float) for name, value in values.items()}, policy
+            )
         )
         body = self.variation.differentiable(params.model, values)
         begin, end = self.length.seconds(canonical(self.controller.cycle_rate(params.control)))
-        window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
+        window = Window(
+            begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6)
+        )
         loop = loop_parameters(self.robot, params, window, values)
         ticks = self._ticks(values, policy)
         if qpos is None:
             shape = params.model if is_shaped(values) else None
-            qpos = self.start.qpos(self.loop.control_at(loop, 0.0), params.start, loop.terrain, shape)
+            qpos = self.start.qpos(
+                self.loop.control_at(loop, 0.0), params.start, loop.terrain, shape
+            )
         first = jnp.asarray(qpos, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)
         carry = self.engine.start(loop, first, still, self.robot.sensordata_at_rest(first))
@@ -299,7 +339,9 @@ class Rollout:
         # A traced frequency below `slowest` would not finish its run: NaN is better than a wrong result.
         complete = loop.window.end <= (ticks - 1 + 1e-3) * self.controller.dt
         gravity, supply = params.model.ground.gravity, Supply.of(params.model, self.robot)
-        measured = measures.result(carry.loop.metrics, mass, gravity, supply, self.setup.own_metrics)
+        measured = measures.result(
+            carry.loop.metrics, mass, gravity, supply, self.setup.own_metrics
+        )
         return {name: jnp.where(complete, value, jnp.nan) for name, value in measured.items()}, path
 
     def _ticks(self, values: Mapping[str, ArrayLike], policy: Any) -> int:
@@ -315,12 +357,20 @@ class Rollout:
             return float(self.length.duration)
         traced = [name for name in self.setup.timing if _traced(values.get(name))]
         # Traced values become NaN, and so does a rate that depends on them.
-        known = {name: values[name] for name in self.setup.timing if name in values} | dict.fromkeys(traced, math.nan)
+        known = {
+            name: values[name] for name in self.setup.timing if name in values
+        } | dict.fromkeys(traced, math.nan)
         if traced == ["frequency"] and self.slowest is not None:
             known["frequency"] = self.slowest
-        given = jax.tree.map(lambda leaf: np.full(jnp.shape(leaf), np.nan) if _traced(leaf) else leaf, policy)
+        given = jax.tree.map(
+            lambda leaf: np.full(jnp.shape(leaf), np.nan) if _traced(leaf) else leaf, policy
+        )
         rate = float(self.setup.cycle_rate(known, given))
-        if math.isnan(rate) and self.slowest is not None and not isinstance(self.controller, Controller):
+        if (
+            math.isnan(rate)
+            and self.slowest is not None
+            and not isinstance(self.controller, Controller)
+        ):
             rate = self.slowest
         if math.isnan(rate):
             raise ParameterError(
@@ -363,8 +413,12 @@ class WalkDifferences:
         self, values: Mapping[str, Any], qpos: np.ndarray | None, policy: Any, ticks: int | None
     ) -> tuple[dict[str, Scalar], Path]:
         """Metrics, and the path of so many `ticks`; None for an empty path."""
-        traced = {name: jnp.asarray(value, float) for name, value in values.items() if _traced(value)}
-        fixed = {name: float(np.asarray(value)) for name, value in values.items() if name not in traced}
+        traced = {
+            name: jnp.asarray(value, float) for name, value in values.items() if _traced(value)
+        }
+        fixed = {
+            name: float(np.asarray(value)) for name, value in values.items() if name not in traced
+        }
         simulate = functools.partial(self._simulate, tuple(traced), fixed, qpos, policy, ticks)
         if not traced:
             with jax.ensure_compile_time_eval():
@@ -380,7 +434,10 @@ class WalkDifferences:
         return dict(zip(self.metrics, found[0], strict=True)), Path(*found[1:])
 
     def _differentiable(
-        self, simulate: Callable[[np.ndarray], list[np.ndarray]], names: tuple[str, ...], ticks: int | None
+        self,
+        simulate: Callable[[np.ndarray], list[np.ndarray]],
+        names: tuple[str, ...],
+        ticks: int | None,
     ) -> Callable[..., Any]:
         """A function of p scalars, with its derivative: metrics (m,) as a list, and the arrays of the path."""
         model, real = self._simulator_model, jnp.zeros(()).dtype
@@ -396,7 +453,8 @@ class WalkDifferences:
             lead, points = _rows(at)
             found, derivative = self._slopes(simulate, names, points, moved, WIDTH, warn=True)
             shaped = (
-                [each.reshape(*lead, *each.shape[1:]).astype(real) for each in part] for part in (found, derivative)
+                [each.reshape(*lead, *each.shape[1:]).astype(real) for each in part]
+                for part in (found, derivative)
             )
             return next(shaped), next(shaped)
 
@@ -406,20 +464,28 @@ class WalkDifferences:
             return [metrics[i] for i in range(len(self.metrics))], *path
 
         def rule(at: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
-            moved = tuple(i for i, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero))
+            moved = tuple(
+                i for i, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)
+            )
             columns = [jax.ShapeDtypeStruct((*each.shape, len(moved)), real) for each in one]
             own = functools.partial(slopes, moved)
             found, derivative = first_order_callback(own, (one, columns), _FIRST_ONLY, *at)
 
             def along(columns: Array) -> Array:
                 """Linear in the tangents, so that JAX transposes it; a sum, which all transformations round alike."""
-                return sum((columns[..., k] * tangents[i] for k, i in enumerate(moved)), jnp.zeros(columns.shape[:-1]))
+                return sum(
+                    (columns[..., k] * tangents[i] for k, i in enumerate(moved)),
+                    jnp.zeros(columns.shape[:-1]),
+                )
 
             # Each metric by itself: one without a derivative must not make those of others NaN.
             metrics, *path = found
             slope, *path_slopes = derivative
             each = range(len(self.metrics))
-            return ([metrics[i] for i in each], *path), ([along(slope[i]) for i in each], *map(along, path_slopes))
+            return ([metrics[i] for i in each], *path), (
+                [along(slope[i]) for i in each],
+                *map(along, path_slopes),
+            )
 
         walk.defjvp(rule, symbolic_zeros=True)
         return walk
@@ -452,7 +518,10 @@ class WalkDifferences:
         metrics = np.stack([result.metrics[name] for name in self.metrics], axis=-1)
         if result.trace is None:
             model = self._simulator_model
-            return [metrics, *(np.zeros((len(metrics), 0, size)) for size in (model.nq, model.nv, model.nu))]
+            return [
+                metrics,
+                *(np.zeros((len(metrics), 0, size)) for size in (model.nq, model.nv, model.nu)),
+            ]
         return [metrics, result.trace.qpos, result.trace.qvel, result.trace.ctrl]
 
     def _slopes(
@@ -473,7 +542,10 @@ class WalkDifferences:
         worlds = np.repeat(points[:, None], 1 + 2 * len(moved), axis=1)
         for k, i in enumerate(moved):
             worlds[:, 1 + k, i], worlds[:, 1 + len(moved) + k, i] = above[:, k], below[:, k]
-        found = [each.reshape(*worlds.shape[:2], *each.shape[1:]) for each in simulate(worlds.reshape(-1, len(names)))]
+        found = [
+            each.reshape(*worlds.shape[:2], *each.shape[1:])
+            for each in simulate(worlds.reshape(-1, len(names)))
+        ]
         values, derivatives = [], []
         for each in found:
             at, up, down = np.split(np.moveaxis(each, 1, -1), [1, 1 + len(moved)], axis=-1)
@@ -482,7 +554,10 @@ class WalkDifferences:
             derivatives.append((up - down) / run)
             if warn and each.ndim == 3:  # the metrics
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    right, left = (up - at) / (above - chosen)[:, None], (at - down) / (chosen - below)[:, None]
+                    right, left = (
+                        (up - at) / (above - chosen)[:, None],
+                        (at - down) / (chosen - below)[:, None],
+                    )
                     larger = np.maximum(np.abs(right), np.abs(left))
                     noise = NOISE * (1.0 + np.abs(at)) / (0.5 * run)
                     kink = np.abs(right - left) > np.maximum(KINK * larger, noise)
@@ -499,7 +574,11 @@ class WalkDifferences:
         left: np.ndarray,
     ) -> None:
         """Warn of kinks (n, m, p), once for each set of metrics."""
-        metrics = tuple(name for name, one in zip(self.metrics, np.any(kink, axis=(0, 2)).tolist(), strict=True) if one)
+        metrics = tuple(
+            name
+            for name, one in zip(self.metrics, np.any(kink, axis=(0, 2)).tolist(), strict=True)
+            if one
+        )
         if not metrics or metrics in self._told:
             return
         self._told.add(metrics)
@@ -512,7 +591,9 @@ class WalkDifferences:
             stacklevel=2,
         )
 
-    def slopes(self, values: Mapping[str, float], names: tuple[str, ...], width: float) -> dict[str, np.ndarray]:
+    def slopes(
+        self, values: Mapping[str, float], names: tuple[str, ...], width: float
+    ) -> dict[str, np.ndarray]:
         """See `Rollout.slopes`."""
         fixed = {name: value for name, value in values.items() if name not in names}
         simulate = functools.partial(self._simulate, names, fixed, None, None, None)

@@ -26,7 +26,13 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.robot import LIMBS, Robot
-from nermo_mjx.robot.model_parameters import NOMINAL_VOLTAGE, Battery, Damping, ModelParameters, Servo
+from nermo_mjx.robot.model_parameters import (
+    NOMINAL_VOLTAGE,
+    Battery,
+    Damping,
+    ModelParameters,
+    Servo,
+)
 from nermo_mjx.shapes import Array, Scalar
 
 
@@ -41,7 +47,12 @@ class Supply(NamedTuple):
     @classmethod
     def of(cls, body: ModelParameters, robot: Robot | None = None) -> Supply:
         """The supply of a body; without the robot its compliant joints count as undamped."""
-        return cls(body.servo, body.battery, body.damping, robot.joint_damping(body.damping) if robot else 0.0)
+        return cls(
+            body.servo,
+            body.battery,
+            body.damping,
+            robot.joint_damping(body.damping) if robot else 0.0,
+        )
 
 
 #: Torque of the servos (n,), before what the back-EMF takes [N m], their velocity, that of the compliant joints (m,)
@@ -50,7 +61,13 @@ Driven = tuple[Array, Array, Array]
 #: Integrals of `drawn`.
 DRAWN: Final = ("servos", "torque", "energy")
 #: Groups of servos whose time at the torque limit is counted, as places among `SERVOS`.
-GROUPS: Final = {"front_hips": (0, 1), "rear_hips": (2, 3), "front_knees": (4, 5), "rear_knees": (6, 7), "spine": (8,)}
+GROUPS: Final = {
+    "front_hips": (0, 1),
+    "rear_hips": (2, 3),
+    "front_knees": (4, 5),
+    "rear_knees": (6, 7),
+    "spine": (8,),
+}
 #: Share of its limit from which a servo counts as standing at it; single precision rounds.
 AT_LIMIT: Final = 0.9999
 
@@ -68,10 +85,14 @@ def spent(before: Driven, now: Driven, servo: Servo) -> dict[str, Array]:
         servo: parameters.
     """
     torque, velocity, joints = now
-    driven, moved, bent = (jnp.vstack([old, each[:-1]]) for old, each in zip(before, now, strict=True))
+    driven, moved, bent = (
+        jnp.vstack([old, each[:-1]]) for old, each in zip(before, now, strict=True)
+    )
     mean = 0.5 * (moved + velocity)
     damped = (mean * velocity).mean(axis=0)
-    limit = servo.stall_torque * jnp.ones(torque.shape[-1]).at[jnp.array(GROUPS["spine"])].set(servo.spine_torque)
+    limit = servo.stall_torque * jnp.ones(torque.shape[-1]).at[jnp.array(GROUPS["spine"])].set(
+        servo.spine_torque
+    )
     limited = (jnp.abs(torque) >= AT_LIMIT * limit).mean(axis=0)
     return {
         "net_work": (driven * mean).sum(axis=-1).mean(),
@@ -84,7 +105,9 @@ def spent(before: Driven, now: Driven, servo: Servo) -> dict[str, Array]:
 def unspent(dtype: Any, joints: int) -> dict[str, Array]:
     """The integrals of `spent` before the first tick, for a number of compliant joints."""
     shapes = {"damped": 2, "bent": joints, "limited": len(GROUPS)}
-    return {"net_work": jnp.zeros((), dtype)} | {name: jnp.zeros(size, dtype) for name, size in shapes.items()}
+    return {"net_work": jnp.zeros((), dtype)} | {
+        name: jnp.zeros(size, dtype) for name, size in shapes.items()
+    }
 
 
 def budget(sums: Mapping[str, Array], time: Scalar, supply: Supply) -> dict[str, Scalar]:
@@ -92,7 +115,10 @@ def budget(sums: Mapping[str, Array], time: Scalar, supply: Supply) -> dict[str,
 
     What is left is taken by constraints or stored: the sum over all forces is the change of energy.
     """
-    damping = jnp.stack([jnp.asarray(supply.damping.hip), jnp.asarray(supply.damping.pulley)]) + supply.servo.brake
+    damping = (
+        jnp.stack([jnp.asarray(supply.damping.hip), jnp.asarray(supply.damping.pulley)])
+        + supply.servo.brake
+    )
     shares = {f"limited_{name}": sums["limited"][i] / time for i, name in enumerate(GROUPS)}
     work = {"servo_net_work": sums["net_work"], "servo_damper_work": damping @ sums["damped"]}
     work["joint_damper_work"] = (supply.joint_damping * sums["bent"]).sum()
@@ -100,7 +126,9 @@ def budget(sums: Mapping[str, Array], time: Scalar, supply: Supply) -> dict[str,
     return work | {"constraint_work": left} | shares
 
 
-def power_sums(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo) -> dict[str, Scalar]:
+def power_sums(
+    torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo
+) -> dict[str, Scalar]:
     """Means over a tick of sums over the servos: their number, the motors' |torque| [N m], the power beside idle [W].
 
     Args:
@@ -115,7 +143,9 @@ def power_sums(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"
     return {name: values.sum(axis=-1).mean() for name, values in zip(DRAWN, each, strict=True)}
 
 
-def electrical_result(sums: Mapping[str, Scalar], time: Scalar, supply: Supply) -> dict[str, Scalar]:
+def electrical_result(
+    sums: Mapping[str, Scalar], time: Scalar, supply: Supply
+) -> dict[str, Scalar]:
     """The electrical metrics, from the integrals of `drawn` over the measured time [s]."""
     servo, battery = supply.servo, supply.battery
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit

@@ -59,7 +59,10 @@ def eye_result(state: EyeState, time: Scalar) -> dict[str, Scalar]:
     """The metrics by name; `time` is the measured time [s]."""
     metrics: dict[str, Scalar] = {}
     for i, angle in enumerate(("pitch", "yaw")):
-        metrics |= {f"head_{angle}_mean": state.mean[i], f"head_{angle}_std": root(state.square[i] / time)}
+        metrics |= {
+            f"head_{angle}_mean": state.mean[i],
+            f"head_{angle}_std": root(state.square[i] / time),
+        }
     return metrics
 
 

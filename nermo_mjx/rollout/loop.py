@@ -90,7 +90,9 @@ class LoopParameters:
     push: Pushes | None = None
 
 
-def loop_parameters(robot: Robot, world: WorldParameters, window: Window, named: Container[str]) -> LoopParameters:
+def loop_parameters(
+    robot: Robot, world: WorldParameters, window: Window, named: Container[str]
+) -> LoopParameters:
     """Parameters of the loop of worlds, measured in the window; `named` are those that are not the robot's defaults."""
     servo = world.model.servo
     brake = servo.brake if "servo.back_emf" in named else None
@@ -160,16 +162,27 @@ class ClosedLoop:
         """See `Loop.step`. Metrics get the tick that has just ended, the controller its last reading."""
         measured = self.measure(params, state, sensordata)
         controller, own = self._seeing(params), self.control_at(params, state.time)
-        control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
+        control, servo = controller.update(
+            own, state.control, self.last_reading(measured, sensordata)
+        )
         reach = params.servo.top_speed * controller.dt
         asked = servo.vector(self.robot.servos)
         target = self._within_range(params, asked)
         ctrl = state.ctrl + jnp.clip(target - state.ctrl, -reach, reach)
         tick = state.tick + 1
         clamped = jnp.any(jnp.abs(asked - target) > ROUNDING).astype(ctrl.dtype)
-        after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl, clamped)
+        after = LoopState(
+            tick,
+            tick * controller.dt,
+            with_dtypes_of(state.control, control),
+            measured,
+            ctrl,
+            clamped,
+        )
         if params.push is not None:
-            ctrl = jnp.concatenate([ctrl, params.push.at(state.tick, controller.dt).astype(ctrl.dtype)])
+            ctrl = jnp.concatenate(
+                [ctrl, params.push.at(state.tick, controller.dt).astype(ctrl.dtype)]
+            )
         return with_dtypes_of(state, after), ctrl
 
     def control_at(self, params: LoopParameters, time: Scalar | float) -> Any:
@@ -182,9 +195,13 @@ class ClosedLoop:
         ground = functools.partial(self.robot.terrain.height, shape=params.terrain)
         return seeing(self.controller, ground)
 
-    def _within_range(self, params: LoopParameters, angles: Float[Array, " n_servos"]) -> Float[Array, " n_servos"]:
+    def _within_range(
+        self, params: LoopParameters, angles: Float[Array, " n_servos"]
+    ) -> Float[Array, " n_servos"]:
         low, high = jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype)
-        more = params.servo.knee_range * np.array([name.endswith("_knee") for name in self.robot.servos])
+        more = params.servo.knee_range * np.array(
+            [name.endswith("_knee") for name in self.robot.servos]
+        )
         return jnp.clip(angles, low - more, high + more)
 
     def measure(
@@ -219,13 +236,17 @@ class ClosedLoop:
             within,
         )
 
-    def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:
+    def last_reading(
+        self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]
+    ) -> Sensors:
         """The readings that a controller receives for a tick.
 
         A diverged world continues with readings of zero, so that nothing non-finite enters the controller.
         """
         sensors = self.robot.sensors(sensordata)
-        return jax.tree.map(lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors)
+        return jax.tree.map(
+            lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors
+        )
 
 
 def check_controller(robot: Robot, controller: ControllerLike) -> None:
@@ -237,7 +258,9 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     if isinstance(controller, Controller):
         return  # its parts are checked by its tests, and tracing it takes half a second
     controller = seeing(controller, robot.terrain.height)
-    readings = jax.eval_shape(robot.sensors, jax.ShapeDtypeStruct((robot.model.nsensordata,), jnp.zeros(()).dtype))
+    readings = jax.eval_shape(
+        robot.sensors, jax.ShapeDtypeStruct((robot.model.nsensordata,), jnp.zeros(()).dtype)
+    )
     phase = jax.ShapeDtypeStruct((), jnp.zeros(()).dtype)
     params = controller.parameters
 
@@ -262,7 +285,9 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
             f"makes a state of {forms[1]} with shapes {shapes[1]}: expected the form that init gives it, "
             f"{forms[0]} with shapes {shapes[0]}",
         )
-    for (path, old), new in zip(jax.tree_util.tree_leaves_with_path(first), jax.tree.leaves(after), strict=True):
+    for (path, old), new in zip(
+        jax.tree_util.tree_leaves_with_path(first), jax.tree.leaves(after), strict=True
+    ):
         if old.dtype != new.dtype and not np.can_cast(new.dtype, old.dtype, "same_kind"):
             refuse(
                 "update",
@@ -272,18 +297,26 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
             )
     for name, angles in (("initial_servo", servo), ("update", now)):
         if not isinstance(angles, ServoAngles):
-            refuse(name, f"gives {described(angles)}: expected ServoAngles with four hips and four knees")
+            refuse(
+                name,
+                f"gives {described(angles)}: expected ServoAngles with four hips and four knees",
+            )
         for part in dataclasses.fields(angles):
             given, wanted = getattr(angles, part.name), (4,) if part.name in ("hip", "knee") else ()
             if getattr(given, "shape", None) != wanted or np.dtype(given.dtype).kind not in "fi":
                 what = f"gives ServoAngles whose {part.name} is {described(given)}"
                 refuse(name, f"{what}: expected real numbers of shape {wanted}")
     if getattr(rate, "shape", None) != ():
-        refuse("cycle_rate", f"gives {described(rate)}: expected one number, the gait cycles per second")
+        refuse(
+            "cycle_rate",
+            f"gives {described(rate)}: expected one number, the gait cycles per second",
+        )
     stance = traced("stance", first) if isinstance(controller, PlansContact) else jnp.ones(4, bool)
     if getattr(stance, "shape", None) != (4,):
         refuse("stance", f"gives {described(stance)}: expected the planned contact of four limbs")
-    if not type(controller).__module__.startswith("nermo_mjx."):  # a policy of ours takes seconds to compile
+    if not type(controller).__module__.startswith(
+        "nermo_mjx."
+    ):  # a policy of ours takes seconds to compile
         _check_at_rest(robot, controller)
 
 
@@ -324,7 +357,9 @@ def checked_loop(setup: Setup) -> ClosedLoop:
     loop = ClosedLoop(setup.load(), setup.make_controller(), setup.own_metrics)
     check_controller(loop.robot, loop.controller)
     check_metrics(loop.robot.config, loop.own)
-    if isinstance(loop.controller, ActsUpon) and (why := loop.controller.elsewhere(setup.physics, setup.timestep)):
+    if isinstance(loop.controller, ActsUpon) and (
+        why := loop.controller.elsewhere(setup.physics, setup.timestep)
+    ):
         warnings.warn(why, stacklevel=3)
     return loop
 

@@ -27,7 +27,14 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.body import attitude, uprightness
 from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
 from nermo_mjx.robot.model_parameters import Servo
-from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction, stride_metrics, transitions
+from nermo_mjx.rollout import (
+    electrical,
+    eye_metrics,
+    path_metrics,
+    reduction,
+    stride_metrics,
+    transitions,
+)
 from nermo_mjx.rollout.own_metrics import ANGLES, METRICS, PAIRS, OwnMetric
 from nermo_mjx.rollout.path_metrics import MeasuredPart, begins_in_run, measured_part, root
 from nermo_mjx.rollout.setup import Window
@@ -55,7 +62,16 @@ FLOATED: Final = 0.5
 GRAVITY: Final = 9.81
 #: Integrals over the measured time of one number: of times [s], work and energy [J], the torque of motors [N m s], the
 #: squared error [m^2 s] and speed of the image [rad^2/s]. Others are of the feet: times [s], ways [m], forces [N s].
-SUMS: Final = ("work", "tail_loaded", "clamped", "airborne", "sunk", "square_error", "image", *electrical.DRAWN)
+SUMS: Final = (
+    "work",
+    "tail_loaded",
+    "clamped",
+    "airborne",
+    "sunk",
+    "square_error",
+    "image",
+    *electrical.DRAWN,
+)
 
 
 class Ending(enum.Enum):
@@ -147,10 +163,16 @@ class MetricState:
 def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = False) -> MetricState:
     """Accumulators before the first tick, from the readings at rest, with those of custom metrics and of switches."""
     position, angles = sensors.position, attitude(sensors.orientation)
-    zero, three, four = jnp.zeros((), position.dtype), jnp.zeros_like(position), jnp.zeros_like(sensors.foot_force)
+    zero, three, four = (
+        jnp.zeros((), position.dtype),
+        jnp.zeros_like(position),
+        jnp.zeros_like(sensors.foot_force),
+    )
     readings = jnp.append(angles, zero)
     no = jnp.zeros((), bool)
-    sums = dict.fromkeys(SUMS, zero) | dict.fromkeys(("loaded", "slid", "swing", "swing_loaded"), four)
+    sums = dict.fromkeys(SUMS, zero) | dict.fromkeys(
+        ("loaded", "slid", "swing", "swing_loaded"), four
+    )
     if switches:
         sums |= dict.fromkeys(("switching_slid", "switching_loaded"), zero)
         sums |= dict.fromkeys(("switching_time", "switching_way"), jnp.zeros(3, zero.dtype))
@@ -158,7 +180,9 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         time=zero,
         way=zero,
         travelled=zero,
-        sums=sums | {"load": jnp.append(four, zero)} | electrical.unspent(zero.dtype, sensors.joint_velocity.shape[-1]),
+        sums=sums
+        | {"load": jnp.append(four, zero)}
+        | electrical.unspent(zero.dtype, sensors.joint_velocity.shape[-1]),
         mean=three,
         square=three,
         readings=readings,
@@ -229,12 +253,16 @@ def update(
     sensors = jax.tree.map(lambda leaf: jnp.where(lost | ~jnp.isfinite(leaf), 0.0, leaf), sensors)
     last = jax.tree.map(lambda leaf: leaf[-1], sensors)
 
-    fallen = (uprightness(last.orientation) < FALLEN_COSINE) | (last.position[2] - ground < FALLEN_HEIGHT)
+    fallen = (uprightness(last.orientation) < FALLEN_COSINE) | (
+        last.position[2] - ground < FALLEN_HEIGHT
+    )
     judged = ~(state.fell | state.diverged | state.finished) & begins_in_run(window, time, dt)
     fell, diverged = state.fell | (judged & fallen & ~lost), state.diverged | (judged & lost)
 
     angles = attitude(last.orientation)
-    angles = angles.at[2].add(-2 * jnp.pi * jnp.round((angles[2] - state.readings[2]) / (2 * jnp.pi)))
+    angles = angles.at[2].add(
+        -2 * jnp.pi * jnp.round((angles[2] - state.readings[2]) / (2 * jnp.pi))
+    )
 
     # Critically damped tracking of yaw and its rate: no lag in a steady turn, and little of the spine's sway remains.
     expected = state.course + dt * state.turning
@@ -245,24 +273,39 @@ def update(
     travelled = state.travelled + step
 
     goes_on, far_enough = ~(fell | lost | state.finished), travelled >= window.distance
-    part = measured_part(window, state.time, state.path.cycles, time, dt, cycle_rate, goes_on, far_enough)
+    part = measured_part(
+        window, state.time, state.path.cycles, time, dt, cycle_rate, goes_on, far_enough
+    )
     share = jnp.where(state.begun, part.weight / jnp.where(state.begun, part.elapsed, 1.0), 1.0)
     deviation = angles - state.mean
     mean = state.mean + share * deviation
 
-    origin = jnp.where(state.begun, state.origin, _between(state.position, last.position, part.begin))
+    origin = jnp.where(
+        state.begun, state.origin, _between(state.position, last.position, part.begin)
+    )
     begin, end = (_between(state.readings[2], angles[2], share) for share in (part.begin, part.end))
     heading = jnp.stack(
-        [jnp.where(state.begun, state.heading[0], begin), jnp.where(part.inside, end, state.heading[1])]
+        [
+            jnp.where(state.begun, state.heading[0], begin),
+            jnp.where(part.inside, end, state.heading[1]),
+        ]
     )
     error = jnp.zeros(()) if path is None else jnp.where(lost, 0.0, path.error)
     readings = jnp.append(angles, error)
     low, high = _extremes(state, readings, part)
 
-    torque = sensors.servo_torque if brake is None else sensors.servo_torque - brake * sensors.servo_velocity
+    torque = (
+        sensors.servo_torque
+        if brake is None
+        else sensors.servo_torque - brake * sensors.servo_velocity
+    )
     contact = _share_loaded(sensors.foot_force)
     loaded = contact.mean(axis=0)
-    swing = jnp.zeros_like(loaded) if stance is None else jnp.where(stance, 0.0, 1.0).astype(loaded.dtype)
+    swing = (
+        jnp.zeros_like(loaded)
+        if stance is None
+        else jnp.where(stance, 0.0, 1.0).astype(loaded.dtype)
+    )
     speed = jnp.sqrt(jnp.sum(sensors.foot_velocity[..., :2] ** 2, axis=-1) + 1e-12)
     slid = (contact * speed).mean(axis=0)
     turning_head = eye_metrics.head_rate(sensors)
@@ -290,7 +333,9 @@ def update(
     if transition is not None and roll is not None:
         feet = slid.sum(), loaded.sum()
         measured |= transitions.integrals(transition, time, part.weight, *feet, step / dt)
-        roll = jnp.maximum(roll, jnp.where(measured["switching_time"][1] > 0.0, jnp.abs(angles[0]), 0.0))
+        roll = jnp.maximum(
+            roll, jnp.where(measured["switching_time"][1] > 0.0, jnp.abs(angles[0]), 0.0)
+        )
     return MetricState(
         time=part.elapsed,
         way=state.way + part.weight / dt * step,
@@ -312,7 +357,9 @@ def update(
         ),
         eyes=eye_metrics.update_eye(state.eyes, last, part.weight, share),
         penetration=jnp.where(
-            judged & ~lost, jnp.maximum(state.penetration, -sensors.contact_distance.min()), state.penetration
+            judged & ~lost,
+            jnp.maximum(state.penetration, -sensors.contact_distance.min()),
+            state.penetration,
         ),
         driven=_driven(last),
         own=None
@@ -344,7 +391,9 @@ def _extremes(state: MetricState, readings: Array, part: MeasuredPart) -> tuple[
     part of the first tick is measured, its reading is blended into the second's as that part vanishes.
     """
     start = part.begin + 1.0
-    first = _between(state.readings, readings, jnp.where((start >= 0.0) & (start < part.end), start, part.end))
+    first = _between(
+        state.readings, readings, jnp.where((start >= 0.0) & (start < part.end), start, part.end)
+    )
     final = _between(state.readings, readings, part.end)
     low = jnp.minimum(jnp.where(start < 0.0, state.low, jnp.inf), jnp.minimum(first, final))
     high = jnp.maximum(jnp.where(start < 0.0, state.high, -jnp.inf), jnp.maximum(first, final))
@@ -414,13 +463,25 @@ def result(
     for i, angle in enumerate(ANGLES):
         values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
-    metrics |= eye_metrics.eye_result(state.eyes, time) | {"picture_motion": root(sums["image"] / time)}
-    metrics |= {} if state.switching_roll is None else transitions.transition_result(sums, state.switching_roll)
+    metrics |= eye_metrics.eye_result(state.eyes, time) | {
+        "picture_motion": root(sums["image"] / time)
+    }
+    metrics |= (
+        {}
+        if state.switching_roll is None
+        else transitions.transition_result(sums, state.switching_roll)
+    )
     supply = supply or electrical.Supply.of(ModelParameters())
-    metrics |= electrical.electrical_result(sums, time, supply) | electrical.budget(sums, time, supply)
+    metrics |= electrical.electrical_result(sums, time, supply) | electrical.budget(
+        sums, time, supply
+    )
     metrics |= {
         "electrical_cost_of_transport": jnp.where(
-            moved, metrics["electrical_power"] * time / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan
+            moved,
+            metrics["electrical_power"]
+            * time
+            / (mass * gravity * jnp.where(moved, state.way, 1.0)),
+            jnp.nan,
         ),
         "servo_clamped": sums["clamped"] / time,
         "airborne_time": sums["airborne"] / time,
@@ -449,6 +510,8 @@ def result(
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
     metrics |= stride_metrics.stride_result(state.strides, per(own, "stride"))
-    metrics |= {} if state.own is None else reduction.own_result(per(own, "run"), state.own, begun, time)
+    metrics |= (
+        {} if state.own is None else reduction.own_result(per(own, "run"), state.own, begun, time)
+    )
     names = (*METRICS, *transitions.TRANSITION, *(each.name for each in own))
     return {name: metrics[name] for name in names if name in metrics}

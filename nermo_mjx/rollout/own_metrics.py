@@ -46,9 +46,13 @@ class Metric:
 
 METRICS: Final[dict[str, Metric]] = {
     "speed": Metric("m/s", "distance over duration", "high"),
-    "distance": Metric("m", "way along the pilot's path, or along the smoothed heading, while measured"),
+    "distance": Metric(
+        "m", "way along the pilot's path, or along the smoothed heading, while measured"
+    ),
     "duration": Metric("s", "time measured"),
-    "lateral_drift": Metric("m", "displacement along x, left of the straight pilot's line, while measured", "zero"),
+    "lateral_drift": Metric(
+        "m", "displacement along x, left of the straight pilot's line, while measured", "zero"
+    ),
     **{
         f"{angle}_{statistic}": Metric("rad", f"{statistic} of the torso's {angle}", better)
         for angle in ANGLES
@@ -59,42 +63,82 @@ METRICS: Final[dict[str, Metric]] = {
         for angle in ("pitch", "yaw")
         for statistic, better in (("mean", None), ("std", "low"))
     },
-    "picture_motion": Metric("rad/s", "speed of far things across the eyes' pictures, root mean square", "low"),
-    "cross_track_peak": Metric("m", "largest distance from the pilot's path; NaN for a pilot without one", "low"),
-    "cross_track_rms": Metric("m", "root mean square of the distance from the pilot's path; NaN without a path", "low"),
-    "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path", "low"),
-    "cross_track_noise": Metric("m", "sway: root mean square of that distance about each gait cycle's mean", "low"),
-    "turning_radius": Metric("m", "radius of the circle fitted to the cycles' mean positions; NaN if straight"),
+    "picture_motion": Metric(
+        "rad/s", "speed of far things across the eyes' pictures, root mean square", "low"
+    ),
+    "cross_track_peak": Metric(
+        "m", "largest distance from the pilot's path; NaN for a pilot without one", "low"
+    ),
+    "cross_track_rms": Metric(
+        "m", "root mean square of the distance from the pilot's path; NaN without a path", "low"
+    ),
+    "cross_track_walked": Metric(
+        "m", "largest distance of a gait cycle's mean position from the pilot's path", "low"
+    ),
+    "cross_track_noise": Metric(
+        "m", "sway: root mean square of that distance about each gait cycle's mean", "low"
+    ),
+    "turning_radius": Metric(
+        "m", "radius of the circle fitted to the cycles' mean positions; NaN if straight"
+    ),
     "turn_rate": Metric("rad/s", "yaw gained over duration, positive to the left"),
     "slip": Metric("m/s", "mean horizontal speed of loaded feet", "low"),
-    **{f"slip_{limb}": Metric("m/s", f"the same of the {limb.replace('_', ' ')} foot", "low") for limb in LIMBS},
-    **{f"duty_{limb}": Metric("1", f"share of time with the {limb.replace('_', ' ')} foot loaded") for limb in LIMBS},
-    **{f"loaded_{pair}": Metric("1", f"share of time with a {pair} foot loaded, mean of the pair") for pair in PAIRS},
     **{
-        f"swing_loaded_{pair}": Metric("1", f"share of its commanded swing with a {pair} foot loaded, mean of the pair")
+        f"slip_{limb}": Metric("m/s", f"the same of the {limb.replace('_', ' ')} foot", "low")
+        for limb in LIMBS
+    },
+    **{
+        f"duty_{limb}": Metric("1", f"share of time with the {limb.replace('_', ' ')} foot loaded")
+        for limb in LIMBS
+    },
+    **{
+        f"loaded_{pair}": Metric("1", f"share of time with a {pair} foot loaded, mean of the pair")
         for pair in PAIRS
     },
-    "strides": Metric("1", "whole strides measured, touch-down to touch-down, of the foot that made the fewest"),
+    **{
+        f"swing_loaded_{pair}": Metric(
+            "1", f"share of its commanded swing with a {pair} foot loaded, mean of the pair"
+        )
+        for pair in PAIRS
+    },
+    "strides": Metric(
+        "1", "whole strides measured, touch-down to touch-down, of the foot that made the fewest"
+    ),
     "stride_length": Metric("m", "way of the torso in a stride, mean of all feet's"),
-    "stride_length_cv": Metric("1", "standard deviation over mean of a foot's strides, of three or more", "low"),
+    "stride_length_cv": Metric(
+        "1", "standard deviation over mean of a foot's strides, of three or more", "low"
+    ),
     "stride_time": Metric("s", "from touch-down to touch-down, mean of all feet's strides"),
     "stance_time": Metric("s", "time of a stride with its foot loaded, mean of all feet's strides"),
     "duty_factor": Metric("1", "as walked: stance time over stride time"),
-    **{f"load_{limb}": Metric("N", f"mean force on the {limb.replace('_', ' ')} foot") for limb in LIMBS},
+    **{
+        f"load_{limb}": Metric("N", f"mean force on the {limb.replace('_', ' ')} foot")
+        for limb in LIMBS
+    },
     "front_load_share": Metric("1", "share of the front feet in the load of all feet"),
     "tail_time": Metric("1", "share of time with the tail loaded"),
     "tail_load_share": Metric("1", "share of the tail in the load of feet and tail"),
     "servo_work": Metric("J", "positive mechanical work of all servos while measured", "low"),
-    "servo_net_work": Metric("J", "mechanical work of all servos while measured, less what they take back"),
-    "servo_damper_work": Metric("J", "work that the dampers of the servos' joints take of it", "low"),
-    "joint_damper_work": Metric("J", "work that the dampers of knees, ankles, spine and tail take of it"),
+    "servo_net_work": Metric(
+        "J", "mechanical work of all servos while measured, less what they take back"
+    ),
+    "servo_damper_work": Metric(
+        "J", "work that the dampers of the servos' joints take of it", "low"
+    ),
+    "joint_damper_work": Metric(
+        "J", "work that the dampers of knees, ankles, spine and tail take of it"
+    ),
     "constraint_work": Metric("J", "what is left of it: taken by contact and tendons, or stored"),
     **{
-        f"limited_{group}": Metric("1", f"share of time with the torque of the {group.replace('_', ' ')} at its limit")
+        f"limited_{group}": Metric(
+            "1", f"share of time with the torque of the {group.replace('_', ' ')} at its limit"
+        )
         for group in ("front_hips", "rear_hips", "front_knees", "rear_knees", "spine")
     },
     "cost_of_transport": Metric("1", "servo work over weight and distance; NaN below 1 mm", "low"),
-    "motor_current": Metric("A", "mean current in the motors of all servos, by their torque", "low"),
+    "motor_current": Metric(
+        "A", "mean current in the motors of all servos, by their torque", "low"
+    ),
     "servo_current": Metric("A", "mean current that all servos draw from the battery", "low"),
     "electrical_power": Metric("W", "mean electrical power of all servos", "low"),
     "electrical_cost_of_transport": Metric(
@@ -102,13 +146,17 @@ METRICS: Final[dict[str, Metric]] = {
     ),
     "charge": Metric("C", "drawn by all servos while measured", "low"),
     "battery_time": Metric("s", "time in which servos and electronics empty the battery", "high"),
-    "servo_clamped": Metric("1", "share of time with a servo asked for an angle beyond its range", "low"),
+    "servo_clamped": Metric(
+        "1", "share of time with a servo asked for an angle beyond its range", "low"
+    ),
     "airborne_time": Metric("1", "share of time without any contact"),
     "penetration": Metric("m", "depth of the deepest contact since the start", "low"),
     "sunk_time": Metric("1", "share of time with a contact deeper than the sole is thick", "low"),
     "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground", "low"),
     "diverged": Metric("1", "1 if the simulation lost its numbers", "low"),
-    "failure_time": Metric("s", "end of the first control tick in which it fell or diverged; NaN if it did neither"),
+    "failure_time": Metric(
+        "s", "end of the first control tick in which it fell or diverged; NaN if it did neither"
+    ),
 }
 
 #: The headings of lists of metrics, by the first metric below each.
@@ -211,19 +259,30 @@ def metric(
     def made(function: Callable[[Sensors], Any]) -> OwnMetric:
         name = getattr(function, "__name__", type(function).__name__)
         if not callable(function) or not name.isidentifier():
-            raise ParameterError(f"metrics has {name}: expected a function with a name, which the column gets.")
+            raise ParameterError(
+                f"metrics has {name}: expected a function with a name, which the column gets."
+            )
         doc = (getattr(function, "__doc__", None) or "").strip().partition("\n")[0].rstrip(".")
-        found = OwnMetric(unit, doc or f"{reduce} of {name}", better, name, function, reduce, per, limb, across)
+        found = OwnMetric(
+            unit, doc or f"{reduce} of {name}", better, name, function, reduce, per, limb, across
+        )
         if not isinstance(unit, str) or not unit:
-            raise ParameterError(f"metrics has {found.place} with the unit {unit!r}: expected a text, such as 'rad/s'.")
-        choices: dict[str, tuple[str | None, ...]] = {"better": (None, *SIDES), "reduce": REDUCTIONS}
+            raise ParameterError(
+                f"metrics has {found.place} with the unit {unit!r}: expected a text, such as 'rad/s'."
+            )
+        choices: dict[str, tuple[str | None, ...]] = {
+            "better": (None, *SIDES),
+            "reduce": REDUCTIONS,
+        }
         choices |= {"per": PER, "limb": LIMBS, "across": ACROSS}
         for field, allowed in choices.items():
             value = getattr(found, field)
             if value not in allowed:
                 hint = did_you_mean(str(value), filter(None, allowed))
                 listed = ", ".join(map(str, allowed))
-                raise ParameterError(f"metrics has {found.place} with {field}={value!r}: allowed is {listed}{hint}")
+                raise ParameterError(
+                    f"metrics has {found.place} with {field}={value!r}: allowed is {listed}{hint}"
+                )
         return found
 
     return made
@@ -246,11 +305,15 @@ def load_metrics(where: str) -> tuple[OwnMetric, ...]:
     module = source.module()
     found = {key: each for key, each in vars(module).items() if isinstance(each, OwnMetric)}
     if name in vars(module) and name not in found:
-        raise ParameterError(f"{source.subject}: {name} is no metric; write @metric(unit=...) above its function.")
+        raise ParameterError(
+            f"{source.subject}: {name} is no metric; write @metric(unit=...) above its function."
+        )
     if name and name not in found:
         raise source.missing(list(found))
     if not found:
-        raise ParameterError(f"{source.subject}: it has no metric; write @metric(unit=...) above a function.")
+        raise ParameterError(
+            f"{source.subject}: it has no metric; write @metric(unit=...) above a function."
+        )
     return tuple(each for key, each in found.items() if name in ("", key))
 
 
@@ -272,7 +335,8 @@ def kept_metrics(named: Iterable[str]) -> bytes:
     found: dict[str, list[dict[str, Any]]] = {}
     for where in (each for each in named if source_of(each).place.endswith(".py")):
         found.setdefault(_digest_of_file(source_of(where)), []).extend(
-            {field: getattr(each, field) for field in _Kept.model_fields} for each in load_metrics(where)
+            {field: getattr(each, field) for field in _Kept.model_fields}
+            for each in load_metrics(where)
         )
     return (json.dumps(found, indent=2) + "\n").encode()
 
@@ -282,7 +346,9 @@ def _read_only(source: Source) -> tuple[OwnMetric, ...] | None:
     path = Path(source.place).with_name(KEPT)
     if not source.place.endswith(".py") or not path.exists():
         return None
-    several = json_of(read_bytes(path, MOST_JSON), dict[str, list[_Kept]], path).get(_digest_of_file(source))
+    several = json_of(read_bytes(path, MOST_JSON), dict[str, list[_Kept]], path).get(
+        _digest_of_file(source)
+    )
     if several is None:
         return None
     found = [OwnMetric(**about, function=lambda sensors: sensors.gyro[0]) for about in several]
@@ -337,7 +403,9 @@ def at_rest(config: RobotConfig) -> Sensors:
         return robot.sensors(jnp.asarray(reading))
 
 
-def numbers_at_rest(subject: str, function: Callable[[Any], Any], given: Any, *, several: bool = False) -> np.ndarray:
+def numbers_at_rest(
+    subject: str, function: Callable[[Any], Any], given: Any, *, several: bool = False
+) -> np.ndarray:
     """What an own function gives for a robot at rest, `given`; `subject` begins messages.
 
     Raises:

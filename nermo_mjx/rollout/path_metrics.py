@@ -174,7 +174,12 @@ def init_path(position: Float[Array, " 3"]) -> PathState:
 
 
 def update_path(
-    state: PathState, place: Float[Array, " 2"], error: Scalar, weight: Scalar, rest: Scalar, cycle_ends: Truth
+    state: PathState,
+    place: Float[Array, " 2"],
+    error: Scalar,
+    weight: Scalar,
+    rest: Scalar,
+    cycle_ends: Truth,
 ) -> PathState:
     """Add one tick.
 
@@ -186,7 +191,11 @@ def update_path(
         cycle_ends: whether a gait cycle ends in this tick.
     """
     part = weight - rest
-    sum_error, sum_place, time = state.error + part * error, state.place + part * place, state.time + part
+    sum_error, sum_place, time = (
+        state.error + part * error,
+        state.place + part * place,
+        state.time + part,
+    )
     sum_square, per_time = state.square + part * error**2, 1.0 / jnp.maximum(time, 1e-9)
     mean, ended = sum_place * per_time, cycle_ends.astype(time.dtype)
     kept = 1.0 - ended
@@ -227,7 +236,9 @@ def radius(state: PathState) -> Scalar:
     determinant, size = jnp.linalg.det(spread), jnp.trace(spread)
     curved = (determinant > FLAT * size**2) & (size > SMALLEST_SPREAD)
     safe = jnp.where(curved, determinant, 1.0)
-    adjugate = jnp.stack([spread[::-1, 1] * jnp.array([1.0, -1.0]), spread[::-1, 0] * jnp.array([-1.0, 1.0])])
+    adjugate = jnp.stack(
+        [spread[::-1, 1] * jnp.array([1.0, -1.0]), spread[::-1, 0] * jnp.array([-1.0, 1.0])]
+    )
     centre = 0.5 * adjugate @ skew / safe
     return jnp.where(curved, root(square - 2.0 * centre @ mean + centre @ centre), jnp.nan)
 

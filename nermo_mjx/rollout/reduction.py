@@ -66,7 +66,9 @@ def update_own(
         share: of this part in the time measured so far, of all or of each.
         meant: whether the readings are those of a tick; others do not contribute to derivatives.
     """
-    sensors = jax.tree.map(lambda leaf: jnp.where(meant, leaf, jax.lax.stop_gradient(leaf)), sensors)
+    sensors = jax.tree.map(
+        lambda leaf: jnp.where(meant, leaf, jax.lax.stop_gradient(leaf)), sensors
+    )
     values = jax.vmap(functools.partial(_values, metrics))(sensors)
     mean = values.mean(axis=0)
     deviation, spread = mean - state.mean, ((values - mean) ** 2).mean(axis=0)
@@ -75,12 +77,21 @@ def update_own(
 
     way = jnp.concatenate([state.value[None], values])
     places = jnp.arange(len(way)) / (len(way) - 1)
-    between = jax.vmap(lambda column, at: jnp.interp(at, places, column), in_axes=(1, None), out_axes=1)
+    between = jax.vmap(
+        lambda column, at: jnp.interp(at, places, column), in_axes=(1, None), out_axes=1
+    )
     ends = between(way, jnp.stack([jnp.maximum(part.begin, 0.0), part.end]))
     inner = ((places > part.begin) & (places < part.end))[:, None]
     low = jnp.minimum(jnp.where(inner, way, jnp.inf).min(axis=0), ends.min(axis=0))
     high = jnp.maximum(jnp.where(inner, way, -jnp.inf).max(axis=0), ends.max(axis=0))
-    measured = OwnState(values[-1], after, square, jnp.minimum(state.low, low), jnp.maximum(state.high, high), ends[1])
+    measured = OwnState(
+        values[-1],
+        after,
+        square,
+        jnp.minimum(state.low, low),
+        jnp.maximum(state.high, high),
+        ends[1],
+    )
     passed = dataclasses.replace(state, value=values[-1])
     return jax.tree.map(lambda new, old: jnp.where(part.inside, new, old), measured, passed)
 
@@ -102,9 +113,14 @@ def own_result(
         "last": state.final,
         "integral": state.mean * time,
     }
-    return {each.name: jnp.where(begun, reduced[each.reduce][i], jnp.nan) for i, each in enumerate(metrics)}
+    return {
+        each.name: jnp.where(begun, reduced[each.reduce][i], jnp.nan)
+        for i, each in enumerate(metrics)
+    }
 
 
 def _values(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> Float[Array, " k"]:
     """The functions' results for one reading."""
-    return jnp.stack([jnp.asarray(each.function(sensors)).astype(jnp.zeros(()).dtype) for each in metrics])
+    return jnp.stack(
+        [jnp.asarray(each.function(sensors)).astype(jnp.zeros(()).dtype) for each in metrics]
+    )

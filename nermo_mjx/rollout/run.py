@@ -77,21 +77,33 @@ class Run:
                 continue
             given = np.asarray(value)
             if given.dtype.kind == "U" and name in _UNITS:
-                value = Quantity(8.0, _UNITS[name], 0.0, LONGEST, "of a run").numbers(f"run.{name}", value)
+                value = Quantity(8.0, _UNITS[name], 0.0, LONGEST, "of a run").numbers(
+                    f"run.{name}", value
+                )
                 given = np.asarray(value)
                 object.__setattr__(self, name, value)
             if given.dtype.kind not in "iuf":
                 instead = {"cycles": "duration", "warmup_cycles": "warmup"}.get(name)
                 seconds = f"; seconds are run.{instead}" if isinstance(value, str) else ""
-                raise ParameterError(f"run.{name} is {value!r}: expected a number, or an array of such{seconds}.")
+                raise ParameterError(
+                    f"run.{name} is {value!r}: expected a number, or an array of such{seconds}."
+                )
             bad = ~((given <= LONGEST) & ((given > 0) | (zero_ok & (given == 0))))
             if bad.any():
                 range_ = f"{'[' if zero_ok else '('}0, {LONGEST:g}]"
-                raise ParameterError(f"run.{name} is {float(given[bad].flat[0])!r}: allowed is {range_}.")
-        if self.duration is not None and (self.cycles is not None or self.warmup_cycles is not None):
-            raise ParameterError("run.duration is given beside run.cycles: give either seconds or gait cycles.")
+                raise ParameterError(
+                    f"run.{name} is {float(given[bad].flat[0])!r}: allowed is {range_}."
+                )
+        if self.duration is not None and (
+            self.cycles is not None or self.warmup_cycles is not None
+        ):
+            raise ParameterError(
+                "run.duration is given beside run.cycles: give either seconds or gait cycles."
+            )
         if self.duration is None and self.warmup is not None:
-            raise ParameterError("run.warmup is given without run.duration: with cycles, give run.warmup_cycles.")
+            raise ParameterError(
+                "run.warmup is given without run.duration: with cycles, give run.warmup_cycles."
+            )
         length, warmup = np.broadcast_arrays(*self._lengths())
         late = warmup >= length
         if late.any():
@@ -134,7 +146,12 @@ TAUT: Final = 2e-5
 DEPTH: Final = 1e-5
 
 #: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
-START_SPREAD: Final = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0), "start.phase": 0.02}
+START_SPREAD: Final = {
+    "start.x": 1e-3,
+    "start.y": 1e-3,
+    "start.yaw": math.radians(1.0),
+    "start.phase": 0.02,
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -145,7 +162,11 @@ class StartPose:
     controller: ControllerLike
 
     def qpos(
-        self, control: Any, start: Start, terrain: TerrainShape | None = None, body: ModelParameters | None = None
+        self,
+        control: Any,
+        start: Start,
+        terrain: TerrainShape | None = None,
+        body: ModelParameters | None = None,
     ) -> Float[Array, " nq"]:
         """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y.
 
@@ -161,13 +182,21 @@ class StartPose:
         pairs = [limb.split("_")[0] for limb in LIMBS]
         slack = jnp.stack([body.build.slack(pair) for pair in pairs]) if body else 0.0
         eased = servo.knee + legs.servo_direction * (TAUT + slack) / legs.pulley_radius
-        pose = forward_kinematics(legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing)
+        pose = forward_kinematics(
+            legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing
+        )
         if body:
             tilt = jnp.stack([getattr(body.build, f"{pair}_tilt") for pair in pairs])
             (y, z), cosine, sine = pose.foot.T, jnp.cos(tilt), jnp.sin(tilt)
-            pose = pose._replace(foot=jnp.stack([cosine * y - sine * z, sine * y + cosine * z], axis=-1))
+            pose = pose._replace(
+                foot=jnp.stack([cosine * y - sine * z, sine * y + cosine * z], axis=-1)
+            )
         bend = spine.joint_angle(servo.spine, geometry)
-        lifted = spine.joint_angle(servo.spine_vertical, geometry) if self.robot.joints.spine_vertical else None
+        lifted = (
+            spine.joint_angle(servo.spine_vertical, geometry)
+            if self.robot.joints.spine_vertical
+            else None
+        )
         axis_height = jnp.concatenate([shoulders(geometry)[:, 2], hips(bend, geometry)[:, 2]])
         # A bent spine turns torso and hip to opposite sides of the robot's heading; the total bend is 4 theta_v.
         yaw = start.yaw + 0.5 * 4 * bend
@@ -182,19 +211,39 @@ class StartPose:
 
         joints, half = self.robot.joints, yaw / 2
         zero = jnp.zeros_like(half)
-        root = jnp.stack([zero + start.x, zero + start.y, height, jnp.cos(half), zero, zero, jnp.sin(half)])
-        qpos = jnp.asarray(self.robot.model.qpos0, float).at[joints.root : joints.root + 7].set(root)
-        qpos = qpos.at[np.array(joints.hip)].set(servo.hip).at[np.array(joints.pulley)].set(servo.knee)
+        root = jnp.stack(
+            [zero + start.x, zero + start.y, height, jnp.cos(half), zero, zero, jnp.sin(half)]
+        )
+        qpos = (
+            jnp.asarray(self.robot.model.qpos0, float).at[joints.root : joints.root + 7].set(root)
+        )
+        qpos = (
+            qpos.at[np.array(joints.hip)].set(servo.hip).at[np.array(joints.pulley)].set(servo.knee)
+        )
         hinges = self.robot.config.hinges  # bend equally
         qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle[:, None] / hinges)
-        qpos = qpos.at[np.array(joints.spine)].set(bend / hinges).at[joints.spine_pulley].set(servo.spine)
+        qpos = (
+            qpos.at[np.array(joints.spine)]
+            .set(bend / hinges)
+            .at[joints.spine_pulley]
+            .set(servo.spine)
+        )
         if lifted is None:
             return qpos
         pulley = np.array(joints.spine_vertical_pulley)
-        return qpos.at[np.array(joints.spine_vertical)].set(lifted / hinges).at[pulley].set(servo.spine_vertical)
+        return (
+            qpos.at[np.array(joints.spine_vertical)]
+            .set(lifted / hinges)
+            .at[pulley]
+            .set(servo.spine_vertical)
+        )
 
     def batch(
-        self, control: Any, start: Start, terrain: TerrainShape | None = None, body: ModelParameters | None = None
+        self,
+        control: Any,
+        start: Start,
+        terrain: TerrainShape | None = None,
+        body: ModelParameters | None = None,
     ) -> np.ndarray:
         """Positions of all worlds, (n, nq), from leaves with a leading world axis."""
         return np.asarray(self._batched(control, start, terrain, body), float)

@@ -29,7 +29,9 @@ _ROOT: Final = {
 }
 #: The readings that a simulation can store; the others are a policy's.
 SAVED: Final = tuple(
-    name for name in READINGS if name not in ("foot_contact", "motor_current", "projected_gravity", "height_scan")
+    name
+    for name in READINGS
+    if name not in ("foot_contact", "motor_current", "projected_gravity", "height_scan")
 )
 _STATE: Final = {"qpos": ("rad", "generalised position"), "qvel": ("rad/s", "generalised velocity")}
 
@@ -53,7 +55,11 @@ class Signal:
     @property
     def names(self) -> tuple[str, ...]:
         """Names that select it: its own, its sensor's, its group's."""
-        sensor = self.name.rpartition("_")[0] if self.source in ("foot_position", "foot_velocity") else self.name
+        sensor = (
+            self.name.rpartition("_")[0]
+            if self.source in ("foot_position", "foot_velocity")
+            else self.name
+        )
         return self.name, sensor, self.source
 
 
@@ -108,10 +114,16 @@ def all_signals(robot: Robot) -> tuple[Signal, ...]:
             joint = model.joint(i).name
             free = model.jnt_type[i] == mujoco.mjtJoint.mjJNT_FREE
             for part, each in _ROOT[kind] if free else [("", unit)]:
-                found.append(Signal(f"{kind}_{joint}{part}", each, f"{doc} of {joint}", kind, place))
+                found.append(
+                    Signal(f"{kind}_{joint}{part}", each, f"{doc} of {joint}", kind, place)
+                )
                 place += 1
     for group in SAVED:
-        names, unit, doc = reading_names(group, robot.servos), READINGS[group].unit, READINGS[group].doc
+        names, unit, doc = (
+            reading_names(group, robot.servos),
+            READINGS[group].unit,
+            READINGS[group].doc,
+        )
         found += [Signal(name, unit, doc, group, i) for i, name in enumerate(names)]
     return tuple(found)
 
@@ -129,7 +141,9 @@ def chosen_signals(robot: Robot, saving: Saving) -> tuple[Signal, ...]:
         found = [each for each in every if wanted in each.names]
         if not found:
             groups = dict.fromkeys(each.source for each in every)
-            hint = did_you_mean(name, dict.fromkeys(known for each in every for known in each.names))
+            hint = did_you_mean(
+                name, dict.fromkeys(known for each in every for known in each.names)
+            )
             raise ParameterError(
                 f"sensors has {name!r}: allowed are {', '.join(groups)}, or one sensor of a group, such as gyro_z or "
                 f"front_left_foot_force{hint}"
@@ -180,10 +194,17 @@ class Keeper:
         ticks = trace.qpos.shape[1]
         first = (-self._ticks - 1) % self._every
         self._ticks += ticks
-        kept = Trace(*(getattr(trace, field.name)[:, first :: self._every] for field in dataclasses.fields(Trace)))
+        kept = Trace(
+            *(
+                getattr(trace, field.name)[:, first :: self._every]
+                for field in dataclasses.fields(Trace)
+            )
+        )
         sensors = self._robot.sensors(np.asarray(kept.sensordata))
         read = functools.cache(lambda source: _read(source, kept, sensors))
-        self._parts.append([read(each.source)[..., each.place].astype(np.float32) for each in self.signals])
+        self._parts.append(
+            [read(each.source)[..., each.place].astype(np.float32) for each in self.signals]
+        )
 
     def series(self, ends: Float[np.ndarray, " n"]) -> Series:
         """The stored series, given the worlds' end times [s]."""
@@ -194,7 +215,9 @@ class Keeper:
         count = np.clip(np.floor(np.nan_to_num(ends) / step + 1e-3), 0, samples).astype(int)
         time = np.round(np.arange(1, samples + 1) * step, 9)
         longest = int(count.max(initial=0))
-        return Series(time[:longest], {name: each[:, :longest] for name, each in values.items()}, count)
+        return Series(
+            time[:longest], {name: each[:, :longest] for name, each in values.items()}, count
+        )
 
 
 def _read(source: str, trace: Trace, sensors: Sensors) -> np.ndarray:

@@ -99,7 +99,10 @@ class WorldParameters:
 def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
     """The parameters whose range depends on the time step, with their remaining range."""
     contact, kp, kv = (known[name] for name in ("contact.time_constant", "servo.kp", "servo.kv"))
-    stiffest, most_damped = highest_kp(timestep, float(kv.default)), highest_kv(timestep, float(kp.default))  # type: ignore[arg-type]
+    stiffest, most_damped = (
+        highest_kp(timestep, float(kv.default)),
+        highest_kv(timestep, float(kp.default)),
+    )  # type: ignore[arg-type]
     return {
         # MuJoCo silently lengthens time constants shorter than two time steps.
         "contact.time_constant": dataclasses.replace(contact, low=max(contact.low, 2 * timestep)),
@@ -115,9 +118,37 @@ def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str,
 #: Columns of tables, and keys beside parameters in files: reserved names for metrics and parameters.
 TAKEN: Final = frozenset(
     (
-        *("row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective"),
-        *("iteration", "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error"),
-        *("line", "centre", "width", "side", "repeats", "quality", *RobotConfig.__dataclass_fields__),
+        *(
+            "row",
+            "variant",
+            "repeat",
+            "seed",
+            "body",
+            "status",
+            "code",
+            "batch",
+            "cell",
+            "time",
+            "objective",
+        ),
+        *(
+            "iteration",
+            "start",
+            "ok",
+            "discarded",
+            "simulated_seconds",
+            "wall_seconds",
+            "trajectory_error",
+        ),
+        *(
+            "line",
+            "centre",
+            "width",
+            "side",
+            "repeats",
+            "quality",
+            *RobotConfig.__dataclass_fields__,
+        ),
         *("gait", "spine", "steering", "pilot", "profile", "trajectory", "head", "tail_motion"),
     )
 )
@@ -140,13 +171,23 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
     seen: dict[str, str] = {}
     for own in metrics:
         if own.name in METRICS or own.name in TAKEN or own.name in TRANSITION:
-            whose = "a metric that every run has" if own.name in METRICS else "a column that every table has"
-            raise ParameterError(f"metrics has {own.place}, but {own.name} is {whose}: give it another name.")
+            whose = (
+                "a metric that every run has"
+                if own.name in METRICS
+                else "a column that every table has"
+            )
+            raise ParameterError(
+                f"metrics has {own.place}, but {own.name} is {whose}: give it another name."
+            )
         if own.name in seen:
-            raise ParameterError(f"metrics has {own.place} and {seen[own.name]}: give one of them another name.")
+            raise ParameterError(
+                f"metrics has {own.place} and {seen[own.name]}: give one of them another name."
+            )
         seen[own.name] = own.place
     shared = ControlParameters(geometry=Geometry())
-    taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(shared)}
+    taken = {name for name, _ in quantities(WorldParameters)} - {
+        name for name, _ in quantities(shared)
+    }
     names = [name for name, _ in quantities(controller.parameters)]
     for name in names:
         whose = (
@@ -159,10 +200,14 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
             else ""
         )
         if whose:
-            raise ParameterError(f"controller has a parameter {name!r}, which is {whose}: give it another name.")
+            raise ParameterError(
+                f"controller has a parameter {name!r}, which is {whose}: give it another name."
+            )
     for own in metrics:
         if own.name in taken or own.name in names:
-            raise ParameterError(f"metrics has {own.place}, but {own.name} is a parameter: give it another name.")
+            raise ParameterError(
+                f"metrics has {own.place}, but {own.name} is a parameter: give it another name."
+            )
 
 
 def check_terrain(scene: str, values: Mapping[str, Any]) -> None:
@@ -217,7 +262,8 @@ class Setup(RobotConfig):
         steering_of("exact"), "what turns the robot; in the profile as_published by default spine"
     )
     profile: ProfileName = static(
-        "exact", "as_published is the published simulation with its body, as_built has the body of the built robot"
+        "exact",
+        "as_published is the published simulation with its body, as_built has the body of the built robot",
     )
     pilot: PilotName = static("straight", "what steers the robot")
     waypoints: tuple[tuple[float, float], ...] | None = static(
@@ -230,12 +276,16 @@ class Setup(RobotConfig):
     head: HeadName = static("none", "gaze keeps its direction in the world")
     tail_motion: TailMotionName = static("none", "what the articulated tail does")
     controller: ControllerLike | str | None = static(
-        None, "another controller (see `ControllerLike`): FILE.py:NAME or FILE.npz, a policy, or MODULE:NAME"
+        None,
+        "another controller (see `ControllerLike`): FILE.py:NAME or FILE.npz, a policy, or MODULE:NAME",
     )
     metrics: tuple[OwnMetric | str, ...] = static(
-        (), "custom metrics: created by `metric`, or FILE.py, FILE.py:NAME, MODULE or MODULE:NAME; one, or a list"
+        (),
+        "custom metrics: created by `metric`, or FILE.py, FILE.py:NAME, MODULE or MODULE:NAME; one, or a list",
     )
-    schedule: tuple[Switch, ...] = static((), "what changes while the robot walks, see `control.schedule`")
+    schedule: tuple[Switch, ...] = static(
+        (), "what changes while the robot walks, see `control.schedule`"
+    )
 
     def __post_init__(self) -> None:
         of_type("spine", self.spine, str, "a name")
@@ -243,7 +293,9 @@ class Setup(RobotConfig):
         of_type("schedule", self.schedule, (tuple, list), "a list of Switch")
         for switch in self.schedule:
             of_type("schedule", switch, Switch, "a list of Switch")
-        of_type("metrics", self.metrics, (tuple, list, str, OwnMetric), "a metric, or a list of such")
+        of_type(
+            "metrics", self.metrics, (tuple, list, str, OwnMetric), "a metric, or a list of such"
+        )
         for name, chosen in robot_choices(self.profile).items():
             if isinstance(getattr(self, name), ProfileChoice):
                 object.__setattr__(self, name, chosen)
@@ -256,12 +308,18 @@ class Setup(RobotConfig):
             check_spine(spine or "none", self.robot)
         if self.modes["tail_motion"] and self.tail == "rigid":
             motion = self.modes["tail_motion"][0]
-            raise ParameterError(f"tail_motion is {motion!r} and tail 'rigid': take the tail 'articulated'.")
+            raise ParameterError(
+                f"tail_motion is {motion!r} and tail 'rigid': take the tail 'articulated'."
+            )
         given: Any = self.metrics
-        object.__setattr__(self, "metrics", (given,) if isinstance(given, (str, OwnMetric)) else tuple(given))
+        object.__setattr__(
+            self, "metrics", (given,) if isinstance(given, (str, OwnMetric)) else tuple(given)
+        )
         for each in self.metrics:
             if not isinstance(each, (str, OwnMetric)):
-                raise ParameterError(f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME.")
+                raise ParameterError(
+                    f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME."
+                )
         ratio = (period := self._unbalanced.dt) / self.timestep
         if abs(ratio - round(ratio)) > 1e-9 * ratio or round(ratio) < 1:
             raise ParameterError(
@@ -276,7 +334,9 @@ class Setup(RobotConfig):
         check_names(self._unbalanced, self.own_metrics)
         if self.schedule:
             self.defaults()  # which reads it
-        if is_mjcf(str(self.scene)):  # a custom scene, which has not been checked with the robot yet
+        if is_mjcf(
+            str(self.scene)
+        ):  # a custom scene, which has not been checked with the robot yet
             self.load()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -285,14 +345,23 @@ class Setup(RobotConfig):
 
     def fields(self) -> dict[str, Any]:
         """The applicable choices as JSON values; an object is represented by its type's name."""
-        given = {each.name: getattr(self, each.name) for each in dataclasses.fields(self) if self._applies(each.name)}
+        given = {
+            each.name: getattr(self, each.name)
+            for each in dataclasses.fields(self)
+            if self._applies(each.name)
+        }
         own, switches = given.pop("metrics"), [switch.written() for switch in given.pop("schedule")]
         if own:
             given["metrics"] = tuple(each if isinstance(each, str) else each.name for each in own)
         # Without the type that YAML cannot write.
-        given |= {name: str(value) for name, value in given.items() if isinstance(value, ProfileChoice)}
+        given |= {
+            name: str(value) for name, value in given.items() if isinstance(value, ProfileChoice)
+        }
         plain = (str, int, float, tuple, type(None))
-        written = {name: value if isinstance(value, plain) else type(value).__name__ for name, value in given.items()}
+        written = {
+            name: value if isinstance(value, plain) else type(value).__name__
+            for name, value in given.items()
+        }
         return written | ({"schedule": switches} if switches else {})
 
     @property
@@ -305,7 +374,8 @@ class Setup(RobotConfig):
         """Modes of the spine, the head and the tail that act at any time of the run, by the choice that makes them."""
         each = [self._start, *self.schedule]
         return {
-            field: tuple(dict.fromkeys(name for one in each for name in one.modes.get(field, ()))) for field in MODES
+            field: tuple(dict.fromkeys(name for one in each for name in one.modes.get(field, ())))
+            for field in MODES
         }
 
     @functools.cached_property
@@ -316,7 +386,9 @@ class Setup(RobotConfig):
 
     def load(self) -> Robot:
         """The assembled robot in its scene."""
-        return load_robot(RobotConfig(*(getattr(self, field.name) for field in dataclasses.fields(RobotConfig))))
+        return load_robot(
+            RobotConfig(*(getattr(self, field.name) for field in dataclasses.fields(RobotConfig)))
+        )
 
     def make_controller(self) -> ControllerLike:
         """The controller with these choices."""
@@ -334,7 +406,11 @@ class Setup(RobotConfig):
         """The controller without the spine's balance, which needs the robot. A file is read only once, so later changes
         do not affect the setup."""
         if self.controller is not None:
-            own: Any = load_controller(self.controller) if isinstance(self.controller, str) else self.controller
+            own: Any = (
+                load_controller(self.controller)
+                if isinstance(self.controller, str)
+                else self.controller
+            )
             check_form(own)
             if isinstance(own, ActsUpon) and self.pilot not in (Setup.pilot, "external"):
                 return own.upon(pilot=self.pilot, waypoints=self.waypoints)
@@ -369,12 +445,16 @@ class Setup(RobotConfig):
         controller = self._unbalanced
         world = WorldParameters(control=controller.parameters)
         world = replace_quantities(world, mass_values(self.robot) | terrain_values(str(self.scene)))
-        world = replace_quantities(world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity)))
+        world = replace_quantities(
+            world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity))
+        )
         shortest = max(float(world.model.contact.time_constant), 2 * self.timestep)
         world = replace_quantities(world, {"contact.time_constant": shortest})
         if self.schedule:
             known = dict(quantities(controller.parameters))
-            world = dataclasses.replace(world, schedule=schedule_of(self._start, self.schedule, known))
+            world = dataclasses.replace(
+                world, schedule=schedule_of(self._start, self.schedule, known)
+            )
         if not isinstance(controller, Controller):
             return world
         values = published_values(self.gait, steering=self.steering, profile=self.profile)
@@ -413,7 +493,9 @@ class Setup(RobotConfig):
         """
         check_terrain(str(self.scene), values)
         # New arrays, as `quantity` creates for each tree: see there.
-        world = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, self._world)
+        world = jax.tree.map(
+            lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, self._world
+        )
         if policy is not None:
             there, here = map(str, map(jax.tree.structure, (policy, world.control)))
             if there != here:
@@ -434,12 +516,17 @@ class Setup(RobotConfig):
         for name in of_type("values", values, Mapping, "a mapping such as {'frequency': 0.8}"):
             of_type("values", name, str, "names of parameters as keys")
         known = self._quantities
-        return {name: known[name].numbers(name, value) if name in known else value for name, value in values.items()}
+        return {
+            name: known[name].numbers(name, value) if name in known else value
+            for name, value in values.items()
+        }
 
     def _completed(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Named values plus derived ones."""
         controller = self._unbalanced
-        return controller.complete(dict(values)) if isinstance(controller, CompletesValues) else values
+        return (
+            controller.complete(dict(values)) if isinstance(controller, CompletesValues) else values
+        )
 
     def check(self, world: WorldParameters, *, jointly: bool = True) -> None:
         """Reject parameters that are not finite, out of range, or not allowed by time step or controller.
@@ -452,14 +539,21 @@ class Setup(RobotConfig):
             ParameterError: with the field's name, its value and what is allowed.
         """
         check_quantities(world)
-        for name, about in bounded_by_step(dict(quantities(ModelParameters)), self.timestep).items():
+        for name, about in bounded_by_step(
+            dict(quantities(ModelParameters)), self.timestep
+        ).items():
             part, field = name.split(".")
             about.check(name, getattr(getattr(world.model, part), field))
         check_geometry(world.model.geometry)
         check_servo(world.model.servo.kp, world.model.servo.kv, self.timestep)
         controller = self._unbalanced
         if jointly and world.schedule is not None:
-            check_schedule(world.control, world.schedule, len(self.schedule), controller.cycle_rate(world.control))
+            check_schedule(
+                world.control,
+                world.schedule,
+                len(self.schedule),
+                controller.cycle_rate(world.control),
+            )
         if jointly and isinstance(controller, ChecksParameters):
             controller.check(world.control)
         if jointly and not isinstance(controller, Controller):
@@ -476,14 +570,18 @@ class Setup(RobotConfig):
     def timing(self) -> frozenset[str]:
         """Names of the parameters that determine the length of a gait cycle."""
         names = [name for name, _ in values_of(self._world.control)]
-        probes = {name: np.full(len(names), value) for name, value in values_of(self._world.control)}
+        probes = {
+            name: np.full(len(names), value) for name, value in values_of(self._world.control)
+        }
         for world, name in enumerate(names):
             for other, value in self._completed({name: np.nan}).items():
                 probes[other][world] = value
         decides = np.broadcast_to(np.isnan(self.cycle_rate(probes)), len(names))
         return frozenset(name for name, does in zip(names, decides, strict=True) if does)
 
-    def cycle_rate(self, values: Mapping[str, Any], policy: Any = None) -> Float[np.ndarray, "*batch"]:
+    def cycle_rate(
+        self, values: Mapping[str, Any], policy: Any = None
+    ) -> Float[np.ndarray, "*batch"]:
         """Gait cycles per simulated second [1/s].
 
         Args:
@@ -496,7 +594,9 @@ class Setup(RobotConfig):
 
 
 def with_own(
-    setup: Setup | None, controller: ControllerLike | str | None = None, metrics: Sequence[OwnMetric | str] | str = ()
+    setup: Setup | None,
+    controller: ControllerLike | str | None = None,
+    metrics: Sequence[OwnMetric | str] | str = (),
 ) -> Setup:
     """The setup, or the default one, with its controller replaced if one is given, and with additional metrics."""
     setup = of_type("setup", Setup() if setup is None else setup, Setup, "a Setup")
@@ -513,13 +613,19 @@ def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
     'low'
     """
     chosen = with_own(setup)
-    return METRICS | (TRANSITION if chosen.schedule else {}) | {each.name: each for each in chosen.own_metrics}
+    return (
+        METRICS
+        | (TRANSITION if chosen.schedule else {})
+        | {each.name: each for each in chosen.own_metrics}
+    )
 
 
 def without_presettings(setup: Setup) -> Setup:
     """The setup with the first choices of `PRESETTINGS`: setups for which it is equal run the same programs."""
     kept: Any = {name: str(getattr(setup, name)) for name in robot_choices(setup.profile)}
-    return dataclasses.replace(setup, **kept, **{name: getattr(Setup, name) for name in PRESETTINGS})
+    return dataclasses.replace(
+        setup, **kept, **{name: getattr(Setup, name) for name in PRESETTINGS}
+    )
 
 
 def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:

@@ -114,11 +114,15 @@ class RunResult:
             ParameterError: nothing was recorded, or the world does not exist.
         """
         if self.trace is None:
-            raise ParameterError("record is False: a recording needs Simulator.run(..., record=True).")
+            raise ParameterError(
+                "record is False: a recording needs Simulator.run(..., record=True)."
+            )
         if not 0 <= world < len(self.status):
             raise ParameterError(f"world is {world}: allowed is 0 to {len(self.status) - 1}.")
         model, metadata = self.setup.load().model, plain_json(self.about(world))
-        return recording_of(self.trace.until(int(self.ticks[world])), model, world=world, metadata=metadata)
+        return recording_of(
+            self.trace.until(int(self.ticks[world])), model, world=world, metadata=metadata
+        )
 
     def about(self, world: int = 0) -> dict[str, Any]:
         """Description and results of one world: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`; and
@@ -136,7 +140,11 @@ class RunResult:
             "run": run,
             "engine": self.engine,
             "versions": versions(),
-            **({"units": {each.name: each.unit for each in self.setup.own_metrics}} if self.setup.metrics else {}),
+            **(
+                {"units": {each.name: each.unit for each in self.setup.own_metrics}}
+                if self.setup.metrics
+                else {}
+            ),
         }
 
     def to_pandas(self) -> Any:
@@ -153,7 +161,9 @@ class RunResult:
         import pandas
 
         parameters = self.parameters
-        columns = {name: parameters[name] for name in self.named} | self.metrics | {"status": self.status}
+        columns = (
+            {name: parameters[name] for name in self.named} | self.metrics | {"status": self.status}
+        )
         return pandas.DataFrame(columns)
 
 
@@ -240,7 +250,9 @@ class Simulator:
             ParameterError: it differs in other choices.
         """
         if without_presettings(setup) != without_presettings(self.setup):
-            raise ParameterError("setup differs in more than gait, steering and profile: it needs its own simulator.")
+            raise ParameterError(
+                "setup differs in more than gait, steering and profile: it needs its own simulator."
+            )
         other = copy.copy(self)
         other.setup = setup
         return other
@@ -258,11 +270,15 @@ class Simulator:
                 workspace.
         """
         values = self.setup.numbers(values)
-        params = self.setup.world({name: _numbers(name, value) for name, value in values.items()}, policy)
+        params = self.setup.world(
+            {name: _numbers(name, value) for name, value in values.items()}, policy
+        )
         self.setup.check(params)
         return params
 
-    def prepare(self, values: Mapping[str, Any], run: Run | None = None, policy: Any = None) -> Batch:
+    def prepare(
+        self, values: Mapping[str, Any], run: Run | None = None, policy: Any = None
+    ) -> Batch:
         """The batch that `run` passes to the engine; the arguments are the same."""
         values = {**self.setup.body, **self.setup.numbers(values)}
         # Of the same structure: parameters have a geometry if one is named.
@@ -274,7 +290,9 @@ class Simulator:
         rate = np.asarray(self.controller.cycle_rate(params.control), float)
         begin, end = (np.broadcast_to(each, worlds) for each in run.seconds(rate))
         if end.max() > LONGEST:
-            raise ParameterError(f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST:g} s.")
+            raise ParameterError(
+                f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST:g} s."
+            )
         distance = np.broadcast_to(1e6 if run.distance is None else run.distance, worlds)
         window = Window(begin=begin, end=end, distance=distance)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
@@ -337,7 +355,9 @@ class Simulator:
             keeper = (
                 None
                 if save is None
-                else Keeper(of_type("save", save, Saving, "a Saving"), self.robot, self.controller.dt)
+                else Keeper(
+                    of_type("save", save, Saving, "a Saving"), self.robot, self.controller.dt
+                )
             )
             result = self.run_batch(self.prepare(values, run, policy), record, tell, notify, keeper)
         wall = time.perf_counter() - began
@@ -379,7 +399,9 @@ class Simulator:
                 session.advance(done - begin)
             if batch.may_end_early:
                 state = session.loop_state.metrics
-                early = np.asarray(state.finished) | np.asarray(state.fell) | np.asarray(state.diverged)
+                early = (
+                    np.asarray(state.finished) | np.asarray(state.fell) | np.asarray(state.diverged)
+                )
                 ends = np.where(early, np.minimum(ends, done), ends)
             over = ends <= done
             if (last := over & (ends > begin)).any():
@@ -391,7 +413,9 @@ class Simulator:
             if over.all():
                 break
 
-        measured = self._results(session.loop_state.metrics, batch.mass, batch.gravity, batch.supply)
+        measured = self._results(
+            session.loop_state.metrics, batch.mass, batch.gravity, batch.supply
+        )
         table = {name: np.asarray(column, float) for name, column in measured.items()}
         return RunResult(
             metrics=table,
@@ -411,7 +435,8 @@ class Simulator:
     def _compiling(self, notify: Callable[[str], None] | None) -> Iterator[None]:
         """Says that a program is being compiled: by `notify` at once, or else in the log if it takes long."""
         sentence = (
-            f"compiling the {self.engine.name} program, about {COMPILE_SECONDS[self.engine.name]} s, once per machine"
+            f"compiling the {self.engine.name} program,"
+            f" about {COMPILE_SECONDS[self.engine.name]} s, once per machine"
         )
         if notify is not None:
             notify(sentence)
@@ -427,7 +452,10 @@ class Simulator:
 
     def _ends(self, batch: Batch, table: Mapping[str, np.ndarray], ticks: np.ndarray) -> np.ndarray:
         """When each world's run ended (n,) [s]: at its distance or at its length, or before its state diverged."""
-        begin, end = np.asarray(batch.params.window.begin, float), np.asarray(batch.params.window.end, float)
+        begin, end = (
+            np.asarray(batch.params.window.begin, float),
+            np.asarray(batch.params.window.end, float),
+        )
         end = np.minimum(end, ticks * self.controller.dt)
         whole = np.where(table["fell"] > 0, end, begin + table["duration"])
         return np.where(table["diverged"] > 0, table["failure_time"] - self.controller.dt, whole)
@@ -438,7 +466,10 @@ class Simulator:
             for name in ("qpos", "qvel", "ctrl", "sensordata")
         )
         sensors: Sensors = self.robot.sensors(sensordata)
-        named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
+        named = {
+            field.name: np.asarray(getattr(sensors, field.name))
+            for field in dataclasses.fields(sensors)
+        }
         time_axis = (1 + np.arange(qpos.shape[1])) * self.controller.dt
         return History(time_axis, qpos, qvel, ctrl, named)
 
@@ -470,9 +501,13 @@ def _numbers(name: str, value: Any) -> np.ndarray:
     try:
         numbers = np.asarray(value, float)
     except (TypeError, ValueError):
-        raise ParameterError(f"{name} is {value!r}: expected a number, or an array with one for each world.") from None
+        raise ParameterError(
+            f"{name} is {value!r}: expected a number, or an array with one for each world."
+        ) from None
     if numbers.ndim > 1:
-        raise ParameterError(f"{name} has shape {numbers.shape}: allowed is a number, or (n,) with one for each world.")
+        raise ParameterError(
+            f"{name} has shape {numbers.shape}: allowed is a number, or (n,) with one for each world."
+        )
     return numbers
 
 
@@ -493,7 +528,9 @@ def _batched(
             sizes.setdefault(extra[0], "policy")
     if len(sizes) > 1:
         (a, first), (b, second) = sorted(sizes.items())[:2]
-        raise ParameterError(f"{second} has {b} values and {first} has {a}: all arrays must have one length.")
+        raise ParameterError(
+            f"{second} has {b} values and {first} has {a}: all arrays must have one length."
+        )
     worlds = next(iter(sizes), 1)
     if not worlds:
         raise ParameterError(f"{sizes[0]} has no values: a batch has at least one world.")
@@ -508,4 +545,6 @@ def _batched(
 def default_precision(tree: Any) -> Any:
     """Floats in JAX's default precision; integers and flags are unchanged."""
     real = jax.dtypes.canonicalize_dtype(float)
-    return jax.tree.map(lambda leaf: np.asarray(leaf, real if leaf.dtype.kind == "f" else None), tree)
+    return jax.tree.map(
+        lambda leaf: np.asarray(leaf, real if leaf.dtype.kind == "f" else None), tree
+    )

@@ -54,7 +54,9 @@ class Spread:
     def std(self) -> Array:
         """Sample standard deviation; NaN with fewer than `SPREAD_STRIDES` strides."""
         enough = self.count >= SPREAD_STRIDES
-        return jnp.where(enough, root(self.square / jnp.where(enough, self.count - 1.0, 1.0)), jnp.nan)
+        return jnp.where(
+            enough, root(self.square / jnp.where(enough, self.count - 1.0, 1.0)), jnp.nan
+        )
 
 
 @jax.tree_util.register_dataclass
@@ -140,19 +142,29 @@ def update_strides(
     turned = other * cycle_rate >= SETTLED
     touched = turned & up
     complete = touched & state.begun
-    since = state.since + part.weight * jnp.stack([jnp.ones(4), jnp.broadcast_to(speed, 4), loaded], axis=-1)
+    since = state.since + part.weight * jnp.stack(
+        [jnp.ones(4), jnp.broadcast_to(speed, 4), loaded], axis=-1
+    )
     accumulated, own_time, own_strides = state.own, state.own_time, state.own_strides
     if accumulated is not None and own_strides is not None:
         foot = jnp.array([LIMBS.index(each.limb) for each in own])
         own_time = own_time + part.weight
         elapsed = jnp.where(own_time > 0.0, own_time, 1.0)
-        accumulated = reduction.update_own(own, accumulated, sensors, part, part.weight / elapsed, meant)
-        values = jnp.stack([*reduction.own_result(own, accumulated, jnp.asarray(True), elapsed).values()])
+        accumulated = reduction.update_own(
+            own, accumulated, sensors, part, part.weight / elapsed, meant
+        )
+        values = jnp.stack(
+            [*reduction.own_result(own, accumulated, jnp.asarray(True), elapsed).values()]
+        )
         own_strides = own_strides.add(values, complete[foot])
         zero = jnp.zeros_like(elapsed)
-        anew = dataclasses.replace(accumulated, mean=zero, square=zero, low=zero + jnp.inf, high=zero - jnp.inf)
+        anew = dataclasses.replace(
+            accumulated, mean=zero, square=zero, low=zero + jnp.inf, high=zero - jnp.inf
+        )
         own_time = jnp.where(touched[foot], 0.0, own_time)
-        accumulated = jax.tree.map(lambda new, old: jnp.where(touched[foot], new, old), anew, accumulated)
+        accumulated = jax.tree.map(
+            lambda new, old: jnp.where(touched[foot], new, old), anew, accumulated
+        )
     return StrideState(
         down=state.down ^ turned,
         other=jnp.where(turned, 0.0, other),
@@ -177,9 +189,15 @@ def stride_result(state: StrideState, own: tuple[OwnMetric, ...] = ()) -> dict[s
     known = ~jnp.isnan(deviation) & (jnp.abs(way) > 1e-6)
     relative = jnp.where(known, deviation / jnp.where(known, way, 1.0), 0.0)
     spread = root(jnp.sum(relative**2) / jnp.maximum(known.sum(), 1))
-    mean = {"stride_length": share @ way, "stride_time": share @ time, "stance_time": share @ stance}
+    mean = {
+        "stride_length": share @ way,
+        "stride_time": share @ time,
+        "stance_time": share @ stance,
+    }
     mean["duty_factor"] = mean["stance_time"] / jnp.where(some, mean["stride_time"], 1.0)
-    found = {"strides": count.min()} | {name: jnp.where(some, value, jnp.nan) for name, value in mean.items()}
+    found = {"strides": count.min()} | {
+        name: jnp.where(some, value, jnp.nan) for name, value in mean.items()
+    }
     found["stride_length_cv"] = jnp.where(known.any(), spread, jnp.nan)
     if (strides := state.own_strides) is not None:
         std = strides.std()

@@ -23,10 +23,14 @@ from nermo_mjx.shapes import Array, Scalar
 #: Share by which speeds must differ for a time between them.
 LEAST: Final = 0.05
 TRANSITION: Final[dict[str, Metric]] = {
-    "transition_roll": Metric("rad", "largest roll to either side while switches act, and a cycle longer", "low"),
+    "transition_roll": Metric(
+        "rad", "largest roll to either side while switches act, and a cycle longer", "low"
+    ),
     "transition_slip": Metric("m/s", "mean horizontal speed of loaded feet in that time", "low"),
     "transition_time": Metric(
-        "s", "how much later it has its new speed than at once; NaN if it changes by less than 5 %", "low"
+        "s",
+        "how much later it has its new speed than at once; NaN if it changes by less than 5 %",
+        "low",
     ),
 }
 
@@ -40,7 +44,12 @@ def span(schedule: Schedule, cycle_rate: Any) -> tuple[Scalar, Scalar]:
 
 
 def integrals(
-    within: tuple[Scalar, Scalar], time: Scalar, weight: Scalar, slid: Scalar, loaded: Scalar, speed: Scalar
+    within: tuple[Scalar, Scalar],
+    time: Scalar,
+    weight: Scalar,
+    slid: Scalar,
+    loaded: Scalar,
+    speed: Scalar,
 ) -> dict[str, Array]:
     """What a tick adds to the integrals: way that feet slide [m] and time that they are loaded [s] in the transition,
     and time and way before, in and after it (3,) [s, m].

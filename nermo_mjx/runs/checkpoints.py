@@ -74,8 +74,12 @@ class Checkpoints:
         except OSError:
             raise
         except Exception as error:  # a failed write can raise any exception in its thread
-            logging.getLogger("absl").setLevel(logging.CRITICAL)  # other threads of Orbax fail later, and would print
-            if (full := os.strerror(errno.ENOSPC)) in str(error):  # another program took the room meanwhile
+            logging.getLogger("absl").setLevel(
+                logging.CRITICAL
+            )  # other threads of Orbax fail later, and would print
+            if (full := os.strerror(errno.ENOSPC)) in str(
+                error
+            ):  # another program took the room meanwhile
                 raise OSError(errno.ENOSPC, full) from error
             raise DirectoryError(
                 f"cannot write a checkpoint in {self.folder}: {' '.join(str(error).split())}."
@@ -110,7 +114,9 @@ class Checkpoints:
             for number in damaged:
                 aside = self._held.move_aside(self.folder.relative_to(self._held.out) / str(number))
                 if aside is not None:
-                    warn(f"checkpoint {number} in {self.folder} is damaged; it is kept as {aside.name}.")
+                    warn(
+                        f"checkpoint {number} in {self.folder} is damaged; it is kept as {aside.name}."
+                    )
             if damaged:
                 self._manager.reload()
         return found
@@ -121,15 +127,24 @@ class Checkpoints:
             "nothing was changed, run the same command again."
         )
 
-    def _read(self, number: int, like: Callable[[About], Parts]) -> tuple[dict[str, Any], About] | None:
+    def _read(
+        self, number: int, like: Callable[[About], Parts]
+    ) -> tuple[dict[str, Any], About] | None:
         """A checkpoint; None if it is damaged."""
         try:
-            about: About = self._manager.restore(number, args=ocp.args.Composite(about=ocp.args.JsonRestore()))["about"]
+            about: About = self._manager.restore(
+                number, args=ocp.args.Composite(about=ocp.args.JsonRestore())
+            )["about"]
             if about.get("seal", "") != ("" if "identity" not in about else _seal(about)):
                 return None
             shapes = {  # what is a NumPy array is restored as one, all else as a JAX array
                 name: jax.tree.map(
-                    lambda leaf: leaf if isinstance(leaf, np.ndarray) else ocp.utils.to_shape_dtype_struct(leaf), part
+                    lambda leaf: (
+                        leaf
+                        if isinstance(leaf, np.ndarray)
+                        else ocp.utils.to_shape_dtype_struct(leaf)
+                    ),
+                    part,
                 )
                 for name, part in like(about).items()
             }

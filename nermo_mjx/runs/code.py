@@ -73,7 +73,11 @@ class CodeStamp:
     def unlike(self, other: CodeStamp) -> str:
         """How this stamp differs from another, as "engine c, not warp"; empty if it does not."""
         own, theirs = self.fields(), other.fields()
-        apart = [(form.format(own[name]), theirs[name]) for name, form in _CALLED.items() if own[name] != theirs[name]]
+        apart = [
+            (form.format(own[name]), theirs[name])
+            for name, form in _CALLED.items()
+            if own[name] != theirs[name]
+        ]
         return ", ".join(f"{ours}, not {other}" for ours, other in apart)
 
 
@@ -99,7 +103,9 @@ def stamp(model: str, engine: str, more: tuple[str, ...] = ()) -> CodeStamp:
 def stored_stamp(fields: Any) -> CodeStamp | None:
     """The stamp in a JSON file; None if it has no readable one."""
     try:
-        return CodeStamp(**{field.name: str(fields[field.name]) for field in dataclasses.fields(CodeStamp)})
+        return CodeStamp(
+            **{field.name: str(fields[field.name]) for field in dataclasses.fields(CodeStamp)}
+        )
     except (KeyError, TypeError):
         return None
 
@@ -109,7 +115,10 @@ def sources(more: tuple[str, ...] = ()) -> str:
     """Digest of the sources in `ROOMS`, and in more of them, and of the robot's model files."""
     package = Path(__file__).parents[1]
     inside = package / "mjcf"
-    roots = [*(package / room for room in (*ROOMS, *more)), inside if inside.is_dir() else package.parent / "mjcf"]
+    roots = [
+        *(package / room for room in (*ROOMS, *more)),
+        inside if inside.is_dir() else package.parent / "mjcf",
+    ]
     total = hashlib.blake2b(digest_size=8)
     for root in roots:
         for path in sorted(root.rglob("*")):
@@ -123,12 +132,24 @@ def sources(more: tuple[str, ...] = ()) -> str:
 # Versions, machine and command of a session of work.
 
 
-PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy", "scipy", "pyarrow", "optax", "orbax-checkpoint")
+PACKAGES = (
+    "mujoco",
+    "mujoco-mjx",
+    "jax",
+    "jaxlib",
+    "numpy",
+    "scipy",
+    "pyarrow",
+    "optax",
+    "orbax-checkpoint",
+)
 
 
 def versions() -> dict[str, str]:
     """Versions of this package, of Python, and of the packages that affect results."""
-    return {"nermo-mjx": __version__, "python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+    return {"nermo-mjx": __version__, "python": platform.python_version()} | {
+        name: version(name) for name in PACKAGES
+    }
 
 
 @functools.cache
@@ -153,7 +174,13 @@ def machine() -> dict[str, Any]:
 def session(**more: Any) -> dict[str, Any]:
     """One session of work: when, by which command, with which versions, where."""
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-    return {"started": started, "command": shlex.join(sys.argv), "versions": versions(), "machine": machine(), **more}
+    return {
+        "started": started,
+        "command": shlex.join(sys.argv),
+        "versions": versions(),
+        "machine": machine(),
+        **more,
+    }
 
 
 def local_time(started: Any) -> str:

@@ -56,7 +56,9 @@ class RunDirectory:
         DirectoryError: on entry: it holds another kind, is in use, or cannot be written.
     """
 
-    def __init__(self, out: str | os.PathLike[str], kind: str, shard: tuple[int, int] | None = None) -> None:
+    def __init__(
+        self, out: str | os.PathLike[str], kind: str, shard: tuple[int, int] | None = None
+    ) -> None:
         if not isinstance(out, (str, os.PathLike)):
             raise TypeError(f"out is {out!r}: expected the path of a directory.")
         self.out, self.kind, self.shard = Path(out), kind, shard
@@ -80,7 +82,11 @@ class RunDirectory:
                     "directory."
                 )
             if self.shard is None:
-                for leftover in (found for folder in FOLDERS for found in (self.out / folder).glob(f".*{TEMPORARY}*")):
+                for leftover in (
+                    found
+                    for folder in FOLDERS
+                    for found in (self.out / folder).glob(f".*{TEMPORARY}*")
+                ):
                     leftover.unlink(missing_ok=True)
             self._held = stack.pop_all()
         return self
@@ -120,7 +126,11 @@ class RunDirectory:
             count = 1
             try:
                 while (target := into / f"{source.name}.aside-{count}").exists():
-                    if source.is_file() and target.is_file() and filecmp.cmp(source, target, shallow=False):
+                    if (
+                        source.is_file()
+                        and target.is_file()
+                        and filecmp.cmp(source, target, shallow=False)
+                    ):
                         break  # it is kept already
                     count += 1
                 source.replace(target)
@@ -136,7 +146,9 @@ class RunDirectory:
             if (aside := self.move_aside(name)) is not None:
                 warn(f"{self.out / name} is {what}; it is kept as {aside.name}.")
 
-    def take_code(self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False, any_model: bool = False) -> None:
+    def take_code(
+        self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False, any_model: bool = False
+    ) -> None:
         """Record that this code is about to add rows, or refuse: the rows of one directory are made by one code.
 
         Of several processes that begin together, the first one's code counts. A sole holder of a directory
@@ -178,9 +190,20 @@ class RunDirectory:
         """
         with self.record() as record:
             sessions = record.setdefault("sessions", [])
-            then, now = ((each or {}).get("versions") or {} for each in (sessions[-1] if sessions else None, session))
-            beside = [name for name in now if name in then and name not in ("nermo-mjx", "mujoco", "mujoco-mjx", "jax")]
-            apart = [f"{name} {now[name]}, not {then[name]}" for name in beside if now[name] != then[name]]
+            then, now = (
+                (each or {}).get("versions") or {}
+                for each in (sessions[-1] if sessions else None, session)
+            )
+            beside = [
+                name
+                for name in now
+                if name in then and name not in ("nermo-mjx", "mujoco", "mujoco-mjx", "jax")
+            ]
+            apart = [
+                f"{name} {now[name]}, not {then[name]}"
+                for name in beside
+                if now[name] != then[name]
+            ]
             sessions.append(session)
         if apart:
             warnings.warn(
@@ -245,7 +268,9 @@ def kind_of(out: Path) -> str | None:
 
 def codes_of(out: Path) -> dict[str, CodeStamp]:
     """The codes that made a directory's contents, by their short names, in order."""
-    found = {name: stored_stamp(fields) for name, fields in read_record(out).get("codes", {}).items()}
+    found = {
+        name: stored_stamp(fields) for name, fields in read_record(out).get("codes", {}).items()
+    }
     return {name: stamp for name, stamp in found.items() if stamp is not None}
 
 
@@ -286,7 +311,9 @@ def hold(folder: Path, name: str = ".lock", wait: float = 0.0) -> Iterator[None]
     try:
         lock.acquire()
     except Timeout:
-        raise DirectoryError(f"another process works in {folder}; wait for it, or choose another directory.") from None
+        raise DirectoryError(
+            f"another process works in {folder}; wait for it, or choose another directory."
+        ) from None
     except (NotImplementedError, OSError) as error:  # a network file system without locks
         if getattr(error, "errno", errno.ENOSYS) not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
             raise
@@ -362,7 +389,10 @@ class Written:
             return ""
         what, more = "A file in the way was not as this program wrote it", ""
         if len(self.aside) > 1:
-            what, more = "Files in the way were not as this program wrote them", f" and {len(self.aside) - 1} more"
+            what, more = (
+                "Files in the way were not as this program wrote them",
+                f" and {len(self.aside) - 1} more",
+            )
         return f"{what}: moved aside in {self.held.out}, to {self.aside[0]}{more}."
 
     def name(self, path: Path) -> str:

@@ -46,7 +46,9 @@ def make_writable(folder: Path) -> None:
     try:
         str(folder).encode()
     except UnicodeEncodeError:
-        raise WrongDirectory(f"{str(folder)!a} is not UTF-8, as files and tables name it: take another name.") from None
+        raise WrongDirectory(
+            f"{str(folder)!a} is not UTF-8, as files and tables name it: take another name."
+        ) from None
     if folder.exists() and not folder.is_dir():
         raise WrongDirectory(f"{folder} is a file: a directory is needed.")
     probe = folder / f".probe-{secrets.token_hex(8)}"
@@ -98,7 +100,9 @@ def content_of(path: Path, most: int = MOST_ARRAYS) -> bytes | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
+        raise DirectoryError(
+            f"{path} cannot be read: {error.strerror or error}; nothing was changed."
+        ) from error
 
 
 def parquet_table(source: Path | bytes, ours: bool = True) -> pa.Table | None:
@@ -110,7 +114,9 @@ def parquet_table(source: Path | bytes, ours: bool = True) -> pa.Table | None:
     import pyarrow as pa
 
     try:
-        with parquet_file(pa.BufferReader(source) if isinstance(source, bytes) else source, ours) as file:
+        with parquet_file(
+            pa.BufferReader(source) if isinstance(source, bytes) else source, ours
+        ) as file:
             return file.read()
     except (OSError, pa.ArrowException, ValueError):
         return None
@@ -122,7 +128,9 @@ _MOST_SPREAD: Final = 100
 
 
 @contextlib.contextmanager
-def parquet_file(source: Path | pa.BufferReader, ours: bool = True, **options: Any) -> Iterator[pq.ParquetFile]:
+def parquet_file(
+    source: Path | pa.BufferReader, ours: bool = True, **options: Any
+) -> Iterator[pq.ParquetFile]:
     """A Parquet file whose pages are checked as they are read, opened; `ours` as for `parquet_table`.
 
     Raises:
@@ -138,11 +146,22 @@ def parquet_file(source: Path | pa.BufferReader, ours: bool = True, **options: A
         about, schema = file.metadata, file.schema_arrow
         cells = 8 * about.num_rows * about.num_columns
         if about.num_rows < 0 or cells > most:
-            raise ValueError(f"it promises {about.num_rows:,} rows of {about.num_columns:,} columns in {size:,} bytes")
+            raise ValueError(
+                f"it promises {about.num_rows:,} rows of {about.num_columns:,} columns in {size:,} bytes"
+            )
         texts = list[str]()
         for field in schema:
-            kind = field.type.value_type if pa.types.is_dictionary(field.type) and not ours else field.type
-            of_text = pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary
+            kind = (
+                field.type.value_type
+                if pa.types.is_dictionary(field.type) and not ours
+                else field.type
+            )
+            of_text = (
+                pa.types.is_string,
+                pa.types.is_large_string,
+                pa.types.is_binary,
+                pa.types.is_large_binary,
+            )
             if any(of(kind) for of in of_text[: 1 if ours else None]):
                 texts.append(field.name)
             elif not (pa.types.is_primitive(kind) or pa.types.is_null(kind)):
@@ -178,7 +197,9 @@ def _length(texts: pa.Array) -> int:
     import pyarrow.compute as pc
 
     lengths = pc.binary_length(getattr(texts, "dictionary", texts))
-    return pc.sum(lengths.take(texts.indices) if hasattr(texts, "indices") else lengths).as_py() or 0
+    return (
+        pc.sum(lengths.take(texts.indices) if hasattr(texts, "indices") else lengths).as_py() or 0
+    )
 
 
 def stored_json(path: Path, shape: Any = dict[str, Any]) -> Any:

@@ -89,7 +89,11 @@ class Forecast:
     @property
     def content(self) -> dict[str, Any]:
         """For programs: the counts beside the other fields, but for those that are not known."""
-        others = {name: value for name, value in vars(self).items() if name != "counts" and value is not None}
+        others = {
+            name: value
+            for name, value in vars(self).items()
+            if name != "counts" and value is not None
+        }
         return {**self.counts, **others}
 
 
@@ -142,7 +146,11 @@ class Interruption:
 def interruptible() -> Iterator[Interruption]:
     """Handles both signals inside of it, in the main thread; elsewhere no signal arrives."""
     interruption = Interruption()
-    numbers = (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ()
+    numbers = (
+        (signal.SIGINT, signal.SIGTERM)
+        if threading.current_thread() is threading.main_thread()
+        else ()
+    )
     before = {number: signal.signal(number, interruption._noted) for number in numbers}
     try:
         yield interruption
@@ -163,7 +171,9 @@ def resumable(out: Path, again: str = "") -> Iterator[Interruption]:
         with interruptible() as interruption:
             yield interruption
     except WorkersLost as lost:
-        raise JobFailed(f"{lost} What is finished is kept in {out}: run the same command again.") from None
+        raise JobFailed(
+            f"{lost} What is finished is kept in {out}: run the same command again."
+        ) from None
     except KeyboardInterrupt:
         how = f", or: nermo-mjx {again} --out {out}" if again else "."
         raise Interrupted(
@@ -187,7 +197,9 @@ class TensorBoard:
         from tensorboardX import SummaryWriter
 
         # Files are named by the second: of two sessions within one, the later would overwrite the earlier.
-        self._writer = SummaryWriter(str(out / "tensorboard" / part), filename_suffix=f".{time.time_ns()}")
+        self._writer = SummaryWriter(
+            str(out / "tensorboard" / part), filename_suffix=f".{time.time_ns()}"
+        )
 
     def __enter__(self) -> Self:
         return self

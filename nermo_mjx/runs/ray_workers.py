@@ -82,7 +82,10 @@ class RayWorkers:
     """
 
     def __init__(
-        self, address: str | None = None, say: Callable[[str], None] | None = None, patience: float = PATIENCE
+        self,
+        address: str | None = None,
+        say: Callable[[str], None] | None = None,
+        patience: float = PATIENCE,
     ) -> None:
         self.address = address or os.environ.get("RAY_ADDRESS") or None
         self._say, self._patience = say or (lambda sentence: None), patience
@@ -97,24 +100,33 @@ class RayWorkers:
         self._looked = self._seen = -math.inf
 
     def __enter__(self) -> RayWorkers:
-        if self.address not in (None, "auto", "local"):  # fail at once if nothing listens: Ray would retry for minutes
+        if self.address not in (
+            None,
+            "auto",
+            "local",
+        ):  # fail at once if nothing listens: Ray would retry for minutes
             host, _, port = str(self.address).rpartition(":")
             missing = f"no Ray cluster at {self.address}"
             if not host or "/" in host or not port.isdecimal():
-                raise WorkersLost(f"{missing}: expected ADDRESS:PORT of its head, such as 10.0.0.1:6379.")
+                raise WorkersLost(
+                    f"{missing}: expected ADDRESS:PORT of its head, such as 10.0.0.1:6379."
+                )
             try:
                 socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
             except (OSError, OverflowError) as error:
-                raise WorkersLost(f"{missing}: {getattr(error, 'strerror', None) or error}.") from None
+                raise WorkersLost(
+                    f"{missing}: {getattr(error, 'strerror', None) or error}."
+                ) from None
         os.environ.update(QUIET if self.address else QUIET | LOOPBACK)
         import ray
         import ray.util.scheduling_strategies
 
         self._ray = ray
-        if not self.address:  # whoever imported Ray before has its constants without the switch
-            ray._private.ray_constants.ENABLE_RAY_CLUSTER = False
-        # Ray prints a page of log for each lost node; `say` receives a sentence.
-        ray._private.worker._worker_logs_enabled = False
+        if not self.address and ray._private.ray_constants.ENABLE_RAY_CLUSTER:
+            raise WorkersLost(
+                "Ray was imported before this job without RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER=0, so that the"
+                " cluster of this machine would listen to other machines: set this environment variable before `import ray`."
+            )
         # Ray lets SIGTERM end the process at once; a writer must finish what is half done first.
         main = threading.current_thread() is threading.main_thread()
         before = signal.getsignal(signal.SIGTERM) if main else None
@@ -122,16 +134,27 @@ class RayWorkers:
         try:
             for last in (False, True):
                 try:
-                    ray.init(self.address or "local", log_to_driver=False, logging_level=logging.ERROR, **more)
+                    ray.init(
+                        self.address or "local",
+                        log_to_driver=False,
+                        logging_level=logging.ERROR,
+                        **more,
+                    )
                     break
                 except Exception as error:
                     # Ray allows 30 s for its own start, which a busy machine may need.
-                    if last or self.address is not None or "timed out during startup" not in str(error):
+                    if (
+                        last
+                        or self.address is not None
+                        or "timed out during startup" not in str(error)
+                    ):
                         raise
                     self._say("Ray has not started within its 30 s, and is started once more.")
         except Exception as error:  # Ray raises plain ones, too
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
-            raise WorkersLost(f"no Ray cluster at {self.address or 'this machine'}: {reason}.") from error
+            raise WorkersLost(
+                f"no Ray cluster at {self.address or 'this machine'}: {reason}."
+            ) from error
         finally:
             if main:
                 signal.signal(signal.SIGTERM, before)
@@ -145,7 +168,9 @@ class RayWorkers:
     def parts(self) -> int:
         """See `nermo_mjx.runs.workers.Workers`."""
         resources = [each["Resources"] for each in self._nodes()]
-        return max(1, sum(int(each.get("GPU", 0)) or int(each.get("CPU", 0) >= 1) for each in resources))
+        return max(
+            1, sum(int(each.get("GPU", 0)) or int(each.get("CPU", 0) >= 1) for each in resources)
+        )
 
     def begin(self, computer: Computer) -> CodeStamp:
         """See `Workers`; the code of this process is the one that all must have."""
@@ -157,7 +182,11 @@ class RayWorkers:
 
     def results(self, tasks: Iterable[tuple[int, Any]], tell: Tell) -> Iterator[tuple[int, Any]]:
         """See `Workers`; the progress of a task remains unknown until it is done."""
-        coming, again, lost = iter(tasks), collections.deque[tuple[int, Any]](), collections.Counter[int]()
+        coming, again, lost = (
+            iter(tasks),
+            collections.deque[tuple[int, Any]](),
+            collections.Counter[int](),
+        )
         self._seen = time.monotonic()
         try:
             while True:
@@ -176,10 +205,13 @@ class RayWorkers:
                     again.append(given)
                 if self._workers:
                     self._seen = time.monotonic()
-                alone = bool(self._refused) and all(node["NodeID"] in self._refused for node in self._nodes())
+                alone = bool(self._refused) and all(
+                    node["NodeID"] in self._refused for node in self._nodes()
+                )
                 if not self._workers and (alone or time.monotonic() - self._seen > self._patience):
                     raise WorkersLost(
-                        " ".join(self._refused.values()) or f"no node came within {self._patience:.0f} s."
+                        " ".join(self._refused.values())
+                        or f"no node came within {self._patience:.0f} s."
                     )
                 if not self._busy:
                     time.sleep(LOOK)
@@ -196,7 +228,9 @@ class RayWorkers:
                         raise TaskFailed(key, _cause(error)) from _cause(error)
                     except self._ray.exceptions.RayError as error:
                         where, kind = self._names[worker.node], type(error).__name__
-                        self._say(f"a worker on {where} is lost ({kind}); what it computed is computed again.")
+                        self._say(
+                            f"a worker on {where} is lost ({kind}); what it computed is computed again."
+                        )
                         self._drop(worker)
                         again.append((key, task))
                         lost[key] += 1
@@ -206,7 +240,9 @@ class RayWorkers:
                     else:
                         yield key, result
         finally:
-            for worker in self._computing():  # ended early: their current tasks are no longer needed
+            for (
+                worker
+            ) in self._computing():  # ended early: their current tasks are no longer needed
                 self._drop(worker)
 
     def _computing(self) -> list[_Worker]:
@@ -222,7 +258,9 @@ class RayWorkers:
             if self._failures[worker.node] >= ATTEMPTS:
                 cause = _cause(error)
                 lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
-                first = f"{type(cause).__name__}{f': {lines[0]}' if lines else ''}".rstrip(".")[:300]
+                first = f"{type(cause).__name__}{f': {lines[0]}' if lines else ''}".rstrip(".")[
+                    :300
+                ]
                 self._refuse(worker, f"no worker starts there: {first}")
             else:
                 self._drop(worker)
@@ -239,10 +277,15 @@ class RayWorkers:
         for node in self._nodes():
             name, resources = node["NodeID"], node["Resources"]
             self._names[name] = f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})"
-            cores, gpus = int(resources.get("CPU", 0)), int(resources.get("GPU", 0)) if self._stamp.engine != "c" else 0
+            cores, gpus = (
+                int(resources.get("CPU", 0)),
+                int(resources.get("GPU", 0)) if self._stamp.engine != "c" else 0,
+            )
             wanted = 0 if name in self._refused else gpus or min(cores, 1)
             for _ in range(wanted - sum(worker.node == name for worker in self._workers)):
-                there = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(name, soft=False)
+                there = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(
+                    name, soft=False
+                )
                 share = {"num_cpus": max(1, cores // wanted), "num_gpus": 1 if gpus else 0}
                 kind = self._ray.remote(_Actor).options(scheduling_strategy=there, **share)
                 worker = _Worker(kind.remote(share["num_cpus"]), name)
@@ -257,7 +300,9 @@ class RayWorkers:
 
     def _drop(self, worker: _Worker) -> None:
         self._workers.remove(worker)
-        self._busy = {reference: each for reference, each in self._busy.items() if each is not worker}
+        self._busy = {
+            reference: each for reference, each in self._busy.items() if each is not worker
+        }
         with contextlib.suppress(Exception):  # it may be gone, or never have come
             self._ray.kill(worker.actor)
 

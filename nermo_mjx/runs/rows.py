@@ -32,7 +32,14 @@ import pyarrow.parquet as pq
 from nermo_mjx.files import MOST_FILE, read_bytes
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, digest
-from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_file, parquet_table, sync_folder
+from nermo_mjx.runs.files import (
+    DirectoryError,
+    clear_errors,
+    parquet_bytes,
+    parquet_file,
+    parquet_table,
+    sync_folder,
+)
 from nermo_mjx.trust import one_line
 
 RESULTS, SERIES, FORMER = "results", "series", "former"
@@ -57,7 +64,11 @@ def keys_of(identity: str, values: Mapping[str, np.ndarray], runs: int) -> np.nd
     columns = [(np.asarray(values[name], float) + 0.0).tolist() for name in names]
     for i in range(runs):
         total = base.copy()
-        known = (f"{name} {column[i]!r}" for name, column in zip(names, columns, strict=True) if column[i] == column[i])
+        known = (
+            f"{name} {column[i]!r}"
+            for name, column in zip(names, columns, strict=True)
+            if column[i] == column[i]
+        )
         total.update("\n".join(known).encode())
         keys[i] = total.hexdigest().encode()
     return keys
@@ -85,7 +96,10 @@ class PartFile:
     @classmethod
     def of(cls, path: Path, rows: int, metadata: Mapping[bytes, bytes]) -> PartFile:
         """With what a file's metadata says."""
-        about = {key: metadata.get(key, b"").decode() for key in (b"engine", b"steps", b"wall_seconds", b"series")}
+        about = {
+            key: metadata.get(key, b"").decode()
+            for key in (b"engine", b"steps", b"wall_seconds", b"series")
+        }
         engine, steps, seconds, series = about.values()
         effort = float(steps or 0), float(seconds or 0)
         return cls(_shared(path.parent), path.name, rows, sys.intern(engine), *effort, series)
@@ -101,14 +115,20 @@ class PartFile:
     @property
     def directory(self) -> Path:
         """The directory of runs that it is in."""
-        return self.folder.parent.parent if self.folder.parent.name == FORMER else self.folder.parent
+        return (
+            self.folder.parent.parent if self.folder.parent.name == FORMER else self.folder.parent
+        )
 
     @property
     def series(self) -> Path | None:
         """The file of the runs' time series, if they have any; a process that is killed moves the two one by one."""
         if not self.series_name:
             return None
-        places = (self.folder.parent / SERIES, self.directory / FORMER / SERIES, self.directory / SERIES)
+        places = (
+            self.folder.parent / SERIES,
+            self.directory / FORMER / SERIES,
+            self.directory / SERIES,
+        )
         found = (place / self.series_name for place in places)
         return next((path for path in found if path.exists()), places[0] / self.series_name)
 
@@ -154,7 +174,9 @@ class Runs:
                 (out / RESULTS).mkdir(exist_ok=True)
                 for folder in (SERIES, RESULTS):
                     _move(out / FORMER / folder, out / folder, lambda found: found == group)
-        self.others = [part for place in (out, *self._also) for part in self._intact(place, own=False)]
+        self.others = [
+            part for place in (out, *self._also) for part in self._intact(place, own=False)
+        ]
         self.survey()
 
     def survey(self) -> None:
@@ -179,11 +201,17 @@ class Runs:
                 content, flaw = _content(path)
                 if content is not None:
                     with parquet_file(pa.BufferReader(content)) as file:
-                        part = PartFile.of(path, file.metadata.num_rows, file.metadata.metadata or {})
+                        part = PartFile.of(
+                            path, file.metadata.num_rows, file.metadata.metadata or {}
+                        )
                         row = file.read(["row"])["row"]
                         flaw = "has rows without a number" if row.null_count else ""
                         numbers = row.to_numpy() if own and not flaw else None
-                    if not flaw and self._series and (part.series is None or _content(part.series)[0] is None):
+                    if (
+                        not flaw
+                        and self._series
+                        and (part.series is None or _content(part.series)[0] is None)
+                    ):
                         flaw = "has no time series, or damaged ones"
                 if not flaw:
                     parts.append(part)
@@ -192,7 +220,9 @@ class Runs:
                 elif self.held is None or path.parent != self.out / RESULTS:
                     self._warn(f"{path} {flaw}; its runs are not used.")
                 elif self.held.move_aside(path.relative_to(out), f"{RESULTS}.aside") is not None:
-                    self._warn(f"{path} {flaw}; it is kept in {RESULTS}.aside, and its runs are made again.")
+                    self._warn(
+                        f"{path} {flaw}; it is kept in {RESULTS}.aside, and its runs are made again."
+                    )
         return parts
 
     @property
@@ -230,9 +260,13 @@ class Runs:
             seconds += part.seconds * len(here) / part.rows
             found.append(self._table(part.path).take(rows[here]).replace_schema_metadata(None))
             order.append(here)
-        table = pa.concat_tables(found, promote_options="default").take(np.argsort(np.concatenate(order)))
+        table = pa.concat_tables(found, promote_options="default").take(
+            np.argsort(np.concatenate(order))
+        )
         engine = self._index.parts[int(files[0])].engine
-        return table.replace_schema_metadata({"engine": engine, "steps": str(steps), "wall_seconds": str(seconds)})
+        return table.replace_schema_metadata(
+            {"engine": engine, "steps": str(steps), "wall_seconds": str(seconds)}
+        )
 
     def series(self, places: np.ndarray) -> Iterator[pa.Table]:
         """The time series of runs, one after the other, with the numbers `row` of the job that made them."""
@@ -240,7 +274,9 @@ class Runs:
             part = self._index.parts[file]
             assert part.series is not None
             number = self._table(part.path).column("row")[row].as_py()
-            yield self._table(part.series).filter(pc.equal(self._table(part.series).column("row"), number))
+            yield self._table(part.series).filter(
+                pc.equal(self._table(part.series).column("row"), number)
+            )
 
     def add(self, keys: np.ndarray, table: pa.Table, series: pa.Table | None = None) -> PartFile:
         """Store runs, atomically and durably: other processes see all of them, with their time series, or none.
@@ -256,14 +292,22 @@ class Runs:
         about = dict(table.schema.metadata or {})
         if series is not None:
             about[b"series"] = self._write(SERIES, series).name.encode()
-        column = pa.field("key", pa.string(), metadata={"unit": "1", "description": "what decides it", "role": "key"})
-        table = table.append_column(column, pa.array(keys.astype(str))).replace_schema_metadata(about)
+        column = pa.field(
+            "key",
+            pa.string(),
+            metadata={"unit": "1", "description": "what decides it", "role": "key"},
+        )
+        table = table.append_column(column, pa.array(keys.astype(str))).replace_schema_metadata(
+            about
+        )
         part = PartFile.of(self._write(RESULTS, table), table.num_rows, about)
         self._note(table["row"].to_numpy())
         self.parts.append(part)
         return part
 
-    def take_codes(self, stamps: Sequence[CodeStamp], *, accept: bool, any_model: bool = False) -> None:
+    def take_codes(
+        self, stamps: Sequence[CodeStamp], *, accept: bool, any_model: bool = False
+    ) -> None:
         """Record which codes are about to add runs, or refuse; see `RunDirectory.take_code`.
 
         Parts of other jobs leave the folder then, which readers take whole.
@@ -274,7 +318,9 @@ class Runs:
             self.held.take_code(stamp, holds_rows=holds, accept=accept, any_model=any_model)
             holds = True
         if retire(self.held, self.group):
-            self._warn(f"{self.out} has parts of another job, or made with other defaults: now in {FORMER}.")
+            self._warn(
+                f"{self.out} has parts of another job, or made with other defaults: now in {FORMER}."
+            )
 
         def moved(part: PartFile) -> PartFile:
             here = part.group != self.group and part.folder == self.out / RESULTS
@@ -331,7 +377,9 @@ class Runs:
 
 def part_files(out: Path, group: str = "*", folder: str = RESULTS) -> list[Path]:
     """The files of a directory's parts, of one job or of all, whatever is in them; in the order of their names."""
-    return sorted(path for path in out.glob(f"{folder}/part-{group}-*.parquet") if _NAME.fullmatch(path.name))
+    return sorted(
+        path for path in out.glob(f"{folder}/part-{group}-*.parquet") if _NAME.fullmatch(path.name)
+    )
 
 
 @contextlib.contextmanager
@@ -342,7 +390,9 @@ def opened_part(path: Path) -> Iterator[pq.ParquetFile]:
             yield file
     except (OSError, pa.ArrowException, ValueError, KeyError) as error:
         reason = one_line(str(error).strip())
-        raise DirectoryError(f"{path} cannot be read ({reason}): run the same command again.") from None
+        raise DirectoryError(
+            f"{path} cannot be read ({reason}): run the same command again."
+        ) from None
 
 
 def retire(held: RunDirectory, group: str) -> int:
@@ -377,7 +427,9 @@ def _content(path: Path) -> tuple[bytes | None, str]:
     except OSError as error:
         return None, f"cannot be read ({error.strerror})"
     found = _NAME.fullmatch(path.name)
-    return (content, "") if found is not None and digest(content) == found[2] else (None, "is damaged")
+    return (
+        (content, "") if found is not None and digest(content) == found[2] else (None, "is damaged")
+    )
 
 
 class _Index(NamedTuple):
@@ -410,7 +462,9 @@ class Columns:
         values = np.asarray(values)
         if values.dtype.kind in "fiu":
             values = values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
-        self._arrays[name] = pa.array(values.tolist() if values.dtype.kind in "OU" else values, from_pandas=nulls)
+        self._arrays[name] = pa.array(
+            values.tolist() if values.dtype.kind in "OU" else values, from_pandas=nulls
+        )
         metadata = {"unit": unit, "description": description, "role": role}
         metadata |= {key: text for key, text in more.items() if text}
         self._fields.append(pa.field(name, self._arrays[name].type, metadata=metadata))

@@ -56,7 +56,9 @@ def status_of(
 ) -> Status:
     """The status of a directory that `command` fills, and resumes by the file `spec` in it."""
     words = ["plot", str(out)] if complete else [command, str(out / spec), "--out", str(out)]
-    return Status(unit, done, rows, complete, f"nermo-mjx {shlex.join(words)}", engine, notes=tuple(notes))
+    return Status(
+        unit, done, rows, complete, f"nermo-mjx {shlex.join(words)}", engine, notes=tuple(notes)
+    )
 
 
 def metadata_of(path: Path, notes: list[str], remedy: str) -> pq.FileMetaData | None:
@@ -67,7 +69,9 @@ def metadata_of(path: Path, notes: list[str], remedy: str) -> pq.FileMetaData | 
         with parquet_file(path) as file:
             return file.metadata
     except (OSError, pa.ArrowException, ValueError):
-        notes.append(f"{path.name if path.parent.name != 'results' else f'results/{path.name}'} is damaged; {remedy}")
+        notes.append(
+            f"{path.name if path.parent.name != 'results' else f'results/{path.name}'} is damaged; {remedy}"
+        )
         return None
 
 

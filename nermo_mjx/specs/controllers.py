@@ -81,7 +81,11 @@ def known_names(doc: Document) -> Iterator[None]:
         field, _, message = str(error).partition(" ")
         doc.fail((field,), message)
     known = dict(quantities(own.world({}))) if where is not None else NAMES.get()
-    times = {f"schedule.{name}": about for name, about in quantities(Schedule) if int(name.split(".")[1]) in switches}
+    times = {
+        f"schedule.{name}": about
+        for name, about in quantities(Schedule)
+        if int(name.split(".")[1]) in switches
+    }
     names = NAMES.set({**known, **times})
     metrics = MEASURED.set(all_metrics(own))
     try:
@@ -112,7 +116,9 @@ def written_controller(setup: Setup, folder: Path | None = None) -> str:
     """
     if not isinstance(setup.controller, str):
         kind = type(setup.controller).__name__
-        raise ParameterError(f"controller is a {kind}: name it as {CONTROLLER_FORM}, as a file can.")
+        raise ParameterError(
+            f"controller is a {kind}: name it as {CONTROLLER_FORM}, as a file can."
+        )
     return written_code(setup.controller, folder)
 
 
@@ -124,7 +130,9 @@ def written_metrics(setup: Setup, folder: Path | None = None) -> list[str]:
     """
     for each in setup.metrics:
         if not isinstance(each, str):
-            raise ParameterError(f"metrics has {each.place}: name it as FILE.py:NAME or MODULE:NAME, as a file can.")
+            raise ParameterError(
+                f"metrics has {each.place}: name it as FILE.py:NAME or MODULE:NAME, as a file can."
+            )
     return [written_code(str(each), folder) for each in setup.metrics]
 
 
@@ -146,7 +154,9 @@ def with_code_copied(setup: Setup, folder: Path, write: Callable[[str, bytes], A
         write: puts content under a name there.
     """
     if isinstance(setup.controller, str):
-        setup = dataclasses.replace(setup, controller=kept_code(setup.controller, KEPT_CONTROLLER, folder, write))
+        setup = dataclasses.replace(
+            setup, controller=kept_code(setup.controller, KEPT_CONTROLLER, folder, write)
+        )
     named = written_metrics(setup)
     if named:
         write(KEPT, kept_metrics(named))

@@ -61,7 +61,12 @@ class Described(abc.ABC):
         """What is given, or the content of a dict or of a file; raises `SpecError`."""
         if isinstance(given, cls):
             return given
-        of_type(cls.kind, given, (Mapping, str, os.PathLike), f"a {cls.__name__}, its fields, or the path of a file")
+        of_type(
+            cls.kind,
+            given,
+            (Mapping, str, os.PathLike),
+            f"a {cls.__name__}, its fields, or the path of a file",
+        )
         return cls.from_dict(given) if isinstance(given, Mapping) else cls.from_file(given)  # type: ignore[arg-type]
 
     def to_yaml(self, folder: Path | None = None) -> str:

@@ -10,7 +10,14 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final, TypeVar, get_args, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationError,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
 
@@ -58,14 +65,30 @@ def read(doc: Document, model: type[M]) -> M:
         return model.model_validate(doc.data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-    refused, path, given = first.get("ctx", {}).get("error"), _place(doc.data, first["loc"]), first["input"]
+    refused, path, given = (
+        first.get("ctx", {}).get("error"),
+        _place(doc.data, first["loc"]),
+        first["input"],
+    )
     if isinstance(refused, Refused):
-        path, at, message = (*path, *refused.path), (*path, *refused.path, *refused.at), str(refused)
-    elif isinstance(refused, ParameterError):  # of a section's own check; its first word is the section or a field
+        path, at, message = (
+            (*path, *refused.path),
+            (*path, *refused.path, *refused.at),
+            str(refused),
+        )
+    elif isinstance(
+        refused, ParameterError
+    ):  # of a section's own check; its first word is the section or a field
         name, _, message = str(refused).partition(" ")
-        path = at = (*path, *name.split(".")[1:]) if path and name.split(".")[0] == path[-1] else path
+        path = at = (
+            (*path, *name.split(".")[1:]) if path and name.split(".")[0] == path[-1] else path
+        )
     else:
-        shown = f"{given:g}" if first["type"] in _RANGES and not isinstance(given, str) else describe(given)
+        shown = (
+            f"{given:g}"
+            if first["type"] in _RANGES and not isinstance(given, str)
+            else describe(given)
+        )
         allowed = (_TYPES | _RANGES)[first["type"]].format(**first.get("ctx", {}))
         at, message = path, f"is {shown}: expected {allowed}."
     doc.fail(at, message, model.called(path))
@@ -74,7 +97,11 @@ def read(doc: Document, model: type[M]) -> M:
 def _place(data: Any, place: FieldPath) -> FieldPath:
     """As far as the document goes: what follows are types that a field may have, or belongs to a short form."""
     for i, key in enumerate(place):
-        if not (key in data if isinstance(data, dict) else isinstance(data, list) and isinstance(key, int)):
+        if not (
+            key in data
+            if isinstance(data, dict)
+            else isinstance(data, list) and isinstance(key, int)
+        ):
             return place[:i]
         data = data[key]
     return place
@@ -82,7 +109,9 @@ def _place(data: Any, place: FieldPath) -> FieldPath:
 
 def optional(description: str | None = None, *, alias: str | None = None, **schema: Any) -> Any:
     """An optional field: None if missing, which cannot be written in the file. `schema`: additions for an editor."""
-    return Field(default=None, alias=alias, description=description, json_schema_extra=schema or None)
+    return Field(
+        default=None, alias=alias, description=description, json_schema_extra=schema or None
+    )
 
 
 class Section:
@@ -147,7 +176,9 @@ class Fields(Section, BaseModel):
 
     @classmethod
     def declared(cls) -> dict[str, bool]:
-        return {field.alias or name: field.is_required() for name, field in cls.model_fields.items()}
+        return {
+            field.alias or name: field.is_required() for name, field in cls.model_fields.items()
+        }
 
     @classmethod
     def written_out(cls, given: Any) -> Any:
@@ -160,7 +191,9 @@ class Fields(Section, BaseModel):
         return ".".join(map(str, path))
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+    def __get_pydantic_json_schema__(
+        cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchema:
         reference = handler(schema)
         if cls.short:
             written = handler.resolve_ref_schema(reference)
@@ -195,7 +228,9 @@ class OneOf(Fields):
     @classmethod
     def written_out(cls, given: Any) -> Any:
         """As a mapping, of exactly one field."""
-        for name in (given,) if isinstance(given, str) else given if isinstance(given, dict) else ():
+        for name in (
+            (given,) if isinstance(given, str) else given if isinstance(given, dict) else ()
+        ):
             if name in cls.removed:
                 raise Refused(f"is {name!r}, {cls.removed[name]}.")
         if isinstance(given, str) and given in cls.alone:
@@ -229,7 +264,11 @@ def documented(cls: type) -> dict[str, Any]:
     """Type and default of a dataclass's fields that have a description, as `create_model` takes them for a file."""
     hints = get_type_hints(cls, include_extras=True)
     fields = {field.name: (hints[field.name], field.default) for field in dataclasses.fields(cls)}
-    described = (name for name in fields if any(isinstance(each, FieldInfo) for each in get_args(hints[name])))
+    described = (
+        name
+        for name in fields
+        if any(isinstance(each, FieldInfo) for each in get_args(hints[name]))
+    )
     return {name: fields[name] for name in described}
 
 
@@ -248,5 +287,7 @@ def _plain(schema: Any) -> Any:
         return [_plain(item) for item in schema]
     if not isinstance(schema, dict):
         return schema
-    left_out = {"title"} | ({"default"} if isinstance(schema.get("default"), (dict, type(None))) else set())
+    left_out = {"title"} | (
+        {"default"} if isinstance(schema.get("default"), (dict, type(None))) else set()
+    )
     return {key: _plain(value) for key, value in schema.items() if key not in left_out}

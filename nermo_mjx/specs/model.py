@@ -36,14 +36,18 @@ class Spec(Section):
         elsewhere: fields of the object that stand in another section of the file.
     """
 
-    __pydantic_config__: ClassVar = ConfigDict(strict=True, extra="forbid", use_attribute_docstrings=True)
+    __pydantic_config__: ClassVar = ConfigDict(
+        strict=True, extra="forbid", use_attribute_docstrings=True
+    )
     elsewhere: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def declared(cls) -> dict[str, bool]:
         fields: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(cls)  # type: ignore[arg-type]
         given = (each for each in fields if each.name not in cls.elsewhere)
-        return {each.name: each.default is dataclasses.MISSING is each.default_factory for each in given}
+        return {
+            each.name: each.default is dataclasses.MISSING is each.default_factory for each in given
+        }
 
     @classmethod
     def _known(cls, given: Any) -> Any:
@@ -52,14 +56,20 @@ class Spec(Section):
         return given if isinstance(given, cls) else cls.checked(given)
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(
+        cls, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
         made: dict[str, Any] = {**handler.resolve_ref_schema(handler(source))}
         made["strict"] = False  # a mapping will do; its values are checked strictly
         # What stands at the reference is this, so that a second field of the same section is checked, too.
-        return core_schema.no_info_before_validator_function(cls._known, made, ref=made.pop("ref", None))
+        return core_schema.no_info_before_validator_function(
+            cls._known, made, ref=made.pop("ref", None)
+        )
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+    def __get_pydantic_json_schema__(
+        cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchema:
         reference = handler(schema)
         fields = handler.resolve_ref_schema(reference)["properties"]
         for name in cls.elsewhere:
@@ -74,15 +84,21 @@ class _Chosen:
     form: type[OneOf]
     models: Mapping[str, type[Spec]]
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        return core_schema.no_info_after_validator_function(self._made, handler.generate_schema(self.form))
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        return core_schema.no_info_after_validator_function(
+            self._made, handler.generate_schema(self.form)
+        )
 
     def _made(self, found: OneOf) -> Spec:
         name, value = found.chosen
         return self.models[name]() if value is None else value
 
 
-def one_of(form: str, other: str, models: Mapping[str, type[Spec]], removed: Mapping[str, str] = {}) -> Any:
+def one_of(
+    form: str, other: str, models: Mapping[str, type[Spec]], removed: Mapping[str, str] = {}
+) -> Any:
     """The marker of a field that is one of several sections: NAME, {NAME: } or {NAME: {option: value}}.
 
     Args:
@@ -102,7 +118,12 @@ def one_of(form: str, other: str, models: Mapping[str, type[Spec]], removed: Map
     *first, last = models
     names = f"{', '.join(first)} or {last}" if first else last
     made.expected = f"{names} as a name, or {{name: {{option: value}}}}"
-    made.other, made.other_name, made.alone, made.removed = other, "is {name!r}", tuple(models), removed
+    made.other, made.other_name, made.alone, made.removed = (
+        other,
+        "is {name!r}",
+        tuple(models),
+        removed,
+    )
     made.short = ({"enum": [name for name, model in models.items() if not model.required()]},)
     return _Chosen(made, models)
 

@@ -23,7 +23,9 @@ from nermo_mjx.trust import FileError, shortened
 FieldPath = tuple["str | int", ...]
 #: Prefix of YAML's own tags, and the tags of plain values; all other tags are refused.
 _STANDARD: Final = "tag:yaml.org,2002:"
-_PLAIN_TAGS: Final = frozenset(_STANDARD + name for name in ("map", "seq", "str", "int", "float", "bool", "null"))
+_PLAIN_TAGS: Final = frozenset(
+    _STANDARD + name for name in ("map", "seq", "str", "int", "float", "bool", "null")
+)
 _MERGE: Final = f"{_STANDARD}merge"
 #: Values that a file's aliases may stand for, in all.
 _MOST_REPEATED: Final = 100_000
@@ -76,7 +78,9 @@ def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
     except FileNotFoundError:
         raise SpecError(f"{source}: there is no such file.") from None
     except UnicodeDecodeError as error:
-        raise SpecError(f"{source}: not a text file in UTF-8 ({error.reason} at byte {error.start}).") from None
+        raise SpecError(
+            f"{source}: not a text file in UTF-8 ({error.reason} at byte {error.start})."
+        ) from None
     except OSError as error:
         raise SpecError(f"{source}: cannot be read ({error.strerror}).") from None
     return read_text(text, source, what)
@@ -92,7 +96,10 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
             opened += sum(map(each.count, "[{")) - sum(map(each.count, "]}"))
             if opened > _DEEPEST:
                 raise RecursionError
-        if len(text) > _MOST_VALUES and len(list(itertools.islice(yaml.parse(text), _MOST_VALUES))) == _MOST_VALUES:
+        if (
+            len(text) > _MOST_VALUES
+            and len(list(itertools.islice(yaml.parse(text), _MOST_VALUES))) == _MOST_VALUES
+        ):
             raise SpecError(
                 f"{source}: it holds more than {_MOST_VALUES:,} values: allowed are fewer; rows can stand in a table."
             )
@@ -100,7 +107,10 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
         reader = _NodeReader(source, what, yaml)
         data = None if root is None else reader.value(root, ())
     except RecursionError:
-        depths = [len(line) - len(line.lstrip()) + line.count("[") + line.count("{") for line in text.splitlines()]
+        depths = [
+            len(line) - len(line.lstrip()) + line.count("[") + line.count("{")
+            for line in text.splitlines()
+        ]
         deepest = depths.index(max(depths)) + 1
         raise SpecError(
             f"{source}:{deepest}: lists or mappings stand too deep in one another: close the brackets."
@@ -115,7 +125,9 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
     except (YAMLError, ValueError) as error:
         raise SpecError(f"{source}: not valid YAML: {str(error).splitlines()[0]}.") from None
     if not isinstance(data, dict):
-        raise SpecError(f"{source}:1: a {what} is a mapping of fields, but this file holds {describe(data)}.")
+        raise SpecError(
+            f"{source}:1: a {what} is a mapping of fields, but this file holds {describe(data)}."
+        )
     return Document(source, data, reader.lines)
 
 
@@ -141,7 +153,13 @@ def describe(value: Any) -> str:
     """A value in words for a message, with its kind."""
     if value is None:
         return "nothing"
-    kinds = {bool: "the truth value", int: "the number", float: "the number", str: "the text", list: "the list"}
+    kinds = {
+        bool: "the truth value",
+        int: "the number",
+        float: "the number",
+        str: "the text",
+        list: "the list",
+    }
     if isinstance(value, Mapping):
         return "a mapping" + (f" of {', '.join(map(str, value))}" if value else " without fields")
     shown = str(value).lower() if isinstance(value, bool) else repr(value)
@@ -163,7 +181,10 @@ class _NodeReader:
         self._repeated += id(node) in self._seen
         self._seen.add(id(node))
         if self._repeated > _MOST_REPEATED:
-            self._refuse(node, f"aliases stand for more than {_MOST_REPEATED:,} values: write out what is meant.")
+            self._refuse(
+                node,
+                f"aliases stand for more than {_MOST_REPEATED:,} values: write out what is meant.",
+            )
         if node.tag not in _PLAIN_TAGS:
             self._refuse(
                 node,
@@ -179,7 +200,8 @@ class _NodeReader:
             if isinstance(node, SequenceNode):
                 return [self._item(item, (*path, i), item) for i, item in enumerate(node.value)]
             return {
-                name: self._item(item, (*path, name), key) for name, (key, item) in self._fields(node, path).items()
+                name: self._item(item, (*path, name), key)
+                for name, (key, item) in self._fields(node, path).items()
             }
 
     def _item(self, node: Node, path: FieldPath, place: Node) -> Any:
@@ -195,7 +217,9 @@ class _NodeReader:
         for key, item in node.value:
             if key.tag == _MERGE:
                 if bases is not None:
-                    self._refuse(key, f"{self._subject((*path, '<<'))} stands twice; merge a list instead.")
+                    self._refuse(
+                        key, f"{self._subject((*path, '<<'))} stands twice; merge a list instead."
+                    )
                 bases = item.value if isinstance(item, SequenceNode) else [item]
                 for base in bases:
                     for name, field in self._base(base, (*path, "<<")).items():
@@ -211,7 +235,9 @@ class _NodeReader:
         """The fields of a mapping that is merged."""
         if not isinstance(node, MappingNode) or node.tag not in _PLAIN_TAGS:
             found = describe(self.value(node, path))
-            self._refuse(node, f"{self._subject(path)} is {found}: expected a mapping or a list of mappings.")
+            self._refuse(
+                node, f"{self._subject(path)} is {found}: expected a mapping or a list of mappings."
+            )
         with self._opened(node, path):
             return self._fields(node, path)
 
@@ -264,13 +290,18 @@ def plain_data(value: Any) -> Any:
 
 def changes(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
     """Where two mappings of fields differ, as "seed (3 there, 4 here)"."""
-    return [f"{name} ({before} there, {now} here)" for name, (before, now) in differing(there, here).items()]
+    return [
+        f"{name} ({before} there, {now} here)"
+        for name, (before, now) in differing(there, here).items()
+    ]
 
 
 def differing(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     """Both values of each field in which two mappings differ, by its dotted name; or the word absent."""
     before, now = dict(_leaves(there)), dict(_leaves(here))
-    both = {name: (before.get(name, "absent"), now.get(name, "absent")) for name in {**before, **now}}
+    both = {
+        name: (before.get(name, "absent"), now.get(name, "absent")) for name in {**before, **now}
+    }
     return {name: (a, b) for name, (a, b) in both.items() if a != b}
 
 

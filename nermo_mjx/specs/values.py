@@ -49,10 +49,14 @@ class Checked:
         """The schema for an editor."""
         return own
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         return core_schema.no_info_after_validator_function(self.check, self.inner(source, handler))
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchema:
         return self.schema(handler(schema))
 
 
@@ -69,7 +73,9 @@ class Whole(Checked):
 
     def check(self, value: float) -> int:
         if not self.low <= value <= self.high or value != int(value):
-            raise Refused(f"is {value:g}: expected a whole number from {self.low} to {self.high:,}.")
+            raise Refused(
+                f"is {value:g}: expected a whole number from {self.low} to {self.high:,}."
+            )
         if self.even and value % 2:
             raise Refused(f"is {value:g}: expected an even number, because samples come in pairs.")
         return int(value)
@@ -128,9 +134,13 @@ class BodiesField(Checked):
     def check(self, value: Any) -> str:
         if isinstance(value, bool):
             return identified.IDENTIFIED if value else ""
-        if not isinstance(value, str) or ("/" not in value and value not in ("", identified.IDENTIFIED)):
+        if not isinstance(value, str) or (
+            "/" not in value and value not in ("", identified.IDENTIFIED)
+        ):
             meant = did_you_mean(str(value), (identified.IDENTIFIED,))
-            raise Refused(f"is {describe(value)}: allowed is identified, or DIR such as runs/mine{meant}")
+            raise Refused(
+                f"is {describe(value)}: allowed is identified, or DIR such as runs/mine{meant}"
+            )
         try:
             identified.bodies(value) if value else None
         except ParameterError as error:
@@ -155,7 +165,9 @@ class Numbers(Checked):
         return core_schema.no_info_before_validator_function(self._listed, numbers)
 
     def _listed(self, value: Any) -> Any:
-        if not isinstance(value, list) or (self.most is not None and not self.least <= len(value) <= self.most):
+        if not isinstance(value, list) or (
+            self.most is not None and not self.least <= len(value) <= self.most
+        ):
             raise Refused(f"is {describe(value)}: expected the list {self.written}.")
         return value
 
@@ -232,7 +244,10 @@ def by_parameter(value: JsonSchema) -> JsonSchema:
     A pattern of names (`patterns`) is allowed in a name's place.
     """
     numbers = {name: number_of(name) for name in PARAMETERS}
-    names = {name: {**(value or number), "description": number["description"]} for name, number in numbers.items()}
+    names = {
+        name: {**(value or number), "description": number["description"]}
+        for name, number in numbers.items()
+    }
     patterns = {r"[*?\[]": value or MEASURED_TEXT}
     return {"properties": names, "patternProperties": patterns, "additionalProperties": False}
 
@@ -248,7 +263,12 @@ def number_of(name: str) -> JsonSchema:
         for end, bound, is_open in bounds
         if math.isfinite(bound)
     }
-    return {"type": ["number", "string"], **limits, "pattern": about.pattern, "description": description}
+    return {
+        "type": ["number", "string"],
+        **limits,
+        "pattern": about.pattern,
+        "description": description,
+    }
 
 
 def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, value: Any) -> None:

@@ -15,7 +15,14 @@ import mujoco
 import numpy as np
 from pydantic import BeforeValidator, Field, create_model
 
-from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
+from nermo_mjx.control.head_and_tail import (
+    COUNTER_ROLL,
+    COUNTER_YAW,
+    GAZE,
+    HEADS,
+    SWING,
+    TAIL_MOTIONS,
+)
 from nermo_mjx.control.parameters import STEERING, robot_choices
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
@@ -28,7 +35,12 @@ from nermo_mjx.robot.scene import resolve_scene, scenes
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
 from nermo_mjx.rollout.loop import check_code
-from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
+from nermo_mjx.specs.controllers import (
+    named_controller,
+    named_metrics,
+    written_controller,
+    written_metrics,
+)
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import (
@@ -63,7 +75,10 @@ _NEEDS: Final = {
     "head.tilt": ("robot", "nermo_41"),
     **{f"head.{name}": ("head", GAZE) for name in ("gain", "bandwidth", "lead")},
     "tail.angle": ("tail", "articulated"),
-    **{f"tail.{name}": ("tail_motion", SWING) for name in ("swing_amplitude", "swing_gain", "swing_phase")},
+    **{
+        f"tail.{name}": ("tail_motion", SWING)
+        for name in ("swing_amplitude", "swing_gain", "swing_phase")
+    },
     **{f"tail.{name}": ("tail_motion", COUNTER_YAW) for name in ("yaw_gain", "bandwidth")},
     "tail.roll_gain": ("tail_motion", COUNTER_ROLL),
     "spine.sagittal_amplitude": ("spine", "sagittal_extension"),
@@ -80,7 +95,11 @@ def unread(setup: Setup, name: str) -> tuple[str, str] | None:
     """The choice that a parameter requires, and its required values; None if the parameter is used."""
     if is_terrain(name) and name not in terrain_values(str(setup.scene)):
         return "scene", scenes_reading(name)[0]
-    groups = [name.rsplit(".", up)[0] for up in range(name.count(".") + 1)] if setup.controller is None else []
+    groups = (
+        [name.rsplit(".", up)[0] for up in range(name.count(".") + 1)]
+        if setup.controller is None
+        else []
+    )
     choice, wanted = next((_NEEDS[each] for each in groups if each in _NEEDS), ("", ""))
     acting = setup.modes.get(choice) or getattr(setup, choice, "").split("+")
     return (choice, wanted) if choice and wanted not in acting else None
@@ -114,12 +133,17 @@ SceneField = Annotated[
 def _in_a_file(name: str) -> tuple[Any, Any]:
     """A choice of the setup as a field of a file: one of several names, by default that of `Setup`."""
     field = Setup.__dataclass_fields__[name]
-    about, allowed = field.metadata["doc"], [*(allowed_names(Setup) | {"spine": SPINES}).get(name, ())]
+    about, allowed = (
+        field.metadata["doc"],
+        [*(allowed_names(Setup) | {"spine": SPINES}).get(name, ())],
+    )
     if name in ("timestep", "controller"):
         return float if name == "timestep" else str, optional(about)
     if isinstance(field.default, ProfileChoice):  # changes with the profile, which no JSON has
         extra: Any = {"enum": allowed, "default": str(field.default)}
-        return str, Field(default_factory=lambda: field.default, description=about, json_schema_extra=extra)
+        return str, Field(
+            default_factory=lambda: field.default, description=about, json_schema_extra=extra
+        )
     kind = {"scene": SceneField, "hinges": Annotated[int, Whole(1, MOST_HINGES)]}.get(name, str)
     names: Any = {"json_schema_extra": {"enum": allowed}} if allowed else {}
     return kind, Field(default=field.default, description=about, **names)
@@ -142,8 +166,12 @@ class Straight(Fields):
 
 class Arc(Fields):
     what: ClassVar = "an option of the pilot 'arc'"
-    radius: Annotated[float, InUnits(PARAMETERS["pilot.radius"])] = optional(**number_of("pilot.radius"))
-    direction: float | Literal["left", "right"] = optional("side of the circle; 1 is left, -1 right")
+    radius: Annotated[float, InUnits(PARAMETERS["pilot.radius"])] = optional(
+        **number_of("pilot.radius")
+    )
+    direction: float | Literal["left", "right"] = optional(
+        "side of the circle; 1 is left, -1 right"
+    )
 
 
 def _rows(given: Any) -> Any:
@@ -167,12 +195,16 @@ class Waypoints(Fields):
 
 class OpenLoopFields(Fields):
     what: ClassVar = "an option of the pilot 'open_loop'"
-    turn_rate: Annotated[float, InUnits(PARAMETERS["pilot.turn_rate"])] = optional(**number_of("pilot.turn_rate"))
+    turn_rate: Annotated[float, InUnits(PARAMETERS["pilot.turn_rate"])] = optional(
+        **number_of("pilot.turn_rate")
+    )
 
 
 class PilotFields(OneOf):
     alone: ClassVar = ("straight", "arc", "open_loop")
-    expected: ClassVar = "straight, arc, waypoints or open_loop as a name or {name: {option: value}}"
+    expected: ClassVar = (
+        "straight, arc, waypoints or open_loop as a name or {name: {option: value}}"
+    )
     other: ClassVar = "is {name!r}"
     other_name: ClassVar = other
     straight: Straight | None = optional("along the y axis")
@@ -183,7 +215,9 @@ class PilotFields(OneOf):
     @classmethod
     def written_out(cls, given: Any) -> Any:
         if given == "external" or (isinstance(given, dict) and list(given) == ["external"]):
-            raise Refused("is 'external', which takes its command from Python: use rollout.Simulator.")
+            raise Refused(
+                "is 'external', which takes its command from Python: use rollout.Simulator."
+            )
         return super().written_out(given)
 
 
@@ -198,14 +232,18 @@ class RunFields(Fields):
 class SwitchFields(Fields):
     what: ClassVar = "a field of a switch"
     example: ClassVar = "{at: 2.0, gait: lateral_walk}"
-    at: Annotated[Seconds, Field(ge=0, allow_inf_nan=False)] = Field(description="when it begins [s]")
+    at: Annotated[Seconds, Field(ge=0, allow_inf_nan=False)] = Field(
+        description="when it begins [s]"
+    )
     blend: Positive = Field(1.0, description="how long it takes, in gait cycles")
     gait: str = optional("the next gait", enum=[*GAITS])
     steering: str = optional("what turns the robot from then on", enum=[*STEERING])
     spine: str = optional("modes of the spine from then on", enum=[*SPINES])
     head: str = optional("what the head does from then on", enum=[*HEADS])
     tail_motion: str = optional("what the tail does from then on", enum=[*TAIL_MOTIONS])
-    set: dict[str, FiniteInUnits] = Field({}, description="parameters of the controller from then on")
+    set: dict[str, FiniteInUnits] = Field(
+        {}, description="parameters of the controller from then on"
+    )
 
 
 class WalkFields(SetupFields):
@@ -214,7 +252,9 @@ class WalkFields(SetupFields):
     sources: ClassVar[str]  #: sections that give parameters their values, for messages
     pilot: PilotFields = Field(PilotFields(straight=None), description="what steers the robot")
     run: RunFields = optional("how long a run lasts")
-    set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field({}, description="one value for all runs")
+    set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field(
+        {}, description="one value for all runs"
+    )
     schedule: list[SwitchFields] = Field([], description="what changes while the robot walks")
     metrics: str | list[str] = optional(
         "custom metrics: FILE.py, from this file's folder, FILE.py:NAME, MODULE or MODULE:NAME, or a list of such"
@@ -229,8 +269,14 @@ class WalkFields(SetupFields):
     @classmethod
     def called(cls, path: FieldPath) -> str:
         """Entries of a section by their parameter's name alone, but for what is inside of a tuned parameter."""
-        named = path[:1] in (("set",), ("vary",), ("randomize",)) or (path[:1] == ("tune",) and len(path) == 2)
-        return str(path[1]) if named and path[1:] and path[1] not in ("repeats", "from") else super().called(path)
+        named = path[:1] in (("set",), ("vary",), ("randomize",)) or (
+            path[:1] == ("tune",) and len(path) == 2
+        )
+        return (
+            str(path[1])
+            if named and path[1:] and path[1] not in ("repeats", "from")
+            else super().called(path)
+        )
 
 
 class RecordedSetup(SetupFields):
@@ -248,7 +294,11 @@ class RecordedSetup(SetupFields):
             SpecError: one is none, or has another type.
         """
         left_out = ("metrics", "schedule")
-        given = {name: value for name, value in recorded.items() if value is not None and name not in left_out}
+        given = {
+            name: value
+            for name, value in recorded.items()
+            if value is not None and name not in left_out
+        }
         given = {name: given[name] for name in names or given if name in given}
         found = read(Document("the recording", given), cls)
         return {name: getattr(found, name) for name in given}
@@ -280,13 +330,21 @@ class WalkSpec:
 
         Of a sweep over scenes, each has those parameters of the terrain that it reads.
         """
-        unread_shape = {name for name in self.fixed if is_terrain(name) and unread(self.setup, name)}
-        return {name: self.fixed[name] for name in self.fixed if name not in unread_shape} | self.pilot_parameters
+        unread_shape = {
+            name for name in self.fixed if is_terrain(name) and unread(self.setup, name)
+        }
+        return {
+            name: self.fixed[name] for name in self.fixed if name not in unread_shape
+        } | self.pilot_parameters
 
     @property
     def pilot_parameters(self) -> dict[str, float]:
         """The pilot's options that are parameters, by their names."""
-        return {f"pilot.{key}": value for key, value in self.pilot.items() if f"pilot.{key}" in PARAMETERS}
+        return {
+            f"pilot.{key}": value
+            for key, value in self.pilot.items()
+            if f"pilot.{key}" in PARAMETERS
+        }
 
     @property
     def parameters(self) -> dict[str, Quantity]:
@@ -305,7 +363,9 @@ class WalkSpec:
             folder: where the file is to stand, resolved: a controller in it is named from there.
         """
         own, given = self.setup.controller is not None, self.setup.fields()
-        data: dict[str, Any] = {name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"}
+        data: dict[str, Any] = {
+            name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"
+        }
         for name in ("steering", *robot_choices(self.setup.profile)):
             if isinstance(getattr(self.setup, name), ProfileChoice):
                 data.pop(name, None)  # it follows the profile, which may vary
@@ -313,11 +373,15 @@ class WalkSpec:
         data["timestep"] = float(self.setup.timestep)
         if not own or self.pilot or self.setup.pilot != Setup.pilot:
             data["pilot"] = {self.setup.pilot: dict(self.pilot)} if self.pilot else self.setup.pilot
-        names = ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
+        names = (
+            ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
+        )
         data["run"] = {name: float(getattr(self.run, name)) for name in names}
         data["set"] = dict(self.fixed)
         data |= {"schedule": given["schedule"]} if self.setup.schedule else {}
-        return data | ({"metrics": written_metrics(self.setup, folder)} if self.setup.metrics else {})
+        return data | (
+            {"metrics": written_metrics(self.setup, folder)} if self.setup.metrics else {}
+        )
 
 
 def check_sources(
@@ -338,7 +402,9 @@ def check_sources(
     sources = dict.fromkeys(bodies, "drawn by 'randomize.from'")
     for name in walk.fixed:
         if name in sources:
-            doc.fail(("set", name), f"is under 'set' and also {sources[name]}: give it one source.", name)
+            doc.fail(
+                ("set", name), f"is under 'set' and also {sources[name]}: give it one source.", name
+            )
     sources |= dict.fromkeys(walk.constants, f"set by 'pilot.{pilot}'")
     sources |= dict.fromkeys(walk.fixed, "fixed under 'set'")
 
@@ -346,7 +412,9 @@ def check_sources(
         lacks = [unread(setup, name) for setup in setups or [walk.setup]]
         if lacks[0] is not None and all(lacks):
             choice, wanted = lacks[0]
-            chosen = " or ".join(dict.fromkeys(getattr(setup, choice) for setup in setups or [walk.setup]))
+            chosen = " or ".join(
+                dict.fromkeys(getattr(setup, choice) for setup in setups or [walk.setup])
+            )
             doc.fail(
                 (section, name),
                 f"has no effect: it is read only with {choice}: {wanted}, and {choice} is {chosen}.",
@@ -358,13 +426,21 @@ def check_sources(
     for section, names in sections.items():
         for name in names:
             if name in sources:
-                doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
+                doc.fail(
+                    (section, name),
+                    f"is under '{section}' and also {sources[name]}: give it one source.",
+                    name,
+                )
             sources[name] = f"under '{section}'"
             check_effect(section, name)
     for name, value in walk.pilot_parameters.items():
         key = name.removeprefix("pilot.")
         if name in walk.fixed:
-            doc.fail(("set", name), f"is under 'set' and also set by 'pilot.{pilot}.{key}': give it one source.", name)
+            doc.fail(
+                ("set", name),
+                f"is under 'set' and also set by 'pilot.{pilot}.{key}': give it one source.",
+                name,
+            )
         check_value(doc, ("pilot", pilot, key), name, parameters[name], value)
 
 
@@ -372,7 +448,9 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     """The arguments of a `WalkSpec`; raises a `SpecError` where setup or run say that something cannot be."""
     given = doc.data.get("pilot", Setup.pilot)
     pilot, options = fields.pilot.chosen
-    choices = {name: getattr(fields, name) for name in SETUP_FIELDS if name in doc.data} | {"pilot": pilot}
+    choices = {name: getattr(fields, name) for name in SETUP_FIELDS if name in doc.data} | {
+        "pilot": pilot
+    }
     if "scene" in choices:
         choices["scene"] = scene_beside(doc, choices["scene"])
     if pilot == "waypoints":
@@ -397,7 +475,9 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
         check_value(doc, ("set", name), name, parameters[name], value)
     length = {name: getattr(fields.run, name) for name in doc.data.get("run", ())}
     try:
-        run = Run(**length, distance=values.get("distance"))  # the pilot's distance is one of its ends
+        run = Run(
+            **length, distance=values.get("distance")
+        )  # the pilot's distance is one of its ends
     except ParameterError as error:
         subject, _, message = str(error).partition(" ")
         key = subject.removeprefix("run.")
@@ -417,7 +497,9 @@ def read_schedule(doc: Document, given: list[SwitchFields]) -> tuple[Switch, ...
             found.append(Switch(values=each.set, **each.model_dump(exclude={"set"})))
         except ParameterError as error:
             field, _, message = str(error).partition(" ")
-            doc.fail(("schedule", number) if field == "switch" else ("schedule", number, field), message)
+            doc.fail(
+                ("schedule", number) if field == "switch" else ("schedule", number, field), message
+            )
     return tuple(found)
 
 
@@ -429,7 +511,11 @@ def scene_beside(doc: Document, scene: str) -> str:
 
 def pilot_options(given: Any, pilot: str, options: Any) -> dict[str, Any]:
     """The options of a pilot, in the order of the file: what a directory holds is known by it."""
-    values = {key: getattr(options, key) for key in given[pilot] or ()} if isinstance(given, dict) else {}
+    values = (
+        {key: getattr(options, key) for key in given[pilot] or ()}
+        if isinstance(given, dict)
+        else {}
+    )
     return values | {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
 
 
@@ -444,7 +530,10 @@ _TOGETHER: Final = ("stride", "stance.*", "limb.*", "geometry.*", "servo.kp", "s
 
 
 def check_reach(
-    doc: Document, setup: Setup, fixed: Mapping[str, float], tried: Mapping[str, Mapping[str, np.ndarray]]
+    doc: Document,
+    setup: Setup,
+    fixed: Mapping[str, float],
+    tried: Mapping[str, Mapping[str, np.ndarray]],
 ) -> None:
     """Fail at the field whose values `Setup.check` refuses, by themselves or combined: what is derived from them is out
     of range, the controller refuses them, or a foot leaves its leg's workspace.
@@ -456,12 +545,19 @@ def check_reach(
     """
     parameters = all_parameters(setup)
     parts = {"set": {name: np.array([value]) for name, value in fixed.items()}, **tried}
-    sections = {name: section for section, names in parts.items() for name in names if not unread(setup, name)}
+    sections = {
+        name: section
+        for section, names in parts.items()
+        for name in names
+        if not unread(setup, name)
+    }
     values: dict[str, np.ndarray] = {}
     for name, section in sections.items():
         column, about = np.unique(parts[section][name]), parameters[name]
         # An open bound is only approached.
-        on_bound = (about.open_low & (column <= about.low)) | (about.open_high & (column >= about.high))
+        on_bound = (about.open_low & (column <= about.low)) | (
+            about.open_high & (column >= about.high)
+        )
         values |= {name: column[~on_bound]} if not on_bound.all() else {}
     constant = {name: column[0] for name, column in values.items() if len(column) == 1}
 
@@ -482,16 +578,24 @@ def check_reach(
     several = {name: column for name, column in values.items() if len(column) > 1}
     for name, column in (*list(values.items())[:1], *several.items()):
         if (error := refusal({name: column} if name in several else {})) is not None:
-            while len(column) > 1 and str(error).partition(" ")[0] not in sections:  # halve until one is left
+            while (
+                len(column) > 1 and str(error).partition(" ")[0] not in sections
+            ):  # halve until one is left
                 first, rest = np.array_split(column, 2)
                 column = first if refusal({name: first}) else rest
                 error = refusal({name: column}) or error
             refuse(error, name, column)
     together = _TOGETHER if setup.controller is None else ("*",)
-    mesh = {name: column for name, column in values.items() if any(fnmatch.fnmatchcase(name, p) for p in together)}
+    mesh = {
+        name: column
+        for name, column in values.items()
+        if any(fnmatch.fnmatchcase(name, p) for p in together)
+    }
     while math.prod(map(len, mesh.values())) > _MOST_TRIED:
         longest = max(mesh, key=lambda name: len(mesh[name]))
-        mesh[longest] = mesh[longest][np.linspace(0, len(mesh[longest]) - 1, len(mesh[longest]) // 2).astype(int)]
+        mesh[longest] = mesh[longest][
+            np.linspace(0, len(mesh[longest]) - 1, len(mesh[longest]) // 2).astype(int)
+        ]
     combined = [each.reshape(-1) for each in np.meshgrid(*mesh.values(), indexing="ij")]
     if len(mesh) > 1 and (error := refusal(dict(zip(mesh, combined, strict=True)))) is not None:
         name = next(iter(mesh))
@@ -540,10 +644,18 @@ def written_out(doc: Document) -> Document:
         for key in given:
             found = matches(key, NAMES.get()) if is_pattern(key) else [key]
             if not found:
-                doc.fail((section, key), "matches no parameter (nermo-mjx sweep --list-parameters prints all).", key)
+                doc.fail(
+                    (section, key),
+                    "matches no parameter (nermo-mjx sweep --list-parameters prints all).",
+                    key,
+                )
             for name in found if is_pattern(key) else ():
                 if name in origin and name not in given:
-                    doc.fail((section, key), f"and '{origin[name]}' both match {name}: give it one source.", key)
+                    doc.fail(
+                        (section, key),
+                        f"and '{origin[name]}' both match {name}: give it one source.",
+                        key,
+                    )
             origin |= {name: key for name in found if name == key or name not in given}
         data[section] = {name: given[key] for name, key in origin.items()}
         below: dict[str, list[FieldPath]] = {}
@@ -583,7 +695,10 @@ def in_numbers(doc: Document, more: Mapping[str, Quantity] | None = None) -> Doc
 
     def number(given: Any, path: FieldPath, name: str) -> Any:
         if isinstance(given, dict):
-            return {key: number(value, (*path, key), key if key in known else name) for key, value in given.items()}
+            return {
+                key: number(value, (*path, key), key if key in known else name)
+                for key, value in given.items()
+            }
         if isinstance(given, list):
             return [number(value, (*path, i), name) for i, value in enumerate(given)]
         if not (name and isinstance(given, str) and re.match(MEASURED_TEXT["pattern"], given)):

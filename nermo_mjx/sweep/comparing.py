@@ -94,7 +94,9 @@ def opened_table(source: Source) -> tuple[str, Results, SweepRecord | None, list
         return "table", source if isinstance(source, Results) else Results(source), None, []
     out = Path(of_type("source", source, (str, os.PathLike), "a directory, or a table"))
     if not out.is_dir():
-        raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
+        raise SpecError(
+            f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}."
+        )
     files = part_files(out)
     if not files:
         raise DirectoryError(f"{out} holds no results of a sweep.")
@@ -113,20 +115,38 @@ def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
         sweeps.append(sweep)
         notes += incomplete
     if arms[0].name == arms[1].name:
-        arms = [dataclasses.replace(arm, name=f"{arm.name} ({word})") for arm, word in zip(arms, "AB", strict=True)]
+        arms = [
+            dataclasses.replace(arm, name=f"{arm.name} ({word})")
+            for arm, word in zip(arms, "AB", strict=True)
+        ]
     names = list(dict.fromkeys(name for arm in arms for name in arm.runs))
     for arm, sweep in zip(arms, sweeps, strict=True):
-        for name in [name for name in names if name not in arm.runs]:  # fixed by this sweep, if it has an effect
+        for name in [
+            name for name in names if name not in arm.runs
+        ]:  # fixed by this sweep, if it has an effect
             value: Any = None
             if sweep is not None and name not in columns_of(arm.results, "randomized"):
-                value = sweep.parameters[name] if name in sweep.parameters else label_of(sweep.fields.get(name))
+                value = (
+                    sweep.parameters[name]
+                    if name in sweep.parameters
+                    else label_of(sweep.fields.get(name))
+                )
             arm.runs[name] = math.nan if value is None else value
     if all(sweeps):
-        first, second = ({**each.fields, **each.fields["set"]} for each in sweeps if each is not None)
-        varied = {"set", *names, *(name for each in sweeps if each is not None for name in each.labelled)}
+        first, second = (
+            {**each.fields, **each.fields["set"]} for each in sweeps if each is not None
+        )
+        varied = {
+            "set",
+            *names,
+            *(name for each in sweeps if each is not None for name in each.labelled),
+        }
         for name in {**first, **second}:
             if name not in varied and first.get(name) != second.get(name):
-                values = ("the default" if each.get(name) is None else each[name] for each in (first, second))
+                values = (
+                    "the default" if each.get(name) is None else each[name]
+                    for each in (first, second)
+                )
                 notes.append("They differ in {}: {} and {}.".format(name, *values))
     return arms, notes
 
@@ -142,12 +162,17 @@ def arms_of_values(source: Source, by: str, base: Value | None) -> tuple[list[Ar
     check_name(by, [*runs], "by")
     values = _values(runs[by])
     if len(values) < 2:
-        raise ParameterError(f"by is {by!r}, which has the one value {value_text(values[0])}: nothing can be compared.")
+        raise ParameterError(
+            f"by is {by!r}, which has the one value {value_text(values[0])}: nothing can be compared."
+        )
     first = "none" if "none" in values else values[0]
     if base is not None:
         first = value_among(base, values, "base", results.schema.field(by))
     values = [first, *(value for value in values if value != first)]
-    return [Arm(value_text(value), results, runs[runs[by] == value].drop(columns=by)) for value in values], notes
+    return [
+        Arm(value_text(value), results, runs[runs[by] == value].drop(columns=by))
+        for value in values
+    ], notes
 
 
 def _runs_of(results: Results) -> pd.DataFrame:
@@ -181,7 +206,9 @@ def check_name(name: str, known: Sequence[str], option: str) -> None:
 
 def value_among(wanted: Value, values: Sequence[Value], option: str, column: pa.Field) -> Value:
     """The requested value, as in the column; numbers may differ in their last digits, and texts have units."""
-    number = Quantity(0.0, meta(column).get("unit", "1"), -math.inf, math.inf, "of a column").number(str(wanted))
+    number = Quantity(
+        0.0, meta(column).get("unit", "1"), -math.inf, math.inf, "of a column"
+    ).number(str(wanted))
     number = math.nan if number is None else number
     for value in values:
         close = (
@@ -191,7 +218,9 @@ def value_among(wanted: Value, values: Sequence[Value], option: str, column: pa.
         )
         if close:
             return value
-    listed = ", ".join(map(value_text, values[:12])) + (f" and {len(values) - 12} more" if len(values) > 12 else "")
+    listed = ", ".join(map(value_text, values[:12])) + (
+        f" and {len(values) - 12} more" if len(values) > 12 else ""
+    )
     hint = did_you_mean(str(wanted), list(map(value_text, values)))
     raise ParameterError(f"{option} is {wanted!r}: the table has {listed}{hint or '.'}")
 
@@ -241,16 +270,27 @@ class Pairing:
             runs.append(side.runs.assign(place=side.runs.index, **values))
         for at in (0, 1):
             if alone := [name for name in names if self.alone.get(name) == at]:
-                known = runs[at][~_absent(runs[at][alone]).any(axis=1)][[*shared, *alone]].drop_duplicates()
-                runs[1 - at] = runs[1 - at].drop(columns=alone, errors="ignore").merge(known, on=shared)
+                known = runs[at][~_absent(runs[at][alone]).any(axis=1)][
+                    [*shared, *alone]
+                ].drop_duplicates()
+                runs[1 - at] = (
+                    runs[1 - at].drop(columns=alone, errors="ignore").merge(known, on=shared)
+                )
         both = pd.concat([each[["all", *names]] for each in runs], ignore_index=True)
         code = _numbered(both)
         parts = np.split(code, [len(runs[0])])
         common = np.intersect1d(parts[0], parts[1])
-        labels = both.assign(code=code).drop_duplicates("code").set_index("code").loc[common, list(names)]
+        labels = (
+            both.assign(code=code)
+            .drop_duplicates("code")
+            .set_index("code")
+            .loc[common, list(names)]
+        )
         numbered = zip((each.set_index("place") for each in runs), parts, strict=True)
         return labels, [
-            each[np.isin(part, common)].assign(group=np.searchsorted(common, part[np.isin(part, common)]))
+            each[np.isin(part, common)].assign(
+                group=np.searchsorted(common, part[np.isin(part, common)])
+            )
             for each, part in numbered
         ]
 
@@ -264,7 +304,9 @@ def pair(base: Arm, other: Arm) -> Pairing:
     import pandas as pd
 
     sides, notes, alone = (base, other), list[str](), dict[str, int]()
-    keys = pd.concat([base.runs, other.runs], ignore_index=True)  # NaN in a column that a side lacks
+    keys = pd.concat(
+        [base.runs, other.runs], ignore_index=True
+    )  # NaN in a column that a side lacks
     for name in keys.select_dtypes("number"):
         keys[name] = same_values(keys[name].to_numpy())
     split, absent = len(base.runs), _absent(keys)
@@ -275,18 +317,24 @@ def pair(base: Arm, other: Arm) -> Pairing:
             if not all(lacking):
                 alone[name] = lacking.index(False)
                 one = sides[alone[name]].name
-                notes.append(f"{name} varies in {one} alone, and is averaged there, but for groups by it.")
+                notes.append(
+                    f"{name} varies in {one} alone, and is averaged there, but for groups by it."
+                )
     code = _numbered(keys)
     common = np.intersect1d(code[:split], code[split:])
     if not len(common):
-        raise ParameterError(f"{base.name} and {other.name} have no variant in common: {_first_apart(base, other)}")
+        raise ParameterError(
+            f"{base.name} and {other.name} have no variant in common: {_first_apart(base, other)}"
+        )
     known = all("seed" in arm.results.schema.names for arm in sides)
     paired = []
     for i, (arm, own) in enumerate(zip(sides, (code[:split], code[split:]), strict=True)):
         there = np.isin(own, common)
         if not there.all():
             left = len(np.unique(own[~there]))
-            notes.append(f"{left:,} variants are in {arm.name} alone, and left out ({int((~there).sum()):,} runs).")
+            notes.append(
+                f"{left:,} variants are in {arm.name} alone, and left out ({int((~there).sum()):,} runs)."
+            )
         seed = arm.results.column("seed")[arm.runs.index] if known else 2 * arm.runs.index + i
         runs = arm.runs.assign(variant=np.searchsorted(common, own), seed=seed)
         paired.append(dataclasses.replace(arm, runs=runs).where(there))
@@ -307,7 +355,10 @@ def _numbered(keys: pd.DataFrame) -> np.ndarray:
 
 
 def difference_rows(
-    pairing: Pairing, groups: Sequence[str], metrics: Sequence[str], progress: Callable[[float], None]
+    pairing: Pairing,
+    groups: Sequence[str],
+    metrics: Sequence[str],
+    progress: Callable[[float], None],
 ) -> Iterator[dict[str, Any]]:
     """The rows of the table about each combination of the groups' values, and each metric."""
     import pandas as pd
@@ -315,32 +366,56 @@ def difference_rows(
     labels, runs = pairing.groups(groups)
     variants, sides = len(pairing.values), pairing.sides
     parts, group = len(labels), [own["group"].to_numpy() for own in runs]
-    index = [pd.MultiIndex.from_arrays([own["group"] * variants + own["variant"], own["seed"]]) for own in runs]
+    index = [
+        pd.MultiIndex.from_arrays([own["group"] * variants + own["variant"], own["seed"]])
+        for own in runs
+    ]
     well = [side.results.well[own.index] for side, own in zip(sides, runs, strict=True)]
     schema, found = sides[0].results.schema, dict[str, dict[str, np.ndarray]]()
 
     def of_parts(chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
         """How many of each side's runs (n,) are in each part."""
-        return [np.bincount(own[here], minlength=parts) for own, here in zip(group, chosen, strict=True)]
+        return [
+            np.bincount(own[here], minlength=parts) for own, here in zip(group, chosen, strict=True)
+        ]
 
     at_once = max(1, HELD // max(sum(map(len, runs)), 1))
     for start in range(0, len(metrics), at_once):
         progress(start / len(metrics))
         frames = [
-            pd.DataFrame({name: column[own.index] for name, column in side.results.columns(metrics[start:][:at_once])})
+            pd.DataFrame(
+                {
+                    name: column[own.index]
+                    for name, column in side.results.columns(metrics[start:][:at_once])
+                }
+            )
             for side, own in zip(sides, runs, strict=True)
         ]
-        alike: dict[bytes, tuple[list[np.ndarray], list[str]]] = {}  # metrics of which the same runs have a number
+        alike: dict[
+            bytes, tuple[list[np.ndarray], list[str]]
+        ] = {}  # metrics of which the same runs have a number
         for name in frames[0]:
-            masks = [counts(name, frame[name].to_numpy(), good) for frame, good in zip(frames, well, strict=True)]
-            alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(name)
+            masks = [
+                counts(name, frame[name].to_numpy(), good)
+                for frame, good in zip(frames, well, strict=True)
+            ]
+            alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(
+                name
+            )
         for masks, few in alike.values():
             values, paired = matched(
                 [frame[few].set_index(own) for frame, own in zip(frames, index, strict=True)], masks
             )
             numbers_of, several = _measured(values, paired, variants, parts)
-            pairs = np.bincount(values[0].index.unique(0).intersection(paired) // variants, minlength=parts)
-            used = of_parts([own.isin(each.index) & mask for own, each, mask in zip(index, values, masks, strict=True)])
+            pairs = np.bincount(
+                values[0].index.unique(0).intersection(paired) // variants, minlength=parts
+            )
+            used = of_parts(
+                [
+                    own.isin(each.index) & mask
+                    for own, each, mask in zip(index, values, masks, strict=True)
+                ]
+            )
             good = of_parts(masks)
             left_out = good[0] + good[1] - used[0] - used[1]
             whole = several, pairs, left_out, *used, *of_parts([~each for each in well])
@@ -356,7 +431,10 @@ def difference_rows(
     for place in range(parts):
         label = {key: column.iloc[[place]].item() for key, column in labels.items()}
         for name in metrics:
-            field, row = schema.field(name), {key: numbers[place].item() for key, numbers in found[name].items()}
+            field, row = (
+                schema.field(name),
+                {key: numbers[place].item() for key, numbers in found[name].items()},
+            )
             about = {"metric": name, "metric_unit": meta(field)["unit"], "better": better(field)}
             yield {"group": place if groups else -1, **label, **about, **row}
 
@@ -374,8 +452,14 @@ def _measured(
     unit = [units.get_indexer(own.index.get_level_values(0)) for own in sides]
     pairs = [own.index.isin(paired, level=0) for own in sides]
     first, second = (own.to_numpy() for own in sides)
-    values = np.concatenate([second[pairs[1]] - first[pairs[0]], -first[~pairs[0]], second[~pairs[1]]])
-    cells = [unit[0][pairs[0]], len(units) + unit[0][~pairs[0]], 2 * len(units) + unit[1][~pairs[1]]]
+    values = np.concatenate(
+        [second[pairs[1]] - first[pairs[0]], -first[~pairs[0]], second[~pairs[1]]]
+    )
+    cells = [
+        unit[0][pairs[0]],
+        len(units) + unit[0][~pairs[0]],
+        2 * len(units) + unit[1][~pairs[1]],
+    ]
     cell, place = np.unique(np.concatenate(cells), return_inverse=True)
     interval = two_stage(values, place, cell % len(units), group)
     means = [own.groupby(level=0).mean().groupby(group).mean().to_numpy() for own in sides]
@@ -384,7 +468,9 @@ def _measured(
     noise = 2 * (of_base.std(ddof=0) / np.sqrt(of_base.count())).to_numpy()
     scale = np.where(np.abs(means[0]) > noise, np.abs(means[0]), np.nan)
     relative = (each / scale for each in interval[:3])
-    for into, part in zip(found.values(), (*means, *interval[:3], *relative, interval.p), strict=True):
+    for into, part in zip(
+        found.values(), (*means, *interval[:3], *relative, interval.p), strict=True
+    ):
         into[there] = part
     return found, several
 
@@ -394,7 +480,9 @@ def _first_apart(base: Arm, other: Arm) -> str:
     for name in base.runs:
         values = [sorted(_values(arm.runs[name])) for arm in (base, other) if name in arm.runs]
         if len(values) == 2 and all(values) and not set(values[0]) & set(values[1]):
-            first, second = (", ".join(map(value_text, each[:4])) + ", ..." * (len(each) > 4) for each in values)
+            first, second = (
+                ", ".join(map(value_text, each[:4])) + ", ..." * (len(each) > 4) for each in values
+            )
             return f"{name} is {first} in the one and {second} in the other."
     return "each combination of values is in one of them alone."
 
@@ -477,15 +565,30 @@ class Comparison:
         """
         each = []
         for other in self.others:
-            about: dict[str, Any] = {"other": other, "metrics": _by_metric(self.rows(other), self.groups)}
-            rows = [row for row in self.rows(other, grouped=True) if not only or row["metric"] in only]
+            about: dict[str, Any] = {
+                "other": other,
+                "metrics": _by_metric(self.rows(other), self.groups),
+            }
+            rows = [
+                row for row in self.rows(other, grouped=True) if not only or row["metric"] in only
+            ]
             if self.groups:
                 about["groups"] = [
-                    {"for": {name: own[0][name] for name in self.groups}, "metrics": _by_metric(own, self.groups)}
-                    for own in (list(own) for _, own in itertools.groupby(rows, lambda row: row["group"]))
+                    {
+                        "for": {name: own[0][name] for name in self.groups},
+                        "metrics": _by_metric(own, self.groups),
+                    }
+                    for own in (
+                        list(own) for _, own in itertools.groupby(rows, lambda row: row["group"])
+                    )
                 ]
             each.append(about)
-        about = {"base": self.base, "profiles": list(self.profiles), "status": self.status, "notes": list(self.notes)}
+        about = {
+            "base": self.base,
+            "profiles": list(self.profiles),
+            "status": self.status,
+            "notes": list(self.notes),
+        }
         return about | (each[0] if len(each) == 1 else {"comparisons": each})
 
 
@@ -533,12 +636,16 @@ def compare(
         DirectoryError, SpecError: a directory holds no results, or cannot be read.
     """
     if (b is None) == (by is None):
-        raise ParameterError("compare two directories, or with by two values of a column in one, and not both.")
+        raise ParameterError(
+            "compare two directories, or with by two values of a column in one, and not both."
+        )
     arms, notes = arms_of_values(a, str(by), base) if b is None else two_tables(a, b)
     for i, arm in enumerate(arms):
         for name, wanted in (where or {}).items():
             check_name(name, [*arm.runs], "where")
-            chosen = value_among(wanted, _values(arm.runs[name]), f"where {name}", arm.results.schema.field(name))
+            chosen = value_among(
+                wanted, _values(arm.runs[name]), f"where {name}", arm.results.schema.field(name)
+            )
             arm = arm.where(arm.runs[name] == chosen)
         if not len(arm.runs):
             values = ", ".join(f"{name} = {value}" for name, value in (where or {}).items())
@@ -551,7 +658,9 @@ def compare(
     shared = [name for name in schemas[0] if all(name in known for known in schemas)]
     for name in drawn:
         if name not in shared:
-            raise ParameterError(f"metric is {name!r}, which no table has or one lacks{did_you_mean(name, shared)}")
+            raise ParameterError(
+                f"metric is {name!r}, which no table has or one lacks{did_you_mean(name, shared)}"
+            )
     drawn = drawn or [name for name in GAINS if name in shared] or shared[:1]
     lines, lost, unpaired = list[dict[str, Any]](), list[str](), list[str]()
     status: dict[str, dict[str, int]] = {}
@@ -580,9 +689,16 @@ def compare(
             lines += own
             if not names:
                 lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
-                unpaired += (each for line in own if line["metric"] in drawn[:1] for each in _unpaired(pairing, line))
+                unpaired += (
+                    each
+                    for line in own
+                    if line["metric"] in drawn[:1]
+                    for each in _unpaired(pairing, line)
+                )
     if not any(math.isfinite(line["low"]) for line in lines):
-        notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
+        notes.append(
+            "No interval: each side has one run of one variant, which tells no noise; give repeats."
+        )
     return Comparison(
         table=_table(lines, arms[0], by or "", groups, {"drawn": drawn, "profile": list(profiles)}),
         base=arms[0].name,
@@ -606,7 +722,10 @@ def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]
         each, table = list[str](), list[tuple[int, int]]()
         for side, (share, failed) in zip(pairing.sides, (base, other), strict=True):
             index, runs = side.runs.index, len(side.runs)
-            why, lost = losses(side.results.column("status")[index], side.results.well[index]), round(share * runs)
+            why, lost = (
+                losses(side.results.column("status")[index], side.results.well[index]),
+                round(share * runs),
+            )
             why |= {NO_NUMBER: lost - failed} if lost > failed else {}
             each.append(f"{lost:,} of {runs:,} runs of {side.name}{told(why)}")
             table.append((lost, runs - lost))
@@ -627,13 +746,20 @@ def _unpaired(pairing: Pairing, line: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _lines(
-    pairing: Pairing, metrics: Sequence[str], groups: Sequence[str], progress: Callable[[float], None]
+    pairing: Pairing,
+    metrics: Sequence[str],
+    groups: Sequence[str],
+    progress: Callable[[float], None],
 ) -> list[dict[str, Any]]:
     """Rows of the table about all variants, whose metrics form one family of tests, or about each group, where
     the tests of one metric form a family."""
     found = difference_rows(pairing, groups, metrics, progress)
     lines: list[dict[str, Any]] = [{"other": pairing.sides[1].name, **line} for line in found]
-    families = [[line for line in lines if line["metric"] == name] for name in metrics] if groups else [lines]
+    families = (
+        [[line for line in lines if line["metric"] == name] for name in metrics]
+        if groups
+        else [lines]
+    )
     for family in families:
         known = [line for line in family if math.isfinite(line["p"])]
         adjusted = stats.false_discovery_control([line["p"] for line in known]) if known else []
@@ -643,40 +769,65 @@ def _lines(
 
 
 def _table(
-    lines: Sequence[Mapping[str, Any]], base: Arm, by: str, groups: Sequence[str], named: Mapping[str, Sequence[str]]
+    lines: Sequence[Mapping[str, Any]],
+    base: Arm,
+    by: str,
+    groups: Sequence[str],
+    named: Mapping[str, Sequence[str]],
 ) -> pa.Table:
     """The lines as a table with described fields; its metadata have what is named."""
     columns = Columns()
 
     def add(name: str, role: str, about: str, unit: str = "1", scale: str = "linear") -> None:
-        columns.add(name, np.array([line.get(name) for line in lines]), role, unit, about, scale=scale)
+        columns.add(
+            name, np.array([line.get(name) for line in lines]), role, unit, about, scale=scale
+        )
 
     add("other", "index", "what is compared with the base")
     add("group", "index", "number of the group; -1: over all variants")
     for name in groups:
         known = meta(base.results.schema.field(name)) if name in base.results.schema.names else {}
-        add(name, "varied", known.get("description", name), known.get("unit", "1"), scale=known.get("scale", "linear"))
+        add(
+            name,
+            "varied",
+            known.get("description", name),
+            known.get("unit", "1"),
+            scale=known.get("scale", "linear"),
+        )
     add("metric", "index", "which metric differs")
     add("metric_unit", "index", "unit of its means and of their difference")
     for name, about in _NUMBERS.items():
-        add(name, "metric", about, "1" if name.startswith("relative") or name == "p" else "that of metric_unit")
+        add(
+            name,
+            "metric",
+            about,
+            "1" if name.startswith("relative") or name == "p" else "that of metric_unit",
+        )
     add(
         "beyond_noise",
         "status",
         f"whether the difference is beyond noise: at most {FALSE_SHARE:.0%} of all such "
         "findings are false, by Benjamini and Hochberg",
     )
-    add("better", "index", "whether high or low is better, or what is nearer to zero; empty if none is")
+    add(
+        "better",
+        "index",
+        "whether high or low is better, or what is nearer to zero; empty if none is",
+    )
     for name, about in _COUNTS.items():
         add(name, "metric", about)
     words = {key: " ".join(names) for key, names in named.items()}
     return columns.table({"comparison": base.name, "by": by, **words})
 
 
-def _by_metric(rows: Sequence[Mapping[str, Any]], groups: Sequence[str]) -> dict[str, dict[str, Any]]:
+def _by_metric(
+    rows: Sequence[Mapping[str, Any]], groups: Sequence[str]
+) -> dict[str, dict[str, Any]]:
     left_out, called = {"other", "group", "metric", *groups}, {"metric_unit": "unit"}
     return {
-        row["metric"]: {called.get(key, key): value for key, value in row.items() if key not in left_out}
+        row["metric"]: {
+            called.get(key, key): value for key, value in row.items() if key not in left_out
+        }
         for row in rows
     }
 
@@ -707,10 +858,15 @@ def figures_of_comparison(table: pa.Table) -> Iterator[tuple[str, Figure]]:
         # Directories may have long names, and one figure is of two values of a column at most.
         by = about.get(b"by", b"").decode()
         against = (
-            f"{spoken(by)} {_text(other)} against {_text(base)}" if by else f"{_last(other)} against {_last(base)}"
+            f"{spoken(by)} {_text(other)} against {_text(base)}"
+            if by
+            else f"{_last(other)} against {_last(base)}"
         )
         tail = "" if len({line["other"] for line in lines}) == 1 else f"-{_last(other)}"
-        yield f"differences{tail}", _forest([line for line in own if line["group"] < 0], against, profile)
+        yield (
+            f"differences{tail}",
+            _forest([line for line in own if line["group"] < 0], against, profile),
+        )
         if groups:
             rows = [line for line in own if line["group"] >= 0 and line["metric"] in metrics]
             what = f"{metrics[0]}-gain" if len(metrics) == 1 else "gains"
@@ -732,7 +888,9 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     known = [row for row in rows if row["relative"] is not None and np.isfinite(row["relative"])]
     listed = [row for row in known if row["metric"] in MAIN_METRICS or row["beyond_noise"]] or known
     order = {name: place for place, name in enumerate(MAIN_METRICS)}
-    drawn = sorted(listed, key=lambda row: (not row["better"], order.get(row["metric"], len(order))))[:_MOST_METRICS]
+    drawn = sorted(
+        listed, key=lambda row: (not row["better"], order.get(row["metric"], len(order)))
+    )[:_MOST_METRICS]
     page = FigurePage(f"Relative differences: {against}", (7.6, 0.24 * len(drawn) + 1.5))
     ax = page.axes[0, 0]
     # An outlier would leave the others no room.
@@ -740,11 +898,19 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     far = float(min(max(1.12 * np.nanmax(ends, initial=0.02), 0.02), _FAR))
     ax.axvline(0, color=MUTED, lw=0.8)
     for place, row in enumerate(drawn):
-        low, middle, high = (float(row[name]) for name in ("relative_low", "relative", "relative_high"))
+        low, middle, high = (
+            float(row[name]) for name in ("relative_low", "relative", "relative_high")
+        )
         closer = abs(row["other_mean"]) < abs(row["base_mean"])
         gains = {"high": middle > 0, "low": middle < 0, "zero": closer}.get(row["better"])
         colour = MUTED if gains is None or not row["difference"] else LINE if gains else BEST
-        ax.plot(np.clip([low, high], -far, far), [place, place], color=colour, lw=1.4, solid_capstyle="butt")
+        ax.plot(
+            np.clip([low, high], -far, far),
+            [place, place],
+            color=colour,
+            lw=1.4,
+            solid_capstyle="butt",
+        )
         out = abs(middle) > far
         ax.plot(
             np.clip(middle, -far, far),
@@ -766,7 +932,11 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
             color=INK if row["beyond_noise"] else MUTED,
         )
     ax.set_yticks(range(len(drawn)), [titled(row["metric"]) for row in drawn])
-    ax.set(ylim=(len(drawn) - 0.4, -0.6), xlim=(-far, far), xlabel="difference relative to the base's mean [%]")
+    ax.set(
+        ylim=(len(drawn) - 0.4, -0.6),
+        xlim=(-far, far),
+        xlabel="difference relative to the base's mean [%]",
+    )
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(value)))
     ax.grid(axis="x", color=GRID, lw=0.8)
     left = len(rows) - len(drawn)
@@ -776,7 +946,12 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
 
 
 def _by_groups(
-    rows: Sequence[Row], metrics: Sequence[str], schema: pa.Schema, groups: Sequence[str], against: str, profile: str
+    rows: Sequence[Row],
+    metrics: Sequence[str],
+    schema: pa.Schema,
+    groups: Sequence[str],
+    against: str,
+    profile: str,
 ) -> Figure:
     """The gain of each metric over the groups: one of their columns across, one as lines, the others as panels."""
     # The x axis is the numbers with the most values, the lines are the names or numbers with the most of the few.
@@ -803,10 +978,22 @@ def _by_groups(
     for number, (ax, (part, metric)) in enumerate(zip(page.axes.ravel(), drawn, strict=False)):
         of_metric = [row for row in rows if row["metric"] == metric]
         own = [row for row in of_metric if tuple(row[name] for name in panels) == part]
-        relative = all(row["relative"] is not None and np.isfinite(row["relative"]) for row in of_metric)
-        names = ("relative", "relative_low", "relative_high") if relative else ("difference", "low", "high")
-        numbers = shown(metric, own[0]["metric_unit"], [[row[name] for name in names] for row in own])
-        values = 100 * np.array([[row[name] for name in names] for row in own], float) if relative else numbers.values
+        relative = all(
+            row["relative"] is not None and np.isfinite(row["relative"]) for row in of_metric
+        )
+        names = (
+            ("relative", "relative_low", "relative_high")
+            if relative
+            else ("difference", "low", "high")
+        )
+        numbers = shown(
+            metric, own[0]["metric_unit"], [[row[name] for name in names] for row in own]
+        )
+        values = (
+            100 * np.array([[row[name] for name in names] for row in own], float)
+            if relative
+            else numbers.values
+        )
         places = [row[x] for row in own]
         if all(isinstance(value, float) for value in places):
             about = meta(schema.field(x))
@@ -814,11 +1001,15 @@ def _by_groups(
         else:
             texts = list(map(_text, places))
             names_of = tuple(dict.fromkeys(texts))
-            across = ShownValues(x, "", np.array([names_of.index(text) for text in texts], float), names=names_of)
+            across = ShownValues(
+                x, "", np.array([names_of.index(text) for text in texts], float), names=names_of
+            )
         distinct = np.unique(across.values)
         step = float(np.diff(distinct).min()) if len(distinct) > 1 else 1.0
         for place, value in enumerate(each):
-            chosen = np.array([i for i, row in enumerate(own) if series is None or row[series] == value], int)
+            chosen = np.array(
+                [i for i, row in enumerate(own) if series is None or row[series] == value], int
+            )
             order = chosen[np.argsort(across.values[chosen], kind="stable")]
             # Lines stand a little apart, so that their bars do not cover each other.
             shift = 0.0 if across.log else (place - (len(each) - 1) / 2) * 0.09 * step
@@ -837,15 +1028,25 @@ def _by_groups(
             ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")
         ax.set_xlabel(across.label)
     for metric in metrics:  # the same scale for all of its panels
-        alike = [ax for ax, (_, name) in zip(page.axes.ravel(), drawn, strict=False) if name == metric]
+        alike = [
+            ax for ax, (_, name) in zip(page.axes.ravel(), drawn, strict=False) if name == metric
+        ]
         ends = [ax.get_ylim() for ax in alike]
         for ax in alike:
             ax.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
     handles = [
-        _mark(SERIES[i % len(SERIES)], f"{spoken(series)} {_text(value)}") for i, value in enumerate(each) if series
+        _mark(SERIES[i % len(SERIES)], f"{spoken(series)} {_text(value)}")
+        for i, value in enumerate(each)
+        if series
     ]
-    failed = sorted(((row["failed_base"] + row["failed_other"], row) for row in rows), key=lambda pair: -pair[0])
-    told = [f"{', '.join(_text(row[name]) for name in groups)} ({count})" for count, row in failed[:4] if count]
+    failed = sorted(
+        ((row["failed_base"] + row["failed_other"], row) for row in rows), key=lambda pair: -pair[0]
+    )
+    told = [
+        f"{', '.join(_text(row[name]) for name in groups)} ({count})"
+        for count, row in failed[:4]
+        if count
+    ]
     most = f", most at {'; '.join(told)}" if told else ""
     return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{most}")
 
@@ -858,19 +1059,38 @@ def _runs(rows: Sequence[Row]) -> str:
     """How many runs went into it, and how many of them failed."""
     groups = {row["group"]: row for row in rows}.values()
     base, other = (
-        sum(max(own["runs_" + side] for own in rows if own["group"] == row["group"]) for row in groups)
+        sum(
+            max(own["runs_" + side] for own in rows if own["group"] == row["group"])
+            for row in groups
+        )
         for side in ("base", "other")
     )
     failed = [sum(row["failed_" + side] for row in groups) for side in ("base", "other")]
-    fell = f"; {failed[0]} of the base and {failed[1]} of the other fell or were lost" if any(failed) else "; none fell"
-    some = any(row[f"lost_{side}"] and not row[f"failed_{side}"] for row in rows for side in ("base", "other"))
-    return f"{base:,} runs of the base, {other:,} of the other{fell}" + "; some have no number" * some
+    fell = (
+        f"; {failed[0]} of the base and {failed[1]} of the other fell or were lost"
+        if any(failed)
+        else "; none fell"
+    )
+    some = any(
+        row[f"lost_{side}"] and not row[f"failed_{side}"]
+        for row in rows
+        for side in ("base", "other")
+    )
+    return (
+        f"{base:,} runs of the base, {other:,} of the other{fell}" + "; some have no number" * some
+    )
 
 
 def _percent(share: float) -> str:
     """A share in percent with its sign."""
     percent = 100 * share
-    text = f"{percent:+,.0f}" if abs(percent) >= 100 else f"{percent:+.3g}" if abs(percent) >= 10 else f"{percent:+.1f}"
+    text = (
+        f"{percent:+,.0f}"
+        if abs(percent) >= 100
+        else f"{percent:+.3g}"
+        if abs(percent) >= 10
+        else f"{percent:+.1f}"
+    )
     return ("0" if not round(percent, 1) else text).replace("-", "−")
 
 

@@ -36,7 +36,11 @@ def counts(name: str, values: np.ndarray, well: np.ndarray) -> np.ndarray:
 
 def losses(status: np.ndarray, good: np.ndarray) -> dict[str, int]:
     """Why runs (n,) do not count, and how many: their status, or `NO_NUMBER` where they ended well."""
-    return dict(sorted(Counter(NO_NUMBER if each == "ok" else each for each in status[~good].tolist()).items()))
+    return dict(
+        sorted(
+            Counter(NO_NUMBER if each == "ok" else each for each in status[~good].tolist()).items()
+        )
+    )
 
 
 def told(lost: Mapping[str, int]) -> str:
@@ -110,7 +114,9 @@ class Variants:
         count = np.bincount(here, minlength=size)
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.bincount(here, own, size) / count
-            square = np.bincount(here, (own - mean[here]) ** 2, size) / np.where(count > 1, count - 1.0, np.nan)
+            square = np.bincount(here, (own - mean[here]) ** 2, size) / np.where(
+                count > 1, count - 1.0, np.nan
+            )
         return Tally(np.bincount(self.place, minlength=size), count, mean, np.sqrt(square))
 
 
@@ -130,14 +136,18 @@ def same_values(values: np.ndarray) -> np.ndarray:
 def sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
     """Sums of rows (n, m) by their place, (places, m), in the order of the rows."""
     rows = np.arange(len(place))
-    return np.asarray(sparse.csr_matrix((np.ones(len(place)), (place, rows)), (places, len(place))) @ values)
+    return np.asarray(
+        sparse.csr_matrix((np.ones(len(place)), (place, rows)), (places, len(place))) @ values
+    )
 
 
 # ---
 # Partners: which runs of two sides are pairs.
 
 
-def matched(sides: Sequence[pd.DataFrame], good: Sequence[np.ndarray]) -> tuple[list[pd.DataFrame], pd.Index]:
+def matched(
+    sides: Sequence[pd.DataFrame], good: Sequence[np.ndarray]
+) -> tuple[list[pd.DataFrame], pd.Index]:
     """The values of two sides over the units (variants, or those in a group) that both have.
 
     In a unit with a common seed, runs with the same seed are pairs, and the others are left out; in a unit without one,
@@ -189,7 +199,9 @@ class Interval(NamedTuple):
     p: np.ndarray
 
 
-def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray, group: np.ndarray | None = None) -> Interval:
+def two_stage(
+    values: np.ndarray, cell: np.ndarray, variant: np.ndarray, group: np.ndarray | None = None
+) -> Interval:
     """The mean over variants of the sum of their cells' means, with its interval and p-value.
 
     >>> two_stage(np.array([[1.0], [1.0], [3.0], [3.0]]), np.array([0, 0, 1, 1]), np.array([0, 1])).estimate
@@ -204,14 +216,19 @@ def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray, group: 
     cells, variants = len(variant), int(variant.max()) + 1
     at = np.zeros(variants, int) if group is None else group
     groups, owner = int(at.max()) + 1, at[variant]
-    count, several = np.bincount(cell, minlength=cells)[:, None], np.bincount(at, minlength=groups)[:, None]
+    count, several = (
+        np.bincount(cell, minlength=cells)[:, None],
+        np.bincount(at, minlength=groups)[:, None],
+    )
     freedom, one = np.maximum(count - 1, 1), several == 1
     mean = sums(values, cell, cells) / count
     rounding = 1e-12 * np.abs(values).max(axis=0)
     noise = sums(_without(values - mean[cell], rounding) ** 2, cell, cells) / (count * freedom)
     each = _without(sums(mean, variant, variants), rounding)
     estimate = sums(each, at, groups) / several
-    across = sums(_without(each - estimate[at], rounding) ** 2, at, groups) / (several * np.maximum(several - 1, 1))
+    across = sums(_without(each - estimate[at], rounding) ** 2, at, groups) / (
+        several * np.maximum(several - 1, 1)
+    )
     within = sums(noise, owner, groups)
     with np.errstate(divide="ignore", invalid="ignore"):
         welch, most = (
@@ -220,9 +237,13 @@ def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray, group: 
         )
         degrees = np.where(one, np.fmin(welch, most), several - 1.0)
         error, least = np.sqrt(np.where(one, within, across)), np.sqrt(within) / several
-        half = np.maximum(stats.t.ppf((1 + LEVEL) / 2, degrees) * error, stats.norm.ppf((1 + LEVEL) / 2) * least)
+        half = np.maximum(
+            stats.t.ppf((1 + LEVEL) / 2, degrees) * error, stats.norm.ppf((1 + LEVEL) / 2) * least
+        )
         far = np.abs(estimate) / error, np.abs(estimate) / least
-        p = 2 * np.where(estimate == 0, 0.5, np.maximum(stats.t.sf(far[0], degrees), stats.norm.sf(far[1])))
+        p = 2 * np.where(
+            estimate == 0, 0.5, np.maximum(stats.t.sf(far[0], degrees), stats.norm.sf(far[1]))
+        )
     unknown = one & (sums((count == 1) * 1.0, owner, groups) > 0)
     half, p = np.where(unknown, np.nan, half), np.where(unknown, np.nan, p)
     found = (estimate, estimate - half, estimate + half, p)

@@ -27,14 +27,30 @@ from matplotlib.ticker import FuncFormatter
 from pyarrow import csv
 from scipy import optimize, special, stats
 
-from nermo_mjx.plotting.charts import around, blank, cell_edges, cell_means, colour_bar, set_scales, signed
+from nermo_mjx.plotting.charts import (
+    around,
+    blank,
+    cell_edges,
+    cell_means,
+    colour_bar,
+    set_scales,
+    signed,
+)
 from nermo_mjx.plotting.shown import LEVEL, ShownValues, half_width, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST, GAIN_COLOURS, GRID, INK, MISSING, MUTED, SERIES
 from nermo_mjx.runs.files import plain_json
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.counting import Variants, counts, losses, matched, told, two_stage
 from nermo_mjx.sweep.spec import SoughtOptimum
-from nermo_mjx.sweep.table import Columns, Results, SweepRecord, columns_of, meta, profile_text, profiles_of
+from nermo_mjx.sweep.table import (
+    Columns,
+    Results,
+    SweepRecord,
+    columns_of,
+    meta,
+    profile_text,
+    profiles_of,
+)
 
 # ---
 # Multiple comparisons with the best: which points the data cannot tell from the best one.
@@ -65,7 +81,10 @@ def hsu_margin(points: int, freedom: int, level: float, skew: float = 0.0) -> fl
     below, places = special.ndtr, special.ndtri(middle)
     if skew:
         shape = 4.0 / skew**2  # of a gamma distribution
-        below, places = functools.partial(special.gammainc, shape), special.gammaincinv(shape, middle)
+        below, places = (
+            functools.partial(special.gammainc, shape),
+            special.gammaincinv(shape, middle),
+        )
         scale *= math.sqrt(shape)
 
     def beyond(far: float) -> float:
@@ -84,7 +103,11 @@ def undistinguished(values: np.ndarray, level: float = LEVEL) -> np.ndarray:
         values: of each repeat and point, (n, k), all finite; higher is better.
         level: the probability.
     """
-    mean, best, kept = values.mean(axis=0), int(values.mean(axis=0).argmax()), np.full(values.shape[1], True)
+    mean, best, kept = (
+        values.mean(axis=0),
+        int(values.mean(axis=0).argmax()),
+        np.full(values.shape[1], True),
+    )
     skew = _skewness(values) / math.sqrt(len(values))
     for share in (_SCREENED, 1 - _SCREENED):
         if (many := int(kept.sum())) > 1:
@@ -92,7 +115,9 @@ def undistinguished(values: np.ndarray, level: float = LEVEL) -> np.ndarray:
             rest = own - own.mean(axis=0) - own.mean(axis=1, keepdims=True) + own.mean()
             noise = np.full(len(mean), math.sqrt((rest**2).sum() / freedom))
             if share == _SCREENED:  # a point that is noisier than most is not lost for it
-                noise = np.maximum(noise, (values - values[:, [best]]).std(axis=0, ddof=1) / math.sqrt(2))
+                noise = np.maximum(
+                    noise, (values - values[:, [best]]).std(axis=0, ddof=1) / math.sqrt(2)
+                )
             margin = hsu_margin(many, freedom, 1 - share * (1 - level), round(skew, 1))
             kept &= mean >= mean[best] - margin * noise * math.sqrt(2 / len(values))
     return kept
@@ -104,7 +129,9 @@ def _skewness(values: np.ndarray) -> float:
     Of residuals about the means of repeats and points, whose second and third cumulants are smaller by known factors.
     """
     rest = values - values.mean(axis=0) - values.mean(axis=1, keepdims=True) + values.mean()
-    second, third = (math.prod(1 - m / size for size in values.shape for m in range(1, upto)) for upto in (2, 3))
+    second, third = (
+        math.prod(1 - m / size for size in values.shape for m in range(1, upto)) for upto in (2, 3)
+    )
     square = float((rest**2).mean()) / second
     return max(0.0, float((rest**3).mean()) / third / square**1.5) if third * square > 0.0 else 0.0
 
@@ -142,9 +169,17 @@ def judged(values: np.ndarray, there: np.ndarray, asked: SoughtOptimum, repeats:
         asked: what is sought.
         repeats: runs of each point in the first block, and in each further one.
     """
-    alive, block, spent, none = np.full(values.shape[1], True), np.arange(repeats), 0, (np.empty(0, int),) * 2
+    alive, block, spent, none = (
+        np.full(values.shape[1], True),
+        np.arange(repeats),
+        0,
+        (np.empty(0, int),) * 2,
+    )
     for look in itertools.count(1):
-        lacking = ~np.array([there[i] if i < len(there) else np.zeros(len(alive), bool) for i in block]) & alive
+        lacking = (
+            ~np.array([there[i] if i < len(there) else np.zeros(len(alive), bool) for i in block])
+            & alive
+        )
         if lacking.any():
             rows, points = np.nonzero(lacking)
             return Judged(-1, alive, alive, len(block), spent, (block[rows], points), "")
@@ -162,7 +197,9 @@ def judged(values: np.ndarray, there: np.ndarray, asked: SoughtOptimum, repeats:
         if few or spent + price > asked.budget:
             region = early if few else last
             few |= bool(asked.budget) and region.sum() <= asked.until
-            return Judged(best, region, contenders, len(block), spent, none, "few" if few else "budget")
+            return Judged(
+                best, region, contenders, len(block), spent, none, "few" if few else "budget"
+            )
         alive, spent = early, spent + price
         begin = asked.fresh + look * repeats
         block = np.append(block, np.arange(begin, begin + repeats))
@@ -202,7 +239,11 @@ class OptimumAnswer:
     @property
     def at(self) -> dict[str, Any]:
         """The best point; empty without one."""
-        return {name: each[self.judged.best] for name, each in self.points.items() if self.judged.best >= 0}
+        return {
+            name: each[self.judged.best]
+            for name, each in self.points.items()
+            if self.judged.best >= 0
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -226,15 +267,16 @@ class FoundOptimum:
     @property
     def further(self) -> np.ndarray:
         """Numbers of all rows that are to be run, (m,)."""
-        return np.unique(np.concatenate([np.empty(0, int), *(each.further for each in self.answers)]))
+        return np.unique(
+            np.concatenate([np.empty(0, int), *(each.further for each in self.answers)])
+        )
 
     @property
     def title(self) -> str:
         """What was sought, in words."""
         most = "Highest" if self.asked.side == "max" else "Lowest"
-        return (
-            f"{most} {spoken(self.asked.metric)} over {' and '.join(map(spoken, self.asked.over))}, against {self.base}"
-        )
+        over = " and ".join(map(spoken, self.asked.over))
+        return f"{most} {spoken(self.asked.metric)} over {over}, against {self.base}"
 
     @property
     def base(self) -> str:
@@ -251,7 +293,9 @@ class FoundOptimum:
         if value is None or value != value:  # a structure does not read it
             return "–"
         quantity = shown(name, meta(self.results.schema.field(name))["unit"], [value])
-        return f"{round(float(quantity.values[0]), 9) + 0.0:.3g} {quantity.unit}".rstrip().replace("-", "−")
+        return f"{round(float(quantity.values[0]), 9) + 0.0:.3g} {quantity.unit}".rstrip().replace(
+            "-", "−"
+        )
 
     def called(self, answer: OptimumAnswer) -> str:
         """A group in words, as a title begins with it."""
@@ -275,17 +319,23 @@ class FoundOptimum:
             own = values[kept].tolist()
             low, high = (self.text(name, each) for each in (min(own), max(own)))
             same = low.partition(" ")[2] == high.partition(" ")[2]  # the unit
-            parts.append(high if low == high else f"{low.partition(' ')[0] if same else low} to {high}")
+            parts.append(
+                high if low == high else f"{low.partition(' ')[0] if same else low} to {high}"
+            )
         return f"{kept.sum()} of {len(kept)}: {', '.join(parts)}"
 
     def how(self) -> list[str]:
         """What the answers rest on, in sentences."""
-        said = [f"Gains and costs are of fresh runs, which chose nothing, with 95 % intervals over {self.over}."]
+        said = [
+            f"Gains and costs are of fresh runs, which chose nothing, with 95 % intervals over {self.over}."
+        ]
         for answer in self.answers:
             found, name = answer.judged, self.called(answer) or "All"
             why = {
                 "few": f"no more than {self.asked.until} may be the best",
-                "budget": "the budget is spent" if self.asked.budget else "no second stage was asked for",
+                "budget": "the budget is spent"
+                if self.asked.budget
+                else "no second stage was asked for",
                 "lost": "of no two repeats all contenders have a number",
                 "": f"{len(answer.further):,} more runs are needed",
             }[found.ended]
@@ -294,7 +344,9 @@ class FoundOptimum:
             fresh = ", no fresh runs yet"
             if answer.lines:
                 pairs = next(iter(answer.lines.values()))["pairs"]
-                alone = f"{self.asked.fresh} fresh runs each, no pairs (randomize.paired makes them)"
+                alone = (
+                    f"{self.asked.fresh} fresh runs each, no pairs (randomize.paired makes them)"
+                )
                 fresh = f", {f'{pairs} fresh pairs' if pairs else alone}{told(answer.lost)}"
             fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
             said.append(f"{name}: {found.runs} runs a point{fresh}; {why}{lost}.")
@@ -309,7 +361,9 @@ class FoundOptimum:
             if not answer.at or values.dtype.kind != "f":
                 continue
             low, high = np.nanmin(values), np.nanmax(values)
-            around_all = meta(self.results.schema.field(name))["unit"] == "rad" and high - low > 1.5 * np.pi
+            around_all = (
+                meta(self.results.schema.field(name))["unit"] == "rad" and high - low > 1.5 * np.pi
+            )
             if low < high and not around_all and answer.at[name] in (low, high):
                 found[name] = "largest" if answer.at[name] == high else "smallest"
         return found
@@ -330,18 +384,30 @@ class FoundOptimum:
             found = answer.judged
             places = np.flatnonzero(found.region).tolist() if found.best >= 0 else []
             region = [{name: column[i] for name, column in answer.points.items()} for i in places]
-            about = {"for": answer.group, "at": answer.at, "region": region, "points": len(found.region)}
+            about = {
+                "for": answer.group,
+                "at": answer.at,
+                "region": region,
+                "points": len(found.region),
+            }
             about |= {"ended": found.ended, "spent": found.spent, "runs": found.runs}
             each.append(about | {"lost": answer.lost, "rows": answer.rows, "metrics": answer.lines})
         asked = {"metric": self.asked.metric, "side": self.asked.side, "base": self.asked.base}
-        return {**asked, "intervals_over": self.over, "profiles": profiles_of(self.results), "answers": each}
+        return {
+            **asked,
+            "intervals_over": self.over,
+            "profiles": profiles_of(self.results),
+            "answers": each,
+        }
 
 
 #: Told beside what is sought, where a table has them.
 _COSTS: Final = ("cost_of_transport", "electrical_cost_of_transport")
 
 
-def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants: int) -> FoundOptimum:
+def find_optimum(
+    results: Results, asked: SoughtOptimum, repeats: int, variants: int
+) -> FoundOptimum:
     """Where a table says that a metric is best, as far as its runs are there.
 
     Args:
@@ -350,7 +416,9 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
         repeats, variants: of the sweep, before further runs of some variants.
     """
     names, ((by, base),) = columns_of(results, "varied"), asked.base.items()
-    metrics = tuple(dict.fromkeys([asked.metric, *(name for name in _COSTS if name in results.schema.names)]))
+    metrics = tuple(
+        dict.fromkeys([asked.metric, *(name for name in _COSTS if name in results.schema.names)])
+    )
     wanted = ["row", "variant", "repeat", "seed", *names, *metrics]
     row, number, repeat, seed, *columns = (column for _, column in results.columns(wanted))
     found = Variants.of(number)
@@ -361,18 +429,25 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
     of_base = np.array([same_value(each, base) for each in value[by]])
     labels: list[tuple[Any, ...]] = [()]
     if groups:
-        labels = list(dict.fromkeys(zip(*(plain_json(value[name][~of_base]) for name in groups), strict=True)))
+        labels = list(
+            dict.fromkeys(zip(*(plain_json(value[name][~of_base]) for name in groups), strict=True))
+        )
     status, answers = results.column("status"), []
     for label in labels:
         group = dict(zip(groups, label, strict=True))
         # A base that does not read a column is the base of all of its values.
         alike = [
-            np.array([same_value(each, own) or each != each for each in value[name]]) for name, own in group.items()
+            np.array([same_value(each, own) or each != each for each in value[name]])
+            for name, own in group.items()
         ]
         here = np.logical_and.reduce([np.full(len(of_base), True), *alike])
         points, bases = np.flatnonzero(here & ~of_base), np.flatnonzero(here & of_base)
         told_apart = {name: value[name][points] for name in dict.fromkeys((*asked.over, by))}
-        told_apart = {name: each for name, each in told_apart.items() if name in asked.over or len(set(each)) > 1}
+        told_apart = {
+            name: each
+            for name, each in told_apart.items()
+            if name in asked.over or len(set(each)) > 1
+        }
         place = np.full(len(of_base), -1)
         place[points] = np.arange(len(points))
         runs = np.flatnonzero(place[found.place] >= 0)
@@ -380,11 +455,15 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
         values, there = np.full(shape, np.nan), np.full(shape, False)
         cell = repeat[runs], place[found.place[runs]]
         own = metric[asked.metric][runs]
-        values[cell] = np.where(good[asked.metric][runs], own if asked.side == "max" else -own, np.nan)
+        values[cell] = np.where(
+            good[asked.metric][runs], own if asked.side == "max" else -own, np.nan
+        )
         there[cell] = True
         verdict = judged(values, there, asked, repeats)
         chose = (repeat < repeats) | (repeat >= repeats + asked.fresh)
-        tally = found.tally(np.where(chose, metric[asked.metric], np.nan), good[asked.metric] & chose)
+        tally = found.tally(
+            np.where(chose, metric[asked.metric], np.nan), good[asked.metric] & chose
+        )
         of_bases = np.isin(found.place, bases) & good[asked.metric] & chose
         base_mean = float(metric[asked.metric][of_bases].mean()) if of_bases.any() else math.nan
         further = verdict.wanted[0] * variants + found.number[points[verdict.wanted[1]]]
@@ -393,23 +472,45 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
         if verdict.best >= 0 and len(bases):
             sides = [bases[0], points[verdict.best]]
             fresh = [np.flatnonzero((found.place == side) & ~chose) for side in sides]
-            ahead = [np.setdiff1d(np.arange(repeats, repeats + asked.fresh), repeat[side]) for side in fresh]
+            ahead = [
+                np.setdiff1d(np.arange(repeats, repeats + asked.fresh), repeat[side])
+                for side in fresh
+            ]
             further = np.concatenate(
-                [each * variants + found.number[side] for each, side in zip(ahead, sides, strict=True)]
+                [
+                    each * variants + found.number[side]
+                    for each, side in zip(ahead, sides, strict=True)
+                ]
             )
             if min(map(len, fresh)) > 1:
-                lines = {name: line for name in metrics if (line := _measured(metric[name], good[name], seed, fresh))}
+                lines = {
+                    name: line
+                    for name in metrics
+                    if (line := _measured(metric[name], good[name], seed, fresh))
+                }
                 both = np.concatenate(fresh)
                 lost = losses(status[both], good[asked.metric][both])
                 told_of = [side[good[asked.metric][side]] for side in fresh]
                 if lines:  # the run that is nearest to the mean, and its partner in the base, or another one of it
                     typical = told_of[1][
-                        np.abs(metric[asked.metric][told_of[1]] - lines[asked.metric]["mean"]).argmin()
+                        np.abs(
+                            metric[asked.metric][told_of[1]] - lines[asked.metric]["mean"]
+                        ).argmin()
                     ]
                     partner = told_of[0][np.argmax(seed[told_of[0]] == seed[typical])]
                     rows = int(row[typical]), int(row[partner])
         answers.append(
-            OptimumAnswer(group, told_apart, tally.mean[points], base_mean, verdict, lines, lost, rows, further)
+            OptimumAnswer(
+                group,
+                told_apart,
+                tally.mean[points],
+                base_mean,
+                verdict,
+                lines,
+                lost,
+                rows,
+                further,
+            )
         )
     drawn = columns_of(results, "randomized")
     over = dict.fromkeys("starts" if name.startswith("start.") else spoken(name) for name in drawn)
@@ -423,7 +524,12 @@ def optimum_in(out: Path) -> FoundOptimum | None:
     record, files = SweepRecord.of_directory(out), part_files(out)
     if record is None or record.optimum is None or not files:
         return None
-    return find_optimum(Results(files), SoughtOptimum.model_validate(record.optimum), record.repeats, record.variants)
+    return find_optimum(
+        Results(files),
+        SoughtOptimum.model_validate(record.optimum),
+        record.repeats,
+        record.variants,
+    )
 
 
 def same_value(value: Any, wanted: Any) -> bool:
@@ -433,12 +539,17 @@ def same_value(value: Any, wanted: Any) -> bool:
     return bool(value is not None and math.isclose(value, wanted, rel_tol=1e-12, abs_tol=1e-12))
 
 
-def _measured(values: np.ndarray, good: np.ndarray, seed: np.ndarray, fresh: Sequence[np.ndarray]) -> dict[str, float]:
+def _measured(
+    values: np.ndarray, good: np.ndarray, seed: np.ndarray, fresh: Sequence[np.ndarray]
+) -> dict[str, float]:
     """Means of the base's and the best point's fresh runs with their 95 % intervals, and the same of their difference;
     of pairs, where seeds are common; empty where one side has no run that counts."""
     import pandas as pd
 
-    sides = [pd.DataFrame({"m": values[own]}, pd.MultiIndex.from_arrays([0 * own, seed[own]])) for own in fresh]
+    sides = [
+        pd.DataFrame({"m": values[own]}, pd.MultiIndex.from_arrays([0 * own, seed[own]]))
+        for own in fresh
+    ]
     (base, best), paired = matched(sides, [good[own] for own in fresh])
     if base.empty or best.empty:
         return {}
@@ -452,7 +563,11 @@ def _measured(values: np.ndarray, good: np.ndarray, seed: np.ndarray, fresh: Seq
     line = dict[str, float]()
     for name, own in (("mean", second), ("base", first)):
         half = float(half_width(own.std(ddof=1) if len(own) > 1 else math.nan, len(own)))
-        line |= {name: float(own.mean()), f"{name}_low": own.mean() - half, f"{name}_high": own.mean() + half}
+        line |= {
+            name: float(own.mean()),
+            f"{name}_low": own.mean() - half,
+            f"{name}_high": own.mean() + half,
+        }
     # Where the base's mean is nothing but noise, no share of it says anything.
     scale = abs(line["base"]) if abs(line["base"]) > line["base_high"] - line["base"] else math.nan
     line |= {
@@ -462,7 +577,11 @@ def _measured(values: np.ndarray, good: np.ndarray, seed: np.ndarray, fresh: Seq
         "p": float(found.p[0]),
         "pairs": len(first) * bool(len(paired)),
     }
-    return line | {"relative": middle / scale, "relative_low": low / scale, "relative_high": high / scale}
+    return line | {
+        "relative": middle / scale,
+        "relative_low": low / scale,
+        "relative_high": high / scale,
+    }
 
 
 def _gain(line: Mapping[str, float]) -> tuple[str, str]:
@@ -496,16 +615,28 @@ def optimum_latex(found: FoundOptimum) -> str:
     """The short table as a LaTeX tabular, without packages."""
     heads, lines = optimum_cells(found)
     marks = {"%": r"\%", "±": r"$\pm$", "−": "$-$", "–": "--", "_": r"\_", "&": r"\&"}
-    rows = [" & ".join("".join(marks.get(sign, sign) for sign in cell) for cell in line) for line in (heads, *lines)]
+    rows = [
+        " & ".join("".join(marks.get(sign, sign) for sign in cell) for cell in line)
+        for line in (heads, *lines)
+    ]
     body = [f"{rows[0]} \\\\ \\hline", *(f"{row} \\\\" for row in rows[1:])]
-    notes = [f"% {each}" for each in (f"{profile_text(profiles_of(found.results))}; base: {found.base}", *found.how())]
-    return "\n".join([*notes, f"\\begin{{tabular}}{{{'l' * len(heads)}}}", *body, "\\end{tabular}", ""])
+    notes = [
+        f"% {each}"
+        for each in (
+            f"{profile_text(profiles_of(found.results))}; base: {found.base}",
+            *found.how(),
+        )
+    ]
+    return "\n".join(
+        [*notes, f"\\begin{{tabular}}{{{'l' * len(heads)}}}", *body, "\\end{tabular}", ""]
+    )
 
 
 def optimum_table(found: FoundOptimum) -> pa.Table:
     """A row for each group and metric, SI units: the best point, and what fresh runs say of it."""
     lines = [
-        {**answer.group, **answer.at, "metric": name, "region": int(answer.judged.region.sum())} | dict(line)
+        {**answer.group, **answer.at, "metric": name, "region": int(answer.judged.region.sum())}
+        | dict(line)
         for answer in found.answers
         for name, line in answer.lines.items()
     ]
@@ -515,7 +646,8 @@ def optimum_table(found: FoundOptimum) -> pa.Table:
         role = "varied" if about else "index" if name in ("metric", "region") else "metric"
         doc = about.get("description", _FIELDS.get(name, name))
         unit = about.get(
-            "unit", "1" if name.startswith(("relative", "p", "metric", "region")) else "that of the metric"
+            "unit",
+            "1" if name.startswith(("relative", "p", "metric", "region")) else "that of the metric",
         )
         columns.add(name, np.array([line[name] for line in lines]), role, unit, doc)
     return columns.table({"optimum": found.asked.metric, "base": found.base})
@@ -547,7 +679,14 @@ def optimum_files(found: FoundOptimum) -> dict[str, bytes]:
 #: Groups of one figure.
 _MOST_DRAWN: Final = 9
 _COLUMNS: Final = 3
-_STAR: Final[dict[str, Any]] = {"marker": "*", "ms": 14, "color": BEST, "mec": "white", "lw": 0, "zorder": 4}
+_STAR: Final[dict[str, Any]] = {
+    "marker": "*",
+    "ms": 14,
+    "color": BEST,
+    "mec": "white",
+    "lw": 0,
+    "zorder": 4,
+}
 
 
 def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
@@ -556,33 +695,49 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     if not answers:
         return
     gains = [100 * (each.mean / each.base_mean - 1) * np.sign(each.base_mean) for each in answers]
-    known = np.concatenate(gains)[np.isfinite(np.concatenate(gains))] * (1 if asked.side == "max" else -1)
+    known = np.concatenate(gains)[np.isfinite(np.concatenate(gains))] * (
+        1 if asked.side == "max" else -1
+    )
     # Symmetric about 0; losses far beyond the best gain are cut off, as they would leave the gains pale.
     far = max(known.max(initial=0.0), 0.3 * np.abs(known).max(initial=1e-9))
-    colours = ScalarMappable(Normalize(-far, far), GAIN_COLOURS if asked.side == "max" else f"{GAIN_COLOURS}_r")
+    colours = ScalarMappable(
+        Normalize(-far, far), GAIN_COLOURS if asked.side == "max" else f"{GAIN_COLOURS}_r"
+    )
     columns = min(len(answers), _COLUMNS)
     lines = -(-len(answers) // columns)
     figure = blank(2.75 * columns + 1.1, 4.3 * lines + 1.0)
-    grid = figure.subplots(2 * lines, columns, squeeze=False, gridspec_kw={"height_ratios": [3.0, 0.85] * lines})
+    grid = figure.subplots(
+        2 * lines, columns, squeeze=False, gridspec_kw={"height_ratios": [3.0, 0.85] * lines}
+    )
     maps, below = (grid[first::2].ravel()[: len(answers)] for first in (0, 1))
     for ax in {*grid.ravel()} - {*maps, *below}:
         ax.remove()
-    across = [name for name, each in answers[0].points.items() if len(set(each.tolist())) > 1] or list(
-        answers[0].points
-    )
+    across = [
+        name for name, each in answers[0].points.items() if len(set(each.tolist())) > 1
+    ] or list(answers[0].points)
     flat = len(across) > 1
     for i, (ax, answer, gain) in enumerate(zip(maps, answers, gains, strict=True)):
         x, *more = (_axis(found, name, answer.points[name]) for name in across[:2])
         here, inside = answer.judged.best, answer.judged.region
         if flat:
             shown_here = np.logical_and.reduce(
-                [np.full(len(gain), True), *(answer.points[name] == answer.at[name] for name in across[2:])]
+                [
+                    np.full(len(gain), True),
+                    *(answer.points[name] == answer.at[name] for name in across[2:]),
+                ]
             )
             _draw_map(ax, [x, *more], gain, inside, shown_here, colours)
         else:
             order = np.argsort(x.values)
             ax.plot(x.values[order], gain[order], color=SERIES[0], lw=1.2, zorder=2)
-            ax.scatter(x.values, gain, s=30, ec=SERIES[0], fc=np.where(inside, SERIES[0], "white"), zorder=3)
+            ax.scatter(
+                x.values,
+                gain,
+                s=30,
+                ec=SERIES[0],
+                fc=np.where(inside, SERIES[0], "white"),
+                zorder=3,
+            )
             ax.axhline(0, color=MUTED, lw=0.8)
         ax.plot(x.values[here], (more[0].values if flat else gain)[here], **_STAR, clip_on=False)
         set_scales(ax, x, more[0] if flat else None)
@@ -590,25 +745,43 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
         place = ", ".join(found.text(key, value) for key, value in answer.at.items())
         ax.set_title(f"{share} {ends}\nat {place}", color=INK)
         head: dict[str, Any] = {"ha": "center", "fontweight": "bold", "color": INK}
-        ax.annotate(found.called(answer), (0.5, 1), (0, 29), "axes fraction", "offset points", **head)
+        ax.annotate(
+            found.called(answer), (0.5, 1), (0, 29), "axes fraction", "offset points", **head
+        )
         ax.set(
-            xlabel=x.label, ylabel="" if i % columns else more[0].label if flat else f"gain against {found.base} [%]"
+            xlabel=x.label,
+            ylabel=""
+            if i % columns
+            else more[0].label
+            if flat
+            else f"gain against {found.base} [%]",
         )
         ax.tick_params(labelleft=not (flat and i % columns))
     if flat:
         label = f"{spoken(asked.metric)} against {found.base} [%]"
         bar = colour_bar(figure, list(maps), colours, label, extend="both", shrink=0.9, aspect=26)
-        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: signed(value).removesuffix(" %")))
+        bar.ax.yaxis.set_major_formatter(
+            FuncFormatter(lambda value, _: signed(value).removesuffix(" %"))
+        )
     _draw_costs(found, answers, list(below))
-    frame: dict[str, Any] = {"lw": 1.6, "color": INK} if flat else {"marker": "o", "lw": 0, "color": SERIES[0]}
+    frame: dict[str, Any] = (
+        {"lw": 1.6, "color": INK} if flat else {"marker": "o", "lw": 0, "color": SERIES[0]}
+    )
     handles = [
         Line2D([], [], label="best point", **_STAR),
         Line2D([], [], label="points that the data cannot tell from it", **frame),
     ]
-    notes = [*found.how(), f"Map: mean of the runs that chose; {profile_text(profiles_of(found.results))}."]
-    notes += [f"Not shown: {', '.join(map(spoken, across[2:]))}, at their best."] if across[2:] else []
+    notes = [
+        *found.how(),
+        f"Map: mean of the runs that chose; {profile_text(profiles_of(found.results))}.",
+    ]
     notes += (
-        [f"{len(found.answers) - len(answers)} more are in the table."] if len(found.answers) > len(answers) else []
+        [f"Not shown: {', '.join(map(spoken, across[2:]))}, at their best."] if across[2:] else []
+    )
+    notes += (
+        [f"{len(found.answers) - len(answers)} more are in the table."]
+        if len(found.answers) > len(answers)
+        else []
     )
     yield "optimum", around(figure, found.title, " ".join(notes), handles)
 
@@ -618,17 +791,26 @@ def _axis(found: FoundOptimum, name: str, values: np.ndarray) -> ShownValues:
     about = meta(found.results.schema.field(name))
     if about.get("scale") == "structure":
         names = tuple(dict.fromkeys(values.tolist()))
-        return ShownValues(name, "", np.array([names.index(each) for each in values], float), names=names)
+        return ShownValues(
+            name, "", np.array([names.index(each) for each in values], float), names=names
+        )
     return shown(name, about["unit"], values, log=about.get("scale") == "log")
 
 
 def _draw_map(
-    ax: Axes, axes: Sequence[ShownValues], gain: np.ndarray, region: np.ndarray, here: np.ndarray, look: ScalarMappable
+    ax: Axes,
+    axes: Sequence[ShownValues],
+    gain: np.ndarray,
+    region: np.ndarray,
+    here: np.ndarray,
+    look: ScalarMappable,
 ) -> None:
     """The gain of the points that are `here` (k,) as colours, and a line around the region."""
     x, y = (dataclasses.replace(each, values=each.values[here]) for each in axes)
     xs, ys = np.unique(x.values), np.unique(y.values)
-    cells, inside = (cell_means(x.values, y.values, each[here] * 1.0, xs, ys) for each in (gain, region))
+    cells, inside = (
+        cell_means(x.values, y.values, each[here] * 1.0, xs, ys) for each in (gain, region)
+    )
     columns, rows = cell_edges(xs, x.log), cell_edges(ys, y.log)
     scale: Any = look.norm
     ax.set_facecolor(MISSING)
@@ -645,25 +827,40 @@ def _draw_map(
         ax.plot(across, up, color=INK, lw=1.8, solid_capstyle="round", clip_on=False)
 
 
-def _draw_costs(found: FoundOptimum, answers: Sequence[OptimumAnswer], axes: Sequence[Axes]) -> None:
+def _draw_costs(
+    found: FoundOptimum, answers: Sequence[OptimumAnswer], axes: Sequence[Axes]
+) -> None:
     """Below each map what fresh runs say of the metric and both costs, relative to the base, on one scale."""
     lines = [[each.lines.get(name, {}) for name in found.metrics] for each in answers]
-    ends = [abs(line.get(end, math.nan)) for own in lines for line in own for end in ("relative_low", "relative_high")]
+    ends = [
+        abs(line.get(end, math.nan))
+        for own in lines
+        for line in own
+        for end in ("relative_low", "relative_high")
+    ]
     far = 115 * float(np.nanmax([*ends, 0.01]))
     for i, (ax, own) in enumerate(zip(axes, lines, strict=True)):
         ax.axvline(0, color=MUTED, lw=0.8)
         for place, line in enumerate(own):
             if not math.isfinite(line.get("relative", math.nan)):
                 continue
-            low, middle, high = (100 * line[name] for name in ("relative_low", "relative", "relative_high"))
+            low, middle, high = (
+                100 * line[name] for name in ("relative_low", "relative", "relative_high")
+            )
             colour, sure = SERIES[place], low > 0 or high < 0
             ax.plot([low, high], [place] * 2, color=colour, lw=2.2, solid_capstyle="butt")
             ax.plot(middle, place, "o", ms=5.5, color=colour, mfc=colour if sure else "white")
-        ax.set_yticks(range(len(own)), [_SHORT.get(name, titled(name)) for name in found.metrics] if i == 0 else [])
+        ax.set_yticks(
+            range(len(own)),
+            [_SHORT.get(name, titled(name)) for name in found.metrics] if i == 0 else [],
+        )
         ax.set(ylim=(len(own) - 0.5, -0.5), xlim=(-far, far), xlabel=f"against {found.base} [%]")
         ax.grid(axis="x", color=GRID, lw=0.8)
         ax.spines["left"].set_visible(False)
         ax.tick_params(axis="y", length=0, labelcolor=INK)
 
 
-_SHORT: Final = {"cost_of_transport": "Mechanical cost", "electrical_cost_of_transport": "Electrical cost"}
+_SHORT: Final = {
+    "cost_of_transport": "Mechanical cost",
+    "electrical_cost_of_transport": "Electrical cost",
+}

@@ -62,13 +62,17 @@ MOST_POINTS = 50_000
 MOST_PAIRED = 4
 
 
-def figures_of_results(results: Results, metric: str = LEADING, remark: str = "") -> Iterator[tuple[str, Figure]]:
+def figures_of_results(
+    results: Results, metric: str = LEADING, remark: str = ""
+) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of one metric; only successful runs count. Notes begin with the remark and the profile."""
     if not results.well.any():
         return
     remark += f"{profile_text(profiles_of(results))}; "
     z = metric_of(results, metric)
-    varied = [x for x in shown_columns(results, columns_of(results, "varied")) if not alike(x.values)]
+    varied = [
+        x for x in shown_columns(results, columns_of(results, "varied")) if not alike(x.values)
+    ]
     numbers = [x for x in varied if not x.names]
     groups = groups_of([x for x in varied if x.names])
     if groups is not None:
@@ -94,11 +98,19 @@ def heat_map(
     x: ShownValues, y: ShownValues, varied: Sequence[ShownValues], z: ShownValues, note: str
 ) -> tuple[str, Figure]:
     """A heat map of z over two parameters; with a third one that varies, one panel for each of its values."""
-    good = np.isfinite(x.values) & np.isfinite(y.values)  # what a structure does not have has no place
+    good = np.isfinite(x.values) & np.isfinite(
+        y.values
+    )  # what a structure does not have has no place
     if not good.all():
-        x, y, z, *varied = (dataclasses.replace(each, values=each.values[good]) for each in (x, y, z, *varied))
-    panels, remark = _panels([other for other in varied if other.name not in (x.name, y.name)], len(z.values))
-    figure = heat_maps(x, y, z, panels, f"{titled(z.name)} over {x.spoken} and {y.spoken}", note + remark)
+        x, y, z, *varied = (
+            dataclasses.replace(each, values=each.values[good]) for each in (x, y, z, *varied)
+        )
+    panels, remark = _panels(
+        [other for other in varied if other.name not in (x.name, y.name)], len(z.values)
+    )
+    figure = heat_maps(
+        x, y, z, panels, f"{titled(z.name)} over {x.spoken} and {y.spoken}", note + remark
+    )
     return f"{z.name}-over-{x.name}-and-{y.name}", figure
 
 
@@ -108,8 +120,12 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     if metric != LEADING or not {"spine.amplitude", "spine.phase"} <= set(names):
         return
     data = spine_ratio(results)
-    bent = np.isfinite(data["spine.amplitude"]) & np.isfinite(data["spine.phase"])  # a structure may have none
-    varied = {name: shown_column(results, name, data[name][bent]) for name in names if name != "spine"}
+    bent = np.isfinite(data["spine.amplitude"]) & np.isfinite(
+        data["spine.phase"]
+    )  # a structure may have none
+    varied = {
+        name: shown_column(results, name, data[name][bent]) for name in names if name != "spine"
+    }
     x, y = varied.pop("spine.amplitude"), varied.pop("spine.phase")
     z = ShownValues("speed relative to the stiff spine", "%", 100 * (data["ratio"][bent] - 1))
     bends = x.values > 0
@@ -119,29 +135,49 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     panels, remark = _panels([other for other in rest if not other.names], len(z.values))
     if (groups := groups_of([other for other in rest if other.names])) is not None:
         remark = "".join(f"mean over {other.spoken}; " for other in rest if not other.names)
-        panels = [(name, groups.of == place) for place, name in enumerate(groups.names[:MOST_PANELS])]
+        panels = [
+            (name, groups.of == place) for place, name in enumerate(groups.names[:MOST_PANELS])
+        ]
     title = f"Speed gained by the spine over {x.spoken} and {y.spoken}"
     note = f"{start}{remark}stiff: mean at {x.spoken} 0; "
-    yield f"{metric}-gain-over-{x.name}-and-{y.name}", heat_maps(x, y, z, panels, title, note, gain=bends)
+    yield (
+        f"{metric}-gain-over-{x.name}-and-{y.name}",
+        heat_maps(x, y, z, panels, title, note, gain=bends),
+    )
 
 
-def _scatter_figures(drawn: list[ShownValues], z: ShownValues, remark: str) -> Iterator[tuple[str, Figure]]:
+def _scatter_figures(
+    drawn: list[ShownValues], z: ShownValues, remark: str
+) -> Iterator[tuple[str, Figure]]:
     """The metric against each parameter, and over the pairs of those that matter most."""
     good = np.isfinite(z.values)
-    drawn = [dataclasses.replace(x, values=x.values[good]) for x in drawn if len(np.unique(x.values[good])) > 1]
+    drawn = [
+        dataclasses.replace(x, values=x.values[good])
+        for x in drawn
+        if len(np.unique(x.values[good])) > 1
+    ]
     z = dataclasses.replace(z, values=z.values[good])
     if not drawn:
         return
     still = np.ptp(z.values) == 0
-    influence = [0.0 if still else float(stats.spearmanr(x.values, z.values).statistic) for x in drawn]
+    influence = [
+        0.0 if still else float(stats.spearmanr(x.values, z.values).statistic) for x in drawn
+    ]
     order = np.argsort(-np.abs(influence), kind="stable")
     first = [drawn[i] for i in order[:MOST_PANELS]]
     titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MOST_PANELS]]
     places, count = _drawn_of(z.side, z.values)
     z, *first = (dataclasses.replace(each, values=each.values[places]) for each in (z, *first))
-    more = f"; the {MOST_PANELS} of {len(drawn)} parameters that matter most" if len(drawn) > MOST_PANELS else ""
+    more = (
+        f"; the {MOST_PANELS} of {len(drawn)} parameters that matter most"
+        if len(drawn) > MOST_PANELS
+        else ""
+    )
     note = f"{remark}{count}; line: running mean{more}"
-    yield f"{z.name}-over-each", scatters(first, z, titles, f"{titled(z.name)} over each parameter", note)
+    yield (
+        f"{z.name}-over-each",
+        scatters(first, z, titles, f"{titled(z.name)} over each parameter", note),
+    )
     if len(drawn) > 1:
         pairs = list(itertools.combinations(first[:MOST_PAIRED], 2))
         title = f"{titled(z.name)} over pairs of the parameters that matter most"
@@ -153,7 +189,9 @@ def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.nda
     if len(rest) == 1:
         third, values = rest[0], np.unique(rest[0].values[np.isfinite(rest[0].values)])
         kept = thinned(values, MOST_PANELS)
-        panels = [(f"{third.spoken} = {third.shown(value)}", third.values == value) for value in kept]
+        panels = [
+            (f"{third.spoken} = {third.shown(value)}", third.values == value) for value in kept
+        ]
         left_out = len(values) - len(kept)
         return panels, f"{left_out} more values of {rest[0].spoken} not shown; " if left_out else ""
     remark = f"mean over {', '.join(other.spoken for other in rest)}; " if rest else ""
@@ -181,14 +219,24 @@ def findings(
     """
     if sought is not None:
         found = find_optimum(results, *sought)
-        yield "optimum", optimum_table(found), found.about(), optimum_figure(found), optimum_files(found)
+        yield (
+            "optimum",
+            optimum_table(found),
+            found.about(),
+            optimum_figure(found),
+            optimum_files(found),
+        )
     try:
         if comparison is not None:
             from nermo_mjx.sweep import comparing  # few sweeps ask for it
 
             by, base, groups = comparison["by"], comparison.get("base"), comparison.get("for", ())
             gained = comparing.compare(
-                results, by=by, base=base, groups=groups, drawn=() if metric == LEADING else (metric,)
+                results,
+                by=by,
+                base=base,
+                groups=groups,
+                drawn=() if metric == LEADING else (metric,),
             )
             drawn = comparing.figures_of_comparison(gained.table)
             yield "comparison", gained.table, gained.about(only=gained.drawn), drawn, {}
@@ -199,7 +247,13 @@ def findings(
             from nermo_mjx.sweep import sensitivity
 
             indices = sensitivity.sensitivity(results, metric)
-            yield "sensitivity", indices.table, indices.about(), sensitivity.figures_of_indices(indices.table), {}
+            yield (
+                "sensitivity",
+                indices.table,
+                indices.about(),
+                sensitivity.figures_of_indices(indices.table),
+                {},
+            )
     except ParameterError as error:
         notify(f"There is no sensitivity: {error}")
 
@@ -246,7 +300,11 @@ def sweep_figures(
         _check_column(results, color, "color")
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
     asked = None if sweep is None else sweep.comparison
-    sought = sweep and sweep.optimum and (SoughtOptimum.model_validate(sweep.optimum), sweep.repeats, sweep.variants)
+    sought = (
+        sweep
+        and sweep.optimum
+        and (SoughtOptimum.model_validate(sweep.optimum), sweep.repeats, sweep.variants)
+    )
     found = findings(results, asked, sought or None, color or LEADING, notify or (lambda _: None))
 
     def usual() -> Figures:  # each is drawn when it is asked for, in the style that holds then
@@ -282,7 +340,9 @@ def chosen_figure(
     if not results.well.any():
         raise ParameterError("no run in the table succeeded, so there is nothing to plot.")
     remark += f"{profile_text(profiles_of(results))}; "
-    return (_chosen(results, x, y or LEADING, color, remark) for _ in range(1))  # in the style that holds then
+    return (
+        _chosen(results, x, y or LEADING, color, remark) for _ in range(1)
+    )  # in the style that holds then
 
 
 def _check_column(results: Results, name: str | None, option: str) -> None:
@@ -290,27 +350,47 @@ def _check_column(results: Results, name: str | None, option: str) -> None:
     known = columns_of(results, "varied", "randomized", "metric")
     if name is not None and name not in known:
         hint = did_you_mean(name, known)
-        raise ParameterError(f"{option} is {name!r}, no column of the table{hint} There are {', '.join(known)}.")
+        raise ParameterError(
+            f"{option} is {name!r}, no column of the table{hint} There are {', '.join(known)}."
+        )
 
 
 def _chosen(results: Results, x: str, y: str, color: str | None, remark: str) -> tuple[str, Figure]:
-    metrics, varied, sides = columns_of(results, "metric"), columns_of(results, "varied"), sides_in(results.schema)
+    metrics, varied, sides = (
+        columns_of(results, "metric"),
+        columns_of(results, "varied"),
+        sides_in(results.schema),
+    )
     if color is None and x in sides and y in sides and x != y:
         points = points_of(results, [x, y])
-        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark + lost_remark(results))
+        return f"{x}-against-{y}", trade_off_figure(
+            points, x, y, points.differing, remark + lost_remark(results)
+        )
     if color is None and not {x, y} & set(metrics):
         color = LEADING
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:
         others = {each.name: each for each in shown_columns(results, varied)}
         differing = [each for each in others.values() if not alike(each.values)]
-        return heat_map(others[x], others[y], differing, metric_of(results, color), remark + repeats_remark(results))
+        return heat_map(
+            others[x],
+            others[y],
+            differing,
+            metric_of(results, color),
+            remark + repeats_remark(results),
+        )
     drawn = [shown_columns(results, [each])[0] for each in (x, y, color) if each]
-    places = np.flatnonzero(results.well & np.logical_and.reduce([np.isfinite(each.values) for each in drawn]))
+    places = np.flatnonzero(
+        results.well & np.logical_and.reduce([np.isfinite(each.values) for each in drawn])
+    )
     kept, count = _drawn_of(drawn[-1].side, drawn[-1].values[places])
-    across, up, *by = (dataclasses.replace(each, values=each.values[places[kept]]) for each in drawn)
+    across, up, *by = (
+        dataclasses.replace(each, values=each.values[places[kept]]) for each in drawn
+    )
     if by:
         title = f"{titled(str(color))} over {spoken(x)} and {spoken(y)}"
-        figure = pair_scatters([(across, up)], by[0], title, f"{remark}{count}; ", star=color in metrics)
+        figure = pair_scatters(
+            [(across, up)], by[0], title, f"{remark}{count}; ", star=color in metrics
+        )
         return f"{color}-over-{x}-and-{y}", figure
     note = f"{remark}{count}; line: running mean"
     return f"{y}-over-{x}", scatters([across], up, [""], f"{titled(y)} over {spoken(x)}", note)
@@ -350,13 +430,18 @@ class Points:
     def of(self, names: Sequence[str], chosen: np.ndarray) -> list[ShownValues]:
         """Columns of the chosen points, as shown; only those columns are read, and only those points kept."""
         rows = self.rows[chosen]
-        return [shown_column(self.results, name, values[rows]) for name, values in self.results.columns(names)]
+        return [
+            shown_column(self.results, name, values[rows])
+            for name, values in self.results.columns(names)
+        ]
 
     @property
     def differing(self) -> tuple[str, ...]:
         """The parameters that are not the same in all points."""
         values = self.results.columns(self.parameters)
-        return tuple(name for name, column in values if len(self.rows) and not alike(column[self.rows]))
+        return tuple(
+            name for name, column in values if len(self.rows) and not alike(column[self.rows])
+        )
 
     @property
     def what(self) -> str:
@@ -379,7 +464,9 @@ def points_of(results: Results, metrics: Sequence[str]) -> Points:
     variants = Variants.of(variant)
     some = np.bincount(variants.place, well) > 0
     found = {
-        name: shown_column(results, name, variants.tally(values, counts(name, values, well)).mean[some])
+        name: shown_column(
+            results, name, variants.tally(values, counts(name, values, well)).mean[some]
+        )
         for name, values in columns
     }
     return Points(results, tuple(varied), variants.first[some], found, int(well.sum()))
@@ -390,7 +477,9 @@ def shown_column(results: Results, name: str, values: np.ndarray | Sequence[floa
     about = meta(results.schema.field(name))
     if about.get("scale") == "structure":
         names = results.names(name)
-        return ShownValues(name, "", np.array([names.index(each) for each in values], float), names=names)
+        return ShownValues(
+            name, "", np.array([names.index(each) for each in values], float), names=names
+        )
     side = sides_in(results.schema).get(name, "")
     return shown(name, about["unit"], values, log=about.get("scale") == "log", side=side)
 
@@ -408,7 +497,9 @@ def alike(values: np.ndarray) -> bool:
 def metric_of(results: Results, metric: str) -> ShownValues:
     """A metric as shown, NaN where a run is lost."""
     values = results.column(metric)
-    return shown_column(results, metric, np.where(counts(metric, values, results.well), values, np.nan))
+    return shown_column(
+        results, metric, np.where(counts(metric, values, results.well), values, np.nan)
+    )
 
 
 def repeats_remark(results: Results) -> str:
@@ -444,7 +535,9 @@ def chosen_lines(costs: np.ndarray) -> np.ndarray:
     if len(order) <= MOST_LINES:
         return order
     rest = order[:-BEST_LINES]
-    return np.concatenate([rest[np.linspace(0, len(rest) - 1, MOST_LINES).round().astype(int)], order[-BEST_LINES:]])
+    return np.concatenate(
+        [rest[np.linspace(0, len(rest) - 1, MOST_LINES).round().astype(int)], order[-BEST_LINES:]]
+    )
 
 
 def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: str) -> Figure:
@@ -455,7 +548,9 @@ def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: s
     parameters = points.of(names, drawn)
     z = dataclasses.replace(every, values=every.values[drawn])
     if len(parameters) > MOST_AXES:
-        influence = [abs(np.nan_to_num(rank_correlation(each.values, z.values))) for each in parameters]
+        influence = [
+            abs(np.nan_to_num(rank_correlation(each.values, z.values))) for each in parameters
+        ]
         matter = np.argsort(-np.array(influence), kind="stable")[:MOST_AXES]
         left_out = f"; {len(parameters) - MOST_AXES} parameters that matter less are not shown"
         parameters = [parameters[i] for i in sorted(matter)]
@@ -491,10 +586,15 @@ def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[
     if not results.is_grid:  # whose lines would all cross
         yield f"{metric}-parallel", parallel_figure(points, names, metric, remark)
     if weighed:
-        yield f"{metric}-against-{weighed}", trade_off_figure(points, metric, weighed, names, remark)
+        yield (
+            f"{metric}-against-{weighed}",
+            trade_off_figure(points, metric, weighed, names, remark),
+        )
 
 
-def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, ...], remark: str) -> Figure:
+def trade_off_figure(
+    points: Points, first: str, second: str, names: tuple[str, ...], remark: str
+) -> Figure:
     """Two metrics with a better direction against each other; the named points have their parameters below."""
     x, y = points.metrics[first], points.metrics[second]
     best = front(cost(x.side, x.values), cost(y.side, y.values))
@@ -503,7 +603,10 @@ def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, 
     lines = []
     for i, place in enumerate(named):
         both = f"{x.spoken} {x.shown(x.values[place])}, {y.spoken} {y.shown(y.values[place])}"
-        lines.append(f"{both}:  " + ", ".join(f"{each.spoken} {each.shown(each.values[i])}" for each in parameters))
+        lines.append(
+            f"{both}:  "
+            + ", ".join(f"{each.spoken} {each.shown(each.values[i])}" for each in parameters)
+        )
     if len(names) > _MOST_TOLD:
         remark += f"{len(names) - _MOST_TOLD} more parameters are in the table; "
     drawn = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))

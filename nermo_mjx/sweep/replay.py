@@ -60,7 +60,9 @@ class SweepRow:
     @functools.cached_property
     def span(self) -> tuple[float, float]:
         """When measuring begins, and when the run ends, if not at a distance [s]."""
-        begin, end = self.walk.run.seconds(self.walk.setup.cycle_rate(self.walk.constants | self.values))
+        begin, end = self.walk.run.seconds(
+            self.walk.setup.cycle_rate(self.walk.constants | self.values)
+        )
         return float(begin), float(end)
 
     @property
@@ -139,20 +141,35 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     """
     out = Path(out)
     if not out.is_dir():
-        raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
+        raise SpecError(
+            f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}."
+        )
     if not (out / "sweep.yaml").exists():
         raise SpecError(
             f"{out}: not the directory of a sweep or a search; allowed is one with a file sweep.yaml or search.yaml."
         )
     sweep = Sweep.from_directory(out)
-    digest, rows, stored, engines, outdated = sweep.digest(), Sample(sweep), dict[str, Any](), list[str](), False
+    digest, rows, stored, engines, outdated = (
+        sweep.digest(),
+        Sample(sweep),
+        dict[str, Any](),
+        list[str](),
+        False,
+    )
     if not 0 <= row < len(rows) and not (sweep.optimum and row >= len(rows)):
         raise SpecError(f"row is {row}: allowed is 0 to {len(rows) - 1}.")
     for path in part_files(out):
-        with contextlib.suppress(DirectoryError), opened_part(path) as file:  # a damaged part has no rows
+        with (
+            contextlib.suppress(DirectoryError),
+            opened_part(path) as file,
+        ):  # a damaged part has no rows
             about, span = file.metadata.metadata, file.metadata.row_group(0).column(0).statistics
             skipped = span is not None and span.has_min_max and not span.min <= row <= span.max
-            here = np.empty(0, int) if skipped else np.flatnonzero(file.read(["row"])["row"].to_numpy() == row)
+            here = (
+                np.empty(0, int)
+                if skipped
+                else np.flatnonzero(file.read(["row"])["row"].to_numpy() == row)
+            )
             if about[b"sweep"].decode() != digest:
                 outdated |= len(here) > 0
                 continue
@@ -183,7 +200,9 @@ def replay_row(
     """
     if simulator is None:
         simulator = Simulator(found.walk.setup, engine or found.runs_on)
-    values = {name: np.array([value]) for name, value in (found.walk.constants | found.values).items()}
+    values = {
+        name: np.array([value]) for name, value in (found.walk.constants | found.values).items()
+    }
     result = simulator.run(values, found.walk.run, record=True, progress=progress)
     metrics = {name: float(values[0]) for name, values in result.metrics.items()}
     status = str(result.status[0])
@@ -202,7 +221,9 @@ def replay_row(
         history=trace.until(ticks),
         about=result.about(),
         model=simulator.robot.model,
-        comparison=None if found.stored is None else agreement(found.stored, metrics, str(found.engine)),
+        comparison=None
+        if found.stored is None
+        else agreement(found.stored, metrics, str(found.engine)),
     )
 
 
@@ -256,7 +277,9 @@ def agreement(stored: Mapping[str, Any], metrics: Mapping[str, float], engine: s
     worst = max(differences, key=differences.__getitem__)
     if differences[worst] == 0.0:
         return Agreement(engine, equal=True)
-    return Agreement(engine, False, worst, differences[worst], float(stored[worst]), float(metrics[worst]))
+    return Agreement(
+        engine, False, worst, differences[worst], float(stored[worst]), float(metrics[worst])
+    )
 
 
 # ---
@@ -281,7 +304,10 @@ def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
     kept: dict[int, str] = {}
     if keep.best:
         side, values = sides_in(results.schema)[keep.metric], results.column(keep.metric)
-        variants, good = Variants.of(results.column("variant")), counts(keep.metric, values, results.well)
+        variants, good = (
+            Variants.of(results.column("variant")),
+            counts(keep.metric, values, results.well),
+        )
         tally = variants.tally(values, good)
         far = np.where(good, np.abs(values - tally.mean[variants.place]), np.inf)
         for i, at in enumerate(tally.ranked(side)[: keep.best].tolist(), 1):
@@ -325,12 +351,17 @@ def record_rows(
 
     @functools.lru_cache
     def simulator(setup: Setup, engine: str) -> Simulator:
-        if (getattr(used, "setup", None), getattr(getattr(used, "engine", None), "name", "")) == (setup, engine):
+        if (getattr(used, "setup", None), getattr(getattr(used, "engine", None), "name", "")) == (
+            setup,
+            engine,
+        ):
             return used
         try:
             return Simulator(setup, engine)
         except ParameterError:
-            warn(f"the engine {engine} cannot run here: rows that are kept are replayed on the engine c.")
+            warn(
+                f"the engine {engine} cannot run here: rows that are kept are replayed on the engine c."
+            )
             return Simulator(setup, "c")
 
     for row, why in sorted((kept_rows(results, keep) | dict(also or {})).items()):

@@ -30,7 +30,13 @@ from nermo_mjx.rollout.own_metrics import SIDES
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, engine_of
-from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes, parquet_table, to_json
+from nermo_mjx.runs.files import (
+    DirectoryError,
+    WrongDirectory,
+    parquet_bytes,
+    parquet_table,
+    to_json,
+)
 from nermo_mjx.runs.job import SILENT, Forecast, JobFailed, Progress, TensorBoard, Watch, resumable
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
@@ -65,7 +71,15 @@ from nermo_mjx.sweep.store import (
     sweep_differences,
     sweep_in,
 )
-from nermo_mjx.sweep.table import HELD, Results, better, chunk_table, columns_of, read_table, summarize
+from nermo_mjx.sweep.table import (
+    HELD,
+    Results,
+    better,
+    chunk_table,
+    columns_of,
+    read_table,
+    summarize,
+)
 from nermo_mjx.trust import only_reading
 
 # ---
@@ -120,7 +134,13 @@ class Work:
         held: RunDirectory | None = None,
         board: TensorBoard | None = None,
     ) -> None:
-        self.sweep, self.out, self.rows, self._size, self._watch = sweep, out, Sample(sweep), size, watch
+        self.sweep, self.out, self.rows, self._size, self._watch = (
+            sweep,
+            out,
+            Sample(sweep),
+            size,
+            watch,
+        )
         self._structure, self.seconds = self.rows.structures(), simulated_seconds(sweep, self.rows)
         # Rows of one batch share structure and duration; batches are of equal size, to one row.
         order, self.layout = np.argsort(self.seconds, kind="stable"), list[np.ndarray]()
@@ -128,11 +148,15 @@ class Work:
             alike = order[self._structure[order] == at]
             self.layout += np.array_split(alike, math.ceil(len(alike) / size))
         self._shard = shard or (0, 1)
-        self._share = np.concatenate(self.layout[self._shard[0] :: self._shard[1]] or [np.empty(0, int)])
+        self._share = np.concatenate(
+            self.layout[self._shard[0] :: self._shard[1]] or [np.empty(0, int)]
+        )
         self.runs = Runs(out, sweep.digest(), sources, watch.warn, sweep.save is not None, held)
         self._log = None if board is None else BatchLog(board)
         if self._log is not None:
-            for table in (parquet_table(part.path) for part in self.runs.parts):  # of earlier sessions
+            for table in (
+                parquet_table(part.path) for part in self.runs.parts
+            ):  # of earlier sessions
                 if table is not None and np.isin(table["row"].to_numpy(), self._share).any():
                     self._log.add(table)
         self._resumed, self.simulated, self.reused = len(self._share) - len(self.unfinished), 0, 0
@@ -154,7 +178,9 @@ class Work:
         """Make this process care for further repeats of some variants, by the numbers of their rows, (n,)."""
         self._further = np.union1d(self._further, index)
         size, own = int(self._further[-1]) + 1, len(self.rows)
-        self._structure, self.seconds = (np.resize(each[:own], size) for each in (self._structure, self.seconds))
+        self._structure, self.seconds = (
+            np.resize(each[:own], size) for each in (self._structure, self.seconds)
+        )
         self._structure[self._further] = self.rows.take(self._further).structure
         self.seconds[self._further] = simulated_seconds(self.sweep, self.rows, self._further)
         self._share = np.concatenate([self._share[self._share < own], self._further])
@@ -162,7 +188,9 @@ class Work:
     @property
     def count(self) -> tuple[int, int]:
         """How many rows are there, and are to be there: the sweep's and further ones."""
-        return int(self.done.sum() + self._there[self._further].sum()), len(self.rows) + len(self._further)
+        return int(self.done.sum() + self._there[self._further].sum()), len(self.rows) + len(
+            self._further
+        )
 
     @property
     def unfinished(self) -> np.ndarray:
@@ -234,13 +262,16 @@ class Work:
                 self.runs.take_codes(codes, accept=accept_new_code, any_model=True)
             table = self.runs.take(places)
             metrics = {name: table[name].to_numpy() for name in columns_of(table, "metric")}
-            status, code = (np.array(table[name].to_pylist(), object) for name in ("status", "code"))
+            status, code = (
+                np.array(table[name].to_pylist(), object) for name in ("status", "code")
+            )
             about = {key.decode(): text.decode() for key, text in table.schema.metadata.items()}
             series = None
             if self.sweep.save is not None:
                 each = zip(self.runs.series(places), index.tolist(), strict=True)
                 series = pa.concat_tables(
-                    own.set_column(0, own.schema.field("row"), pa.array(np.full(len(own), row))) for own, row in each
+                    own.set_column(0, own.schema.field("row"), pa.array(np.full(len(own), row)))
+                    for own, row in each
                 ).replace_schema_metadata({"sweep": self.sweep.digest()})
             self._add(index, metrics, status, code, about | {"code": str(code[0])}, series)
             self.reused += len(index)
@@ -255,7 +286,9 @@ class Work:
             self.runs.survey()
             if not len(self.unfinished):
                 return
-        raise DirectoryError(f"{self.out} loses what is written to it: it is damaged again and again.")
+        raise DirectoryError(
+            f"{self.out} loses what is written to it: it is damaged again and again."
+        )
 
     def simulate(self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
         """Simulate what is unfinished; each batch is written while the next one is simulated.
@@ -268,24 +301,36 @@ class Work:
         """
         unfinished = self.unfinished
         # On the engine c nothing is compiled, and the few further rows fill no batch.
-        batches = self.batches(unfinished, self.reused or (simulator.engine == "c" and len(self._further)))
-        self._finished, self._left = len(self._share) - len(unfinished), float(self.seconds[unfinished].sum())
+        batches = self.batches(
+            unfinished, self.reused or (simulator.engine == "c" and len(self._further))
+        )
+        self._finished, self._left = (
+            len(self._share) - len(unfinished),
+            float(self.seconds[unfinished].sum()),
+        )
         self._tell()
         if not batches:
             return
         workers.begin(simulator)
-        stamps = {at: simulator.stamp(at) for at in dict.fromkeys(batch.structure for batch in batches)}
+        stamps = {
+            at: simulator.stamp(at) for at in dict.fromkeys(batch.structure for batch in batches)
+        }
         several = bool(self.runs.others) or len(self.sweep.structures) > 1
         self.runs.take_codes(list(stamps.values()), accept=accept_new_code, any_model=several)
         first, held = next(iter(stamps.values())), self.runs.held
         assert held is not None
         shard = "" if held.shard is None else "{}/{}".format(*held.shard)
-        held.note_session(session(engine=simulator.engine, code=first.id, shard=shard, chunks=len(batches)))
+        held.note_session(
+            session(engine=simulator.engine, code=first.id, shard=shard, chunks=len(batches))
+        )
 
         def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
             for k, batch in enumerate(batches):
                 walk = self.sweep.structures[batch.structure]
-                yield k, (batch.structure, batch_values(walk, self.rows.take(batch.rows), batch.worlds))
+                yield (
+                    k,
+                    (batch.structure, batch_values(walk, self.rows.take(batch.rows), batch.worlds)),
+                )
 
         def tell(k: int, share: float) -> None:
             self._tell(self.seconds[batches[k].rows].sum() * min(max(float(share), 0.0), 1.0))
@@ -294,7 +339,10 @@ class Work:
             with ThreadPoolExecutor(1, "sweep-writer") as writer:
                 written: Future[None] | None = None
                 for k, result in workers.results(tasks(), tell):
-                    before, written = written, writer.submit(self._write, batches[k], result, stamps)
+                    before, written = (
+                        written,
+                        writer.submit(self._write, batches[k], result, stamps),
+                    )
                     self.simulated += 1
                     self._finished += len(batches[k].rows)
                     self._left -= float(self.seconds[batches[k].rows].sum())
@@ -324,9 +372,16 @@ class Work:
 
     def _write(self, batch: RowBatch, result: Simulated, stamps: Mapping[int, Any]) -> None:
         stamp, count = stamps[batch.structure], len(batch.rows)
-        about = {"engine": stamp.engine, "code": stamp.id, "steps": result.steps, "wall_seconds": result.seconds}
+        about = {
+            "engine": stamp.engine,
+            "code": stamp.id,
+            "steps": result.steps,
+            "wall_seconds": result.seconds,
+        }
         metrics = {name: column[:count] for name, column in result.metrics.items()}
-        series = None if result.series is None else series_table(self.sweep, batch.rows, result.series)
+        series = (
+            None if result.series is None else series_table(self.sweep, batch.rows, result.series)
+        )
         table = self._add(batch.rows, metrics, result.status[:count], stamp.id, about, series)
         if self._log is not None:
             self._log.add(table, result.steps / result.seconds if result.seconds else math.nan)
@@ -492,7 +547,9 @@ def run_sweep(
     workers = LocalWorkers() if workers is None else workers
     parts = workers.parts * (1 if shard is None else shard[1])
     size = chunk_with_series(
-        sweep, chunk or sweep.chunk, lambda: chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
+        sweep,
+        chunk or sweep.chunk,
+        lambda: chunk_rows_here(engine, sweep.variants * sweep.repeats, parts),
     )
     if simulate and (wrong := too_many(min(size, sweep.variants * sweep.repeats))):
         raise SpecError(f"chunk is {size:,}: {wrong}")
@@ -507,7 +564,9 @@ def run_sweep(
         if tensorboard:
             part = "" if shard is None else "shard-{}-of-{}".format(*shard)
             board = stack.enter_context(TensorBoard(directory.out, part))
-        work = Work(sweep, directory.out, sweep.chunk or size, sources, shard, watch, directory, board)
+        work = Work(
+            sweep, directory.out, sweep.chunk or size, sources, shard, watch, directory, board
+        )
         check_room(sweep, directory.out, work.seconds[work.unfinished])
         begun_on = engine_of(directory.out) or next((part.engine for part in work.runs.parts), None)
         name = engine_name(engine, simulator, begun_on)
@@ -517,7 +576,9 @@ def run_sweep(
             work.finish(computer, workers, accept_new_code)
         sought = None if sweep.optimum is None else (sweep.optimum, sweep.repeats, sweep.variants)
         while simulate and sought is not None and work.done.all():
-            further = find_optimum(Results([part.path for part in work.runs.parts]), *sought).further
+            further = find_optimum(
+                Results([part.path for part in work.runs.parts]), *sought
+            ).further
             if not len(further):
                 break
             work.add_further(further)
@@ -534,10 +595,23 @@ def run_sweep(
                 if sought is not None and sweep.keep.optimum:
                     also = find_optimum(results, *sought).shown_rows()
                 recordings = record_rows(
-                    directory, sweep.digest(), results, sweep.keep, computer.used, interruption.check, watch.warn, also
+                    directory,
+                    sweep.digest(),
+                    results,
+                    sweep.keep,
+                    computer.used,
+                    interruption.check,
+                    watch.warn,
+                    also,
                 )
-        rows: dict[str, Any] = {"rows_done": work.count[0], "rows": work.count[1], "missing": work.missing()}
-        return SweepResult(directory.out, summary, plots, recordings, bool(done.all()), work.simulated, **rows)
+        rows: dict[str, Any] = {
+            "rows_done": work.count[0],
+            "rows": work.count[1],
+            "missing": work.missing(),
+        }
+        return SweepResult(
+            directory.out, summary, plots, recordings, bool(done.all()), work.simulated, **rows
+        )
 
 
 def _publish(
@@ -547,7 +621,9 @@ def _publish(
     summary, figures = {**summarize(results), **effort}, figures_of_results(results)
     comparison = None if sweep.compare is None else sweep.compare.written()
     sought = None if sweep.optimum is None else (sweep.optimum, sweep.repeats, sweep.variants)
-    for name, table, about, drawn, files in findings(results, comparison, sought, notify=watch.warn):
+    for name, table, about, drawn, files in findings(
+        results, comparison, sought, notify=watch.warn
+    ):
         directory.write(f"{name}.parquet", parquet_bytes(table))
         for file, content in files.items():
             directory.write(file, content)
@@ -599,7 +675,14 @@ def merge_sweeps(
     if Path(out).resolve() in [place.resolve() for place in places]:
         raise SpecError(f"{out} is one of the directories that are merged: choose another one.")
     with only_reading():
-        return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, watch=watch)
+        return run_sweep(
+            merged(places),
+            out,
+            use=places,
+            simulate=False,
+            accept_new_code=accept_new_code,
+            watch=watch,
+        )
 
 
 def merged(places: Sequence[Path]) -> Sweep:
@@ -623,7 +706,10 @@ def merged(places: Sequence[Path]) -> Sweep:
     rows: dict[str, dict[str, Any]] = {}
     for place, sweep in zip(places, sweeps, strict=True):
         for row in _rows(place, sweep, labelled, varied):
-            same = {name: f"{value:.12g}" if isinstance(value, float) else value for name, value in row.items()}
+            same = {
+                name: f"{value:.12g}" if isinstance(value, float) else value
+                for name, value in row.items()
+            }
             rows.setdefault(json.dumps(same), row)
     repeats = max(sweep.repeats for sweep in sweeps)
     data = {
@@ -639,7 +725,9 @@ def merged(places: Sequence[Path]) -> Sweep:
     return Sweep.from_dict(data | {"rows": list(rows.values())})
 
 
-def _rows(place: Path, sweep: Sweep, labelled: Sequence[str], varied: Sequence[str]) -> list[dict[str, Any]]:
+def _rows(
+    place: Path, sweep: Sweep, labelled: Sequence[str], varied: Sequence[str]
+) -> list[dict[str, Any]]:
     """The variants of a sweep as rows that name all structures and parameters that any of them varies."""
     variants = Sample(sweep).take(np.arange(sweep.variants) * sweep.repeats)
     fixed = []
@@ -657,7 +745,11 @@ def _rows(place: Path, sweep: Sweep, labelled: Sequence[str], varied: Sequence[s
     result = []
     for i, at in enumerate(variants.structure.tolist()):
         values = {name: column[i] for name, column in own.items() if column[i] == column[i]}
-        values = {name: value for name, value in (fixed[at] | values).items() if name in labelled or value == value}
+        values = {
+            name: value
+            for name, value in (fixed[at] | values).items()
+            if name in labelled or value == value
+        }
         result.append({name: values[name] for name in (*labelled, *varied) if name in values})
     return result
 
@@ -713,18 +805,30 @@ def sweep_forecast(
         if begun.digest() != sweep.digest() and ((why := refusal(begun, sweep)) or not extend):
             hint = why or f"{sweep_differences(begun, sweep)}; --extend would extend it"
             raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
-    wanted = engine if engine != "auto" else (engine_of(folder) if folder is not None else None) or "auto"
+    wanted = (
+        engine
+        if engine != "auto"
+        else (engine_of(folder) if folder is not None else None) or "auto"
+    )
     runs = resolve_engine(wanted)
     size = (begun.chunk if begun is not None else None) or chunk or sweep.chunk
-    size = size or chunk_rows_here(runs, sweep.variants * sweep.repeats, parts * (1 if shard is None else shard[1]))
+    size = size or chunk_rows_here(
+        runs, sweep.variants * sweep.repeats, parts * (1 if shard is None else shard[1])
+    )
     work = Work(sweep, folder or Path(), size, sources, shard, Watch(warn=notes.append))
     unfinished = work.unfinished
-    left = np.setdiff1d(unfinished, np.concatenate([np.empty(0, int), *(index for index, _ in work.known())]))
+    left = np.setdiff1d(
+        unfinished, np.concatenate([np.empty(0, int), *(index for index, _ in work.known())])
+    )
     left = unfinished[np.isin(unfinished, left)]
     batches = work.batches(left, len(unfinished) - len(left))
     # Each batch lasts as long as its longest row, in all of its worlds.
     seconds = np.array([batch.worlds * float(work.seconds[batch.rows].max()) for batch in batches])
-    steps = float(sum(seconds / [float(sweep.structures[batch.structure].setup.timestep) for batch in batches]))
+    steps = float(
+        sum(
+            seconds / [float(sweep.structures[batch.structure].setup.timestep) for batch in batches]
+        )
+    )
     if sweep.optimum is not None:  # rows beyond the sweep's own last as long as those do on average
         known = varied_values(sweep)
         groups = math.prod(len(known[name] or ()) for name in sweep.optimum.grouped(known))
@@ -733,40 +837,71 @@ def sweep_forecast(
         steps += more * float(work.seconds.mean()) / float(sweep.setup.timestep)
         notes.append(f"The optimum takes up to {more:,} further runs, which the time contains.")
     rate, rate_from = math.nan, "not needed: nothing is left to be simulated"
-    there = [part for part in (*work.runs.parts, *work.runs.others) if folder is not None and part.directory == folder]
-    done = np.array([(part.steps, part.seconds) for part in there if part.engine == runs and part.seconds > 0])
+    there = [
+        part
+        for part in (*work.runs.parts, *work.runs.others)
+        if folder is not None and part.directory == folder
+    ]
+    done = np.array(
+        [(part.steps, part.seconds) for part in there if part.engine == runs and part.seconds > 0]
+    )
     if len(done):
         rate = float(done[:, 0].sum() / done[:, 1].sum())
         rate_from = f"{rate:,.0f} steps/s, measured: {len(done):,} chunks of the directory"
     elif steps and runs == "c":
         setup = sweep.setup
-        rate = measure(sweep, runs) if measure else pace(Simulator(setup, runs), setup, _WORLDS) / setup.timestep
+        rate = (
+            measure(sweep, runs)
+            if measure
+            else pace(Simulator(setup, runs), setup, _WORLDS) / setup.timestep
+        )
         rate_from = f"{rate:,.0f} steps/s, measured now: {_WORLDS} worlds for {PROBE:g} simulated s"
     elif steps:
         rate_from = f"not known: no chunk of the engine {runs} has been measured in the directory"
     if there:  # as much per row as those take
-        disk = math.ceil(len(left) * sum(part.path.stat().st_size for part in there) / sum(part.rows for part in there))
+        disk = math.ceil(
+            len(left)
+            * sum(part.path.stat().st_size for part in there)
+            / sum(part.rows for part in there)
+        )
     else:  # as in a batch of noise
         index, rng = np.arange(min(size, len(work.rows))), np.random.default_rng(0)
         metrics = {name: rng.random(len(index)) for name in METRICS}
         some = work.rows.take(index)
-        table = chunk_table(sweep, some, index, metrics, np.full(len(index), "ok"), "00000000", {"engine": "c"})
+        table = chunk_table(
+            sweep, some, index, metrics, np.full(len(index), "ok"), "00000000", {"engine": "c"}
+        )
         key = pa.array(keys_of_rows(sweep, some).astype(str))
-        disk = math.ceil(len(left) * len(parquet_bytes(table.append_column("key", key))) / len(index))
+        disk = math.ceil(
+            len(left) * len(parquet_bytes(table.append_column("key", key))) / len(index)
+        )
     above = (folder or Path.cwd()).absolute()
     free = shutil.disk_usage(next(each for each in (above, *above.parents) if each.is_dir())).free
-    notes.append(f"{'There is no room for it: ' if disk > free else ''}{free / 1e9:,.1f} GB are free.")
+    notes.append(
+        f"{'There is no room for it: ' if disk > free else ''}{free / 1e9:,.1f} GB are free."
+    )
     worlds = max((batch.worlds for batch in batches), default=0)
     points = 0 if sweep.sampler in ("grid", "rows") else sweep.variants * len(sweep.axes) * 8
     summary = min(len(work.rows) * 8 * (len(METRICS) + len(sweep.axes)), HELD * 8) * 2
-    memory = PROCESS_BYTES + worlds * C_WORLD_BYTES * (runs == "c") + len(work.rows) * 24 + points + summary
+    memory = (
+        PROCESS_BYTES
+        + worlds * C_WORLD_BYTES * (runs == "c")
+        + len(work.rows) * 24
+        + points
+        + summary
+    )
     notes.append(f"The process takes about {memory / 1e9:.1f} GB of memory.")
     if runs != "c" and worlds:
         notes.append(
             f"The batch of {worlds:,} worlds takes about {worlds * WORLD_BYTES[runs] / 1e9:.2g} GB of the devices' "
             "memory, besides."
         )
-    counts = {"rows": len(work.rows), "rows_left": len(left), "chunks": len(work.layout), "batches": len(batches)}
+    counts = {
+        "rows": len(work.rows),
+        "rows_left": len(left),
+        "chunks": len(work.layout),
+        "batches": len(batches),
+    }
     counts |= {"structures": len({batch.structure for batch in batches}), "steps": round(steps)}
     wall = steps / rate if rate > 0 else math.nan if steps else 0.0
     return Forecast(runs, counts, float(seconds.sum()), wall, rate_from, disk, notes=tuple(notes))

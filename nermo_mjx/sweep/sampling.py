@@ -62,9 +62,9 @@ class Axis(_Values):
     short: ClassVar = ({"type": "array", "items": MEASURED_TEXT, "minItems": 1},)
     linspace: _Steps = optional("evenly spaced, both ends included")
     logspace: _Steps = optional("evenly in the logarithm; the ends are values, not exponents")
-    values: Annotated[list[float], Numbers("[a, b, ...]", 1), AfterValidator(lambda given: [*map(settled, given)])] = (
-        optional("these")
-    )
+    values: Annotated[
+        list[float], Numbers("[a, b, ...]", 1), AfterValidator(lambda given: [*map(settled, given)])
+    ] = optional("these")
     uniform: _Bounds = optional("between the bounds, with a sampler")
     loguniform: _Bounds = optional("evenly in the logarithm, with a sampler")
 
@@ -87,27 +87,42 @@ class Axis(_Values):
         """Values for shares in [0, 1) of the axis, as the samplers draw them; listed values are drawn equally often."""
         if self.form == "values":
             return self.listed()[np.floor(share * len(self.numbers)).astype(int)]
-        return _between(self.numbers[0], self.numbers[1], share, log=self.form in ("logspace", "loguniform"))
+        return _between(
+            self.numbers[0], self.numbers[1], share, log=self.form in ("logspace", "loguniform")
+        )
 
     def tried(self, *, grid: bool) -> np.ndarray:
         """Values to try before a sweep begins: all of a grid, else a few within the bounds."""
-        return self.listed() if grid or self.form == "values" else self.at(np.linspace(0.0, 0.999, _TRIED))
+        return (
+            self.listed()
+            if grid or self.form == "values"
+            else self.at(np.linspace(0.0, 0.999, _TRIED))
+        )
 
     def written(self) -> dict[str, list[float]]:
         """The axis as written in a sweep file."""
-        count = [int(self.numbers[2])] if self.form in ("linspace", "logspace") and len(self.numbers) == 3 else []
-        return {self.form: [*self.numbers[:2], *count] if self.form != "values" else list(self.numbers)}
+        count = (
+            [int(self.numbers[2])]
+            if self.form in ("linspace", "logspace") and len(self.numbers) == 3
+            else []
+        )
+        return {
+            self.form: [*self.numbers[:2], *count] if self.form != "values" else list(self.numbers)
+        }
 
 
 class Draw(_Values):
     """A randomized parameter."""
 
     expected: ClassVar = (
-        "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]}; put a fixed value under 'set'"
+        "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]};"
+        " put a fixed value under 'set'"
     )
     uniform: _Bounds = optional("between the bounds")
     loguniform: _Bounds = optional("evenly in the logarithm")
-    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("truncated to the range")
+    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional(
+        "truncated to the range"
+    )
     #: Whether no file names it: with repeats the start is perturbed, except for the first repeat.
     implied = property(lambda self: self._implied)
 
@@ -153,11 +168,23 @@ def read_axis(doc: Document, name: str, given: Axis, about: Quantity, *, grid: b
     count = numbers[2] if len(numbers) == 3 else 2.0
     if not 1 <= count <= _LARGEST_AXIS or count != int(count):
         empty = ", so the grid is empty" if count == 0 else ""
-        doc.fail(path, f"has the count {count:g}{empty}: expected a whole number from 1 to {_LARGEST_AXIS:,}.", name)
+        doc.fail(
+            path,
+            f"has the count {count:g}{empty}: expected a whole number from 1 to {_LARGEST_AXIS:,}.",
+            name,
+        )
     if numbers[0] == numbers[1] and count > 1:
-        doc.fail(path, f"runs from {numbers[0]:g} to the same value: every variant would be the same.", name)
+        doc.fail(
+            path,
+            f"runs from {numbers[0]:g} to the same value: every variant would be the same.",
+            name,
+        )
     if not grid and numbers[0] > numbers[1]:
-        doc.fail(path, f"has the bounds {numbers[0]:g} and {numbers[1]:g}: the lower one comes first.", name)
+        doc.fail(
+            path,
+            f"has the bounds {numbers[0]:g} and {numbers[1]:g}: the lower one comes first.",
+            name,
+        )
     if form.startswith("log") and min(numbers[:2]) <= 0:
         doc.fail(
             path,
@@ -214,11 +241,17 @@ class Saltelli(Fields):
     points: Annotated[int, Whole(2, _MOST_POINTS), AfterValidator(_power_of_two)] = Field(
         description="points of a Sobol sequence, a power of two; with p parameters they make points x (p + 2) variants"
     )
-    second_order: bool = Field(False, description="indices of pairs, too, from points x (2 p + 2) variants")
+    second_order: bool = Field(
+        False, description="indices of pairs, too, from points x (2 p + 2) variants"
+    )
 
     @classmethod
     def written_out(cls, given: Any) -> Any:
-        return {"points": given} if isinstance(given, int | float) and not isinstance(given, bool) else given
+        return (
+            {"points": given}
+            if isinstance(given, int | float) and not isinstance(given, bool)
+            else given
+        )
 
 
 def saltelli_size(parameters: int, second_order: bool) -> int:
@@ -235,10 +268,16 @@ def saltelli_points(parameters: int, points: int, second_order: bool, seed: int)
     require("sample: saltelli", "SALib", "sensitivity")
     from SALib.sample import sobol  # takes a second or more, as it brings pandas
 
-    design: np.ndarray = sobol.sample(unit_problem(parameters), points, calc_second_order=second_order, seed=seed)
+    design: np.ndarray = sobol.sample(
+        unit_problem(parameters), points, calc_second_order=second_order, seed=seed
+    )
     return design
 
 
 def unit_problem(parameters: int) -> dict[str, Any]:
     """The unit cube as SALib describes it."""
-    return {"num_vars": parameters, "names": [f"x{i}" for i in range(parameters)], "bounds": [[0, 1]] * parameters}
+    return {
+        "num_vars": parameters,
+        "names": [f"x{i}" for i in range(parameters)],
+        "bounds": [[0, 1]] * parameters,
+    }

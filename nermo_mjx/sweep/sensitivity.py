@@ -107,14 +107,20 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     _, results, _, notes = opened_table(source)
     known = columns_of(results, "metric")
     if metric not in known:
-        raise ParameterError(f"metric is {metric!r}: not one of the table{did_you_mean(metric, known)}")
+        raise ParameterError(
+            f"metric is {metric!r}: not one of the table{did_you_mean(metric, known)}"
+        )
     about = results.schema.metadata or {}
     sampler, pairs = about.get(b"sampler", b"").decode(), about.get(b"second_order") == b"true"
     if sampler in ("grid", "rows") and columns_of(results, "varied"):
         raise ParameterError(
             f"sample is {sampler}, whose variants are not drawn at random: run a sweep with sample: {{saltelli: 256}}."
         )
-    method, noises, lines = "sobol" if sampler == "saltelli" else "rbd_fast", list[float](), list[dict[str, Any]]()
+    method, noises, lines = (
+        "sobol" if sampler == "saltelli" else "rbd_fast",
+        list[float](),
+        list[dict[str, Any]](),
+    )
     structures = {name: results.column(name) for name in labelled(results)}
     keys = list(zip(*structures.values(), strict=True)) if structures else [()] * results.rows
     for key in dict.fromkeys(keys):
@@ -124,7 +130,9 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         noises.append(data.noise)
     noise = float(np.mean(noises))
     if method == "rbd_fast":
-        notes.append("Interactions are not known from this sample: sample: {saltelli: N} gives total indices, too.")
+        notes.append(
+            "Interactions are not known from this sample: sample: {saltelli: N} gives total indices, too."
+        )
     if any(line["index"] < 0 for line in lines):
         notes.append(
             "A share below 0 is the estimate's noise: it is not told apart from 0. More points tell it better."
@@ -139,18 +147,26 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     said = profile_text(profiles_of(results))
     notes, columns = [*dict.fromkeys(notes), f"{said[:1].upper()}{said[1:]}."], Columns()
     for name in structures:
-        columns.add(name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure")
+        columns.add(
+            name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure"
+        )
     for name, role, text in (
         ("parameter", "index", "varied parameter"),
         ("second", "index", "the other parameter of a pair"),
-        ("order", "index", "first: alone; second: of a pair, beyond each alone; total: with all others"),
+        (
+            "order",
+            "index",
+            "first: alone; second: of a pair, beyond each alone; total: with all others",
+        ),
         ("index", "metric", "share of the metric's variance"),
         ("low", "metric", "lower end of its 95 % interval"),
         ("high", "metric", "upper end of it"),
     ):
         values = np.array([line[name] for line in lines], float if role == "metric" else None)
         columns.add(name, values, role, "1", text)
-    table = columns.table({"sensitivity": metric, "method": method, "noise": noise, "notes": "\n".join(notes)})
+    table = columns.table(
+        {"sensitivity": metric, "method": method, "noise": noise, "notes": "\n".join(notes)}
+    )
     return Sensitivity(table, metric, method, noise, tuple(notes))
 
 
@@ -185,13 +201,23 @@ def _data_of(results: Results, metric: str, rows: np.ndarray, notes: list[str]) 
     read = ~np.isnan(inputs).all(axis=0)  # in this structure
     if not good.all():
         well = results.well[rows]
-        words = ("fell or were lost", int((~well).sum())), ("have no number", int((well & ~good).sum()))
+        words = (
+            ("fell or were lost", int((~well).sum())),
+            ("have no number", int((well & ~good).sum())),
+        )
         why = " and ".join(f"{many:,} of {len(good):,} runs {what}" for what, many in words if many)
         notes.append(f"{why}, {int((~some).sum()):,} variants with all of theirs.")
     if some.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
-        raise ParameterError(f"metric is {metric!r}, which is the same in all variants: it depends on nothing.")
+        raise ParameterError(
+            f"metric is {metric!r}, which is the same in all variants: it depends on nothing."
+        )
     noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
-    return _Data([name for name, there in zip(names, read, strict=True) if there], inputs[:, read], means, noise)
+    return _Data(
+        [name for name, there in zip(names, read, strict=True) if there],
+        inputs[:, read],
+        means,
+        noise,
+    )
 
 
 def _sobol(data: _Data, pairs: bool, notes: list[str]) -> Iterator[dict[str, Any]]:
@@ -210,8 +236,12 @@ def _sobol(data: _Data, pairs: bool, notes: list[str]) -> Iterator[dict[str, Any
             "counts: the indices are of where the robot walks."
         )
     if whole.sum() < 4:
-        raise ParameterError(f"only {int(whole.sum())} points have all of their variants: too few for indices.")
-    found = sobol.analyze(unit_problem(len(names)), blocks[whole].ravel(), calc_second_order=pairs, **_BOOTSTRAP)
+        raise ParameterError(
+            f"only {int(whole.sum())} points have all of their variants: too few for indices."
+        )
+    found = sobol.analyze(
+        unit_problem(len(names)), blocks[whole].ravel(), calc_second_order=pairs, **_BOOTSTRAP
+    )
     for i, name in enumerate(names):
         yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
         yield _line(name, "total", found["ST"][i], found["ST_conf"][i])
@@ -224,14 +254,20 @@ def _given(data: _Data) -> Iterator[dict[str, Any]]:
 
     good = np.isfinite(data.means)
     if good.sum() < _FEWEST:
-        raise ParameterError(f"{int(good.sum())} variants went well: RBD-FAST needs {_FEWEST} or more.")
+        raise ParameterError(
+            f"{int(good.sum())} variants went well: RBD-FAST needs {_FEWEST} or more."
+        )
     problem = unit_problem(len(data.names))
-    found = rbd_fast.analyze(problem, data.inputs[good], data.means[good], M=_HARMONICS, **_BOOTSTRAP)
+    found = rbd_fast.analyze(
+        problem, data.inputs[good], data.means[good], M=_HARMONICS, **_BOOTSTRAP
+    )
     for i, name in enumerate(data.names):
         yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
 
 
-def _line(parameter: str, order: str, index: float, half: float, second: str = "") -> dict[str, Any]:
+def _line(
+    parameter: str, order: str, index: float, half: float, second: str = ""
+) -> dict[str, Any]:
     ends = {"index": float(index), "low": float(index - half), "high": float(index + half)}
     return {"parameter": parameter, "second": second, "order": order, **ends}
 
@@ -257,7 +293,11 @@ _MOST_PARAMETERS: Final = 16
 _MOST_PAIRS: Final = 10
 _MOST_PANELS: Final = 6
 _COLOURS: Final = {"first": LINE, "total": BAND, "second": OKABE_ITO["purple"]}
-_WORDS: Final = {"first": "alone (first)", "total": "with all others (total)", "second": "of a pair (second)"}
+_WORDS: Final = {
+    "first": "alone (first)",
+    "total": "with all others (total)",
+    "second": "of a pair (second)",
+}
 
 
 def sensitivity_figures(out: Path) -> Figures:
@@ -273,7 +313,9 @@ def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of a table of indices; a panel for each structure, and one for its pairs."""
     about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     lines, metric, structures = table.to_pylist(), about["sensitivity"], labelled(table)
-    parts = list(dict.fromkeys(tuple(line[name] for name in structures) for line in lines))[:_MOST_PANELS]
+    parts = list(dict.fromkeys(tuple(line[name] for name in structures) for line in lines))[
+        :_MOST_PANELS
+    ]
     names = strongest(table)[:_MOST_PARAMETERS]
     orders = list(dict.fromkeys(line["order"] for line in lines))
     pairs, single = "second" in orders, "total" not in orders
@@ -289,7 +331,12 @@ def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
         for order, shift in (("total", 0.19), ("first", 0.0 if single else -0.19)):
             of_order = {line["parameter"]: line for line in own if line["order"] == order}
             there = [place for place, name in enumerate(names) if name in of_order]
-            _bars(ax, np.array(there) + shift, [of_order[names[place]] for place in there], 0.38 if shift else 0.6)
+            _bars(
+                ax,
+                np.array(there) + shift,
+                [of_order[names[place]] for place in there],
+                0.38 if shift else 0.6,
+            )
         _finish(ax, names, title)
         if pairs:
             ax, both = next(places), [line for line in own if line["order"] == "second"]
@@ -300,7 +347,10 @@ def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
         ax.remove()
     handles = [Patch(fc=_COLOURS[order], label=_WORDS[order]) for order in orders]
     more = len(strongest(table)) - len(names)
-    note = "share of the variance; lines: 95 % intervals" + f"; {more} weaker ones are in the table" * (more > 0)
+    note = (
+        "share of the variance; lines: 95 % intervals"
+        + f"; {more} weaker ones are in the table" * (more > 0)
+    )
     yield f"{metric}-sensitivity", page.finish(handles, f"{note}\n{about['notes']}".strip())
 
 

@@ -106,13 +106,17 @@ class SweepSimulator:
         return stamp(self.walks[structure].setup.load().fingerprint, self.engine)
 
     def __call__(
-        self, task: tuple[int, Mapping[str, np.ndarray]], progress: Callable[[float], None] | None = None
+        self,
+        task: tuple[int, Mapping[str, np.ndarray]],
+        progress: Callable[[float], None] | None = None,
     ) -> Simulated:
         """Simulate a batch of a structure: its place, and name -> (worlds,)."""
         structure, values = task
         simulator, began = self.simulator(structure), time.perf_counter()
         saved: dict[str, Any] = {} if self.save is None else {"save": self.save}
-        result = simulator.run(values, self.walks[structure].run, progress=progress, notify=self._notify, **saved)
+        result = simulator.run(
+            values, self.walks[structure].run, progress=progress, notify=self._notify, **saved
+        )
         status = np.asarray(result.status)
         metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
         steps, seconds = result.steps * len(status), time.perf_counter() - began
@@ -122,13 +126,19 @@ class SweepSimulator:
         """A structure's simulator, created on first use."""
         if self._current is None or self._current[0] != structure:
             self._current, simulator = None, self._given
-            if simulator is None:  # with the programs of one that was made before, where these are the same
+            if (
+                simulator is None
+            ):  # with the programs of one that was made before, where these are the same
                 setup = self.walks[structure].setup
                 programs = without_presettings(setup)
                 kept = self._kept.pop(programs, None)
-                while len(self._kept) >= MOST_KEPT:  # its memory goes before the next one takes some
+                while (
+                    len(self._kept) >= MOST_KEPT
+                ):  # its memory goes before the next one takes some
                     del self._kept[next(iter(self._kept))]
-                simulator = Simulator(setup, self.engine) if kept is None else kept.with_setup(setup)
+                simulator = (
+                    Simulator(setup, self.engine) if kept is None else kept.with_setup(setup)
+                )
                 self._kept[programs] = simulator
             self._current = structure, simulator
         return self._current[1]
@@ -138,7 +148,13 @@ def engine_name(wanted: str, simulator: SimulatorLike | None, begun: str | None)
     """Name of the engine that really runs: of the simulator that is given, or the one a directory was begun with."""
     if simulator is not None:
         return str(getattr(simulator.engine, "name", simulator.engine))
-    return wanted if wanted != "auto" else begun if begun not in (None, "auto") else resolve_engine(wanted)
+    return (
+        wanted
+        if wanted != "auto"
+        else begun
+        if begun not in (None, "auto")
+        else resolve_engine(wanted)
+    )
 
 
 # ---
@@ -155,8 +171,14 @@ def pace(simulator: SimulatorLike, setup: Setup, worlds: int) -> float:
     Args:
         worlds: of a batch.
     """
-    frequency = {name: np.full(worlds, setup.defaults()[name]) for name in ("frequency",) if name in setup.timing}
-    values = frequency or {name: np.full(worlds, value) for name, value in list(setup.defaults().items())[:1]}
+    frequency = {
+        name: np.full(worlds, setup.defaults()[name])
+        for name in ("frequency",)
+        if name in setup.timing
+    }
+    values = frequency or {
+        name: np.full(worlds, value) for name, value in list(setup.defaults().items())[:1]
+    }
     run = Run(duration=PROBE, warmup=0.0)
     simulator.run(values, run)
     began = time.perf_counter()
@@ -183,7 +205,13 @@ BUSY_WORLDS = 8192
 
 
 def chunk_rows(
-    engine: str, rows: int, *, memory: int | None = None, devices: int = 1, cores: int = 1, parts: int = 1
+    engine: str,
+    rows: int,
+    *,
+    memory: int | None = None,
+    devices: int = 1,
+    cores: int = 1,
+    parts: int = 1,
 ) -> int:
     """Rows of a chunk.
 

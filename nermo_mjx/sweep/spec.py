@@ -26,10 +26,33 @@ from nermo_mjx.rollout.saving import Keeper
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, documented, optional, read
-from nermo_mjx.specs.reading import Document, FieldPath, describe, read_file, read_mapping, read_text
+from nermo_mjx.specs.reading import (
+    Document,
+    FieldPath,
+    describe,
+    read_file,
+    read_mapping,
+    read_text,
+)
 from nermo_mjx.specs.values import NAMES, BodiesField, Positive, Whole, refuse_parameter
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, unread, with_body, written_out
-from nermo_mjx.sweep.sampling import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_points, saltelli_size
+from nermo_mjx.specs.walk import (
+    WalkFields,
+    WalkSpec,
+    check_reach,
+    check_sources,
+    unread,
+    with_body,
+    written_out,
+)
+from nermo_mjx.sweep.sampling import (
+    Axis,
+    Draw,
+    Saltelli,
+    read_axis,
+    read_draw,
+    saltelli_points,
+    saltelli_size,
+)
 from nermo_mjx.sweep.structures import (
     RowList,
     RowsForm,
@@ -88,7 +111,9 @@ class ComparedColumns(Fields):
 
 def _one_value(given: Any) -> Any:
     if not isinstance(given, dict) or len(given) != 1:
-        raise Refused(f"is {describe(given)}: expected one column and its value, such as {{spine: none}}.")
+        raise Refused(
+            f"is {describe(given)}: expected one column and its value, such as {{spine: none}}."
+        )
     return given
 
 
@@ -101,13 +126,17 @@ class SoughtOptimum(Fields):
 
     what: ClassVar = "a field of an optimum"
     example: ClassVar = "over: [spine.amplitude, spine.phase] and base: {spine: none}"
-    maximize: str = optional("the metric whose highest mean is sought; without this and minimize, the speed")
+    maximize: str = optional(
+        "the metric whose highest mean is sought; without this and minimize, the speed"
+    )
     minimize: str = optional("instead: the metric whose lowest mean is sought")
     over: Annotated[list[str], BeforeValidator(_names)] = Field(
         description="varied columns whose best values are sought", json_schema_extra=_NAMES
     )
     groups: Annotated[list[str], BeforeValidator(_names)] = optional(
-        "varied columns: an answer for each combination of their values; by default all others", alias="for", **_NAMES
+        "varied columns: an answer for each combination of their values; by default all others",
+        alias="for",
+        **_NAMES,
     )
     base: Annotated[dict[str, Value], BeforeValidator(_one_value)] = Field(
         description="a varied column and its value, over which something is gained, such as {spine: none}"
@@ -118,7 +147,9 @@ class SoughtOptimum(Fields):
     budget: Annotated[int, Whole(0, LARGEST_SWEEP)] = Field(
         0, description="further runs where the best may be, for each"
     )
-    until: Annotated[int, Whole(1, LARGEST_SWEEP)] = Field(3, description="no further runs for so few points left")
+    until: Annotated[int, Whole(1, LARGEST_SWEEP)] = Field(
+        3, description="no further runs for so few points left"
+    )
 
     @property
     def metric(self) -> str:
@@ -132,7 +163,11 @@ class SoughtOptimum(Fields):
 
     def grouped(self, varied: Iterable[str]) -> list[str]:
         """The columns that make groups, of those that vary."""
-        return [name for name in varied if name not in (*self.over, *self.base)] if self.groups is None else self.groups
+        return (
+            [name for name in varied if name not in (*self.over, *self.base)]
+            if self.groups is None
+            else self.groups
+        )
 
     def written(self) -> dict[str, Any]:
         """As written in a sweep file."""
@@ -168,12 +203,22 @@ class Keep(Fields):
 
     what: ClassVar = "a field of what is kept"
     expected: ClassVar = "{best: 3, fell: 3, diverged: 3}"
-    best: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number of the best, at most one per variant")
-    metric: str = Field("speed", description="by which the best are chosen: one that has a better direction")
-    fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that fell, the first in the table")
+    best: Annotated[int, Whole(0, MOST_KEPT)] = Field(
+        0, description="number of the best, at most one per variant"
+    )
+    metric: str = Field(
+        "speed", description="by which the best are chosen: one that has a better direction"
+    )
+    fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(
+        0, description="number that fell, the first in the table"
+    )
     diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that diverged")
-    unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number for which the solver did not converge")
-    optimum: bool = Field(False, description="a typical fresh run of each best point of the optimum, and its base's")
+    unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(
+        0, description="number for which the solver did not converge"
+    )
+    optimum: bool = Field(
+        False, description="a typical fresh run of each best point of the optimum, and its base's"
+    )
 
 
 def read_saving(doc: Document, given: SaveFields, setup: Setup) -> Saving:
@@ -200,9 +245,15 @@ class Sampler(OneOf):
     other: ClassVar = "is not a sampler"
     alone: ClassVar = ("grid",)
     grid: None = optional("every combination of the listed values")
-    sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("number of points of a Sobol sequence")
-    latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("number of points of the hypercube")
-    saltelli: Saltelli = optional("the design for Sobol indices, with this number of points, a power of two")
+    sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional(
+        "number of points of a Sobol sequence"
+    )
+    latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional(
+        "number of points of the hypercube"
+    )
+    saltelli: Saltelli = optional(
+        "the design for Sobol indices, with this number of points, a power of two"
+    )
 
 
 class Randomized(Fields):
@@ -210,7 +261,9 @@ class Randomized(Fields):
 
     __pydantic_extra__: dict[str, Draw]
     model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
-    repeats: Annotated[int, Whole(1, 100_000)] = Field(1, description="how often each variant is drawn and run")
+    repeats: Annotated[int, Whole(1, 100_000)] = Field(
+        1, description="how often each variant is drawn and run"
+    )
     bodies: Annotated[str, BodiesField()] = optional(
         "draw whole bodies: identified, or DIR of an identification", alias="from"
     )
@@ -250,9 +303,17 @@ def check_together(doc: Document, sweep: Sweep) -> None:
     varied, drawn = list(sweep.varied), [draw.name for draw in sweep.draws]
     setups = [each.setup for each in sweep.structures]
     for walk in sweep.structures:
-        check_sources(doc, walk, {section: varied, "randomize": drawn}, bodies=sweep.body_parameters, setups=setups)
+        check_sources(
+            doc,
+            walk,
+            {section: varied, "randomize": drawn},
+            bodies=sweep.body_parameters,
+            setups=setups,
+        )
     if not (varied or sweep.labelled or sweep.draws or sweep.bodies or sweep.repeats > 1):
-        doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
+        doc.fail(
+            ("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep."
+        )
     if not sweep.axes and sweep.sampler not in ("grid", "rows"):
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
     sides = [name for name, about in sweep.metrics.items() if about.better]
@@ -263,7 +324,10 @@ def check_together(doc: Document, sweep: Sweep) -> None:
             f"{', '.join(sides)}{did_you_mean(sweep.keep.metric, sides)}",
         )
     if sweep.keep is not None and sweep.keep.optimum and sweep.optimum is None:
-        doc.fail(("keep", "optimum"), "is true, but the file seeks no optimum: add the section 'optimum'.")
+        doc.fail(
+            ("keep", "optimum"),
+            "is true, but the file seeks no optimum: add the section 'optimum'.",
+        )
     runs = sweep.variants * sweep.repeats
     if runs > LARGEST_SWEEP:
         doc.fail(
@@ -271,7 +335,9 @@ def check_together(doc: Document, sweep: Sweep) -> None:
             f"makes {runs:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
             "such as sample: {sobol: 4096}.",
         )
-    tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
+    tried: dict[str, Mapping[str, np.ndarray]] = {
+        "randomize": {draw.name: draw.tried() for draw in sweep.draws}
+    }
     if sweep.rows is None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
     for setup in {(each.gait, each.routing): each for each in setups}.values():
@@ -279,7 +345,8 @@ def check_together(doc: Document, sweep: Sweep) -> None:
     for name in sweep.paired:
         if name not in varied:
             doc.fail(
-                ("randomize", "paired"), f"names {name!r}, which is no varied parameter{did_you_mean(name, varied)}"
+                ("randomize", "paired"),
+                f"names {name!r}, which is no varied parameter{did_you_mean(name, varied)}",
             )
     if sweep.compare is not None:
         check_comparison(doc, sweep, sweep.compare)
@@ -299,10 +366,13 @@ def check_together(doc: Document, sweep: Sweep) -> None:
 def varied_values(sweep: Sweep) -> dict[str, list[Value] | None]:
     """The values of each varied column; None where they are drawn between bounds."""
     values: dict[str, list[Value] | None] = {
-        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
+        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures))
+        for name in sweep.labelled
     }
     for axis in sweep.axes:
-        values[axis.name] = axis.listed().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
+        values[axis.name] = (
+            axis.listed().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
+        )
     for name, column in ({} if sweep.rows is None else sweep.rows.values).items():
         values[name] = np.unique(column[~np.isnan(column)]).tolist()
     return values
@@ -310,7 +380,9 @@ def varied_values(sweep: Sweep) -> dict[str, list[Value] | None]:
 
 def not_varied(name: str, known: Collection[str]) -> str:
     """What a message says of a column that is not varied."""
-    return f"which is not varied{did_you_mean(name, known)} Varied: {', '.join(known) or 'nothing'}."
+    return (
+        f"which is not varied{did_you_mean(name, known)} Varied: {', '.join(known) or 'nothing'}."
+    )
 
 
 def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> None:
@@ -332,7 +404,9 @@ def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> N
         check_base(doc, ("compare", "base"), compare.by, compare.base, values[compare.by] or [])
 
 
-def check_base(doc: Document, path: FieldPath, name: str, base: Value, bases: Sequence[Value]) -> None:
+def check_base(
+    doc: Document, path: FieldPath, name: str, base: Value, bases: Sequence[Value]
+) -> None:
     """Fail where a base is no value of its column."""
     about = NAMES.get().get(name)
     number = None if about is None else about.number(str(base))
@@ -347,11 +421,14 @@ def check_optimum(doc: Document, sweep: Sweep, asked: SoughtOptimum) -> None:
     """Fail where the section `optimum` asks for what the sweep cannot tell."""
     values, ((by, base),) = varied_values(sweep), asked.base.items()
     if asked.maximize and asked.minimize:
-        doc.fail(("optimum", "minimize"), "is given beside 'maximize': one metric is best at a time.")
+        doc.fail(
+            ("optimum", "minimize"), "is given beside 'maximize': one metric is best at a time."
+        )
     if asked.metric not in sweep.metrics:
         near = did_you_mean(asked.metric, sweep.metrics)
         doc.fail(
-            ("optimum", "minimize" if asked.minimize else "maximize"), f"is {asked.metric!r}, no metric{near or '.'}"
+            ("optimum", "minimize" if asked.minimize else "maximize"),
+            f"is {asked.metric!r}, no metric{near or '.'}",
         )
     for field, name in (
         *(("over", name) for name in asked.over),
@@ -366,13 +443,22 @@ def check_optimum(doc: Document, sweep: Sweep, asked: SoughtOptimum) -> None:
                 f"names {name!r}, which is drawn between bounds: points have runs where it is a list.",
             )
         if field == "for" and name in (*asked.over, by):
-            doc.fail(("optimum", field), f"names {name!r}, of which the best value is sought: name other columns.")
+            doc.fail(
+                ("optimum", field),
+                f"names {name!r}, of which the best value is sought: name other columns.",
+            )
     check_base(doc, ("optimum", "base"), by, base, values[by] or [])
     left = [name for name in values if name not in (*asked.over, by, *asked.grouped(values))]
     if left:
-        doc.fail(("optimum", "for"), f"leaves out {', '.join(left)}, which varies, too: name it under over or for.")
+        doc.fail(
+            ("optimum", "for"),
+            f"leaves out {', '.join(left)}, which varies, too: name it under over or for.",
+        )
     if sweep.repeats < 2:
-        doc.fail(("optimum",), "needs repeats, because a single run tells no noise: give randomize: {repeats: 4}.")
+        doc.fail(
+            ("optimum",),
+            "needs repeats, because a single run tells no noise: give randomize: {repeats: 4}.",
+        )
 
 
 #: The value of a field that is not given: none cannot be written in a file.
@@ -412,27 +498,42 @@ class Sweep(WalkSpec, Described):
     second_order: bool = False
     save: Saving | None = None
     paired: tuple[str, ...] = ()
-    seed: Annotated[int, Whole(0, 2**53), Field(description="makes samples and draws repeatable")] = 0
-    chunk: Annotated[int, Whole(1, LARGEST_SWEEP), Field(description="runs simulated and stored together")] = _ABSENT
-    plots: Annotated[bool, Field(description="whether figures are drawn when the table is complete")] = True
+    seed: Annotated[
+        int, Whole(0, 2**53), Field(description="makes samples and draws repeatable")
+    ] = 0
+    chunk: Annotated[
+        int, Whole(1, LARGEST_SWEEP), Field(description="runs simulated and stored together")
+    ] = _ABSENT
+    plots: Annotated[
+        bool, Field(description="whether figures are drawn when the table is complete")
+    ] = True
     compare: Annotated[
-        ComparedColumns, Field(description="structures or values to compare when the table is complete")
+        ComparedColumns,
+        Field(description="structures or values to compare when the table is complete"),
     ] = _ABSENT
     optimum: Annotated[
-        SoughtOptimum, Field(description="where a metric is best, for which, and against what; with further runs")
+        SoughtOptimum,
+        Field(description="where a metric is best, for which, and against what; with further runs"),
     ] = _ABSENT
-    keep: Annotated[Keep, Field(description="rows that are recorded when the table is complete")] = _ABSENT
+    keep: Annotated[
+        Keep, Field(description="rows that are recorded when the table is complete")
+    ] = _ABSENT
 
     @classmethod
     def from_rows(
-        cls, rows: str | os.PathLike[str], path: str | os.PathLike[str] | None = None, body: str | None = None
+        cls,
+        rows: str | os.PathLike[str],
+        path: str | os.PathLike[str] | None = None,
+        body: str | None = None,
     ) -> Sweep:
         """The variants of a table (see `rows` of a sweep file), with everything else from a sweep file, if given.
 
         What the file varies is ignored; `body` is that of `from_file`. Raises `SpecError`.
         """
         doc = read_mapping({}) if path is None else read_file(path)
-        data = {key: value for key, value in doc.data.items() if key not in ("vary", "sample", "rows")}
+        data = {
+            key: value for key, value in doc.data.items() if key not in ("vary", "sample", "rows")
+        }
         data |= {"rows": str(Path(rows).resolve())}
         return cls.of_document(with_body(Document(doc.source, data, doc.lines), body))
 
@@ -448,9 +549,16 @@ class Sweep(WalkSpec, Described):
             file = read(doc, SweepFile)
             for other in ("vary", "sample") if file.rows is not None else ():
                 if doc.data.get(other) not in (None, {}):
-                    doc.fail((other,), "is given beside 'rows', which are all variants: leave out one of them.")
+                    doc.fail(
+                        (other,),
+                        "is given beside 'rows', which are all variants: leave out one of them.",
+                    )
             table = None if file.rows is None else read_row_table(doc, file.rows)
-            chosen, which = table.combinations() if table is not None else (combinations_of(doc, file.vary), None)
+            chosen, which = (
+                table.combinations()
+                if table is not None
+                else (combinations_of(doc, file.vary), None)
+            )
             found = read_structures(doc, SweepFile, chosen)
         if table is None:
             check_repeats(doc, chosen, found)
@@ -464,7 +572,10 @@ class Sweep(WalkSpec, Described):
         sampler, samples = file.sample.chosen if rows is None else ("rows", len(rows))
         design = samples if isinstance(samples, Saltelli) else None
         varied, drawn = file.vary.model_extra or {}, file.randomize.model_extra or {}
-        axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in varied.items()]
+        axes = [
+            read_axis(doc, name, form, parameters[name], grid=sampler == "grid")
+            for name, form in varied.items()
+        ]
         first = structures[0]
         sweep = cls(
             **{name: getattr(first, name) for name in ("setup", "run", "fixed", "pilot")},
@@ -473,7 +584,9 @@ class Sweep(WalkSpec, Described):
             sampler=sampler,
             samples=(samples if design is None else design.points) or 0,
             second_order=design is not None and design.second_order,
-            draws=tuple(read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()),
+            draws=tuple(
+                read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()
+            ),
             repeats=file.randomize.repeats,
             structures=structures,
             rows=rows,
@@ -482,7 +595,11 @@ class Sweep(WalkSpec, Described):
             paired=tuple(file.randomize.paired),
         )
         check_together(doc, sweep)
-        return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
+        return (
+            sweep
+            if sweep.repeats == 1
+            else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
+        )
 
     def seeking(self, text: str) -> Sweep:
         """The sweep with another section `optimum`, as a file has it, in YAML. Raises `SpecError`."""
@@ -498,8 +615,13 @@ class Sweep(WalkSpec, Described):
         if self.rows is not None:
             return tuple(np.bincount(self.rows.structure, minlength=len(self.structures)).tolist())
         if self.sampler == "grid":
-            return tuple(math.prod(len(axis.listed()) for axis in self.read_axes(at)) for at in self.structures)
-        points = self.samples * (saltelli_size(len(self.axes), self.second_order) if self.sampler == "saltelli" else 1)
+            return tuple(
+                math.prod(len(axis.listed()) for axis in self.read_axes(at))
+                for at in self.structures
+            )
+        points = self.samples * (
+            saltelli_size(len(self.axes), self.second_order) if self.sampler == "saltelli" else 1
+        )
         return tuple(points if self.read_axes(at) or not self.axes else 1 for at in self.structures)
 
     @property
@@ -510,7 +632,9 @@ class Sweep(WalkSpec, Described):
     @property
     def varied(self) -> tuple[str, ...]:
         """Names of the varied parameters."""
-        return tuple(axis.name for axis in self.axes) if self.rows is None else tuple(self.rows.values)
+        return (
+            tuple(axis.name for axis in self.axes) if self.rows is None else tuple(self.rows.values)
+        )
 
     @property
     def labelled(self) -> tuple[str, ...]:
@@ -527,7 +651,10 @@ class Sweep(WalkSpec, Described):
 
     def partly_read(self) -> dict[str, list[Structure]]:
         """The varied parameters that only some of the structures read, and which ones do."""
-        read = {name: [at for at in self.structures if unread(at.setup, name) is None] for name in self.varied}
+        read = {
+            name: [at for at in self.structures if unread(at.setup, name) is None]
+            for name in self.varied
+        }
         return {name: places for name, places in read.items() if len(places) < len(self.structures)}
 
     def read_axes(self, structure: Structure) -> list[Axis]:
@@ -540,24 +667,40 @@ class Sweep(WalkSpec, Described):
         return tuple(identified.bodies(self.bodies).values) if self.bodies else ()
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        data = {name: value for name, value in self.walk_fields(folder).items() if name not in self.labelled}
+        data = {
+            name: value
+            for name, value in self.walk_fields(folder).items()
+            if name not in self.labelled
+        }
         if len({each.setup.timestep for each in self.structures}) > 1:
             del data["timestep"]  # each has that of its physics
         if self.rows is not None:
-            data["rows"] = self.rows.written(self.structures) if folder is None else self.kept_rows()[0]
+            data["rows"] = (
+                self.rows.written(self.structures) if folder is None else self.kept_rows()[0]
+            )
         else:
             data["vary"] = {}
             for name in self.labelled:
                 values = {each.labels[name]: each.written(name) for each in self.structures}
                 data["vary"][name] = {"values": list(values.values())}
             data["vary"] |= {axis.name: axis.written() for axis in self.axes}
-            size: Any = {"points": self.samples, "second_order": True} if self.second_order else self.samples
+            size: Any = (
+                {"points": self.samples, "second_order": True}
+                if self.second_order
+                else self.samples
+            )
             data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: size}
         bodies: dict[str, Any] = {"from": self.bodies} if self.bodies else {}
         named = [draw for draw in self.draws if not draw.implied]
         bodies |= {"paired": list(self.paired)} if self.paired else {}
-        data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
-        data |= {name: getattr(self, name) for name in ("seed", "chunk", "plots") if getattr(self, name) is not None}
+        data["randomize"] = (
+            {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
+        )
+        data |= {
+            name: getattr(self, name)
+            for name in ("seed", "chunk", "plots")
+            if getattr(self, name) is not None
+        }
         if self.compare is not None:
             data["compare"] = self.compare.written()
         if self.optimum is not None:
@@ -575,7 +718,10 @@ class Sweep(WalkSpec, Described):
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
         few, listed = self, dict[str, str]()
         if self.rows is not None:  # which may be many
-            none = RowList({name: column[:0] for name, column in self.rows.values.items()}, self.rows.structure[:0])
+            none = RowList(
+                {name: column[:0] for name, column in self.rows.values.items()},
+                self.rows.structure[:0],
+            )
             few, listed = dataclasses.replace(self, rows=none), {"rows": self.rows.fingerprint}
         data = {key: value for key, value in few.resolved().items() if key not in _NOT_DECISIVE}
         return data | code_identity(self.setup) | listed
@@ -599,9 +745,15 @@ class SweptFields(WalkFields):
     what: ClassVar = "a field of a sweep"
     sources: ClassVar = "'vary', 'set' or 'randomize'"
     vary: Vary = Field(Vary.model_validate({}), description="varied structures and parameters")
-    rows: Annotated[Any, RowsForm()] = optional("exactly these variants, instead of vary: a table, or a list")
-    sample: Sampler = Field(Sampler(grid=None), description="grid, or a sampler and its number of variants")
-    randomize: Randomized = Field(Randomized.model_validate({}), description="what is drawn at random in each run")
+    rows: Annotated[Any, RowsForm()] = optional(
+        "exactly these variants, instead of vary: a table, or a list"
+    )
+    sample: Sampler = Field(
+        Sampler(grid=None), description="grid, or a sampler and its number of variants"
+    )
+    randomize: Randomized = Field(
+        Randomized.model_validate({}), description="what is drawn at random in each run"
+    )
     save: SaveFields = optional("time series of some sensors beside the table")
 
 
@@ -618,7 +770,9 @@ def start_draws(sweep: Sweep) -> tuple[Draw, ...]:
     """
     named = {*sweep.constants, *sweep.varied, *(draw.name for draw in sweep.draws)}
     return tuple(
-        Draw.model_validate({"uniform": [-spread, spread]}).of(name, sweep.parameters[name], implied=True)
+        Draw.model_validate({"uniform": [-spread, spread]}).of(
+            name, sweep.parameters[name], implied=True
+        )
         for name, spread in START_SPREAD.items()
         if name not in named
     )
@@ -688,7 +842,9 @@ class Sample:
         """
         self.sweep = sweep
         self._axes: dict[str, Axis] = {axis.name: axis for axis in sweep.axes}
-        self._listed = {axis.name: axis.listed() for axis in sweep.axes} if sweep.sampler == "grid" else {}
+        self._listed = (
+            {axis.name: axis.listed() for axis in sweep.axes} if sweep.sampler == "grid" else {}
+        )
         self._ends = np.cumsum(sweep.counts) if shares is None else np.array([len(shares)])
         dimensions, rng = len(sweep.axes), np.random.default_rng(sweep.seed)
         if shares is None and sweep.sampler == "saltelli":
@@ -700,9 +856,15 @@ class Sample:
             exponent = max(sweep.samples - 1, 0).bit_length()
             shares = qmc.Sobol(dimensions, rng=rng).random_base2(exponent)[: sweep.samples].copy()
         self._shares = shares
-        self._read = [[axis.name for axis in sweep.read_axes(structure)] for structure in sweep.structures]
+        self._read = [
+            [axis.name for axis in sweep.read_axes(structure)] for structure in sweep.structures
+        ]
         self._unread = [
-            {name for name in (*sweep.varied, *(draw.name for draw in sweep.draws)) if unread(structure.setup, name)}
+            {
+                name
+                for name in (*sweep.varied, *(draw.name for draw in sweep.draws))
+                if unread(structure.setup, name)
+            }
             for structure in sweep.structures
         ]
 
@@ -718,11 +880,18 @@ class Sample:
         structure = self._structure_of(variant)
         points = {name: self._point(name, variant, structure) for name in sweep.varied}
         names = sorted(name for name in points if name not in sweep.paired)
-        table = np.column_stack([points[name] + 0.0 for name in names]) if names else np.empty((len(variant), 0))
+        table = (
+            np.column_stack([points[name] + 0.0 for name in names])
+            if names
+            else np.empty((len(variant), 0))
+        )
         known, seed = ~np.isnan(table), np.empty(len(variant), np.int64)
         for i, each in enumerate(repeat.tolist()):
             content = zip(names, table[i].tolist(), known[i], strict=True)
-            text = [f"{sweep.seed} {each}", *(f"{name} {value!r}" for name, value, there in content if there)]
+            text = [
+                f"{sweep.seed} {each}",
+                *(f"{name} {value!r}" for name, value, there in content if there),
+            ]
             digest = hashlib.blake2b(" ".join(text).encode(), digest_size=8).digest()
             seed[i] = int.from_bytes(digest, "little") >> 11
         values = {name: self._masked(name, points[name], structure) for name in sweep.varied}
@@ -732,7 +901,9 @@ class Sample:
             shares = [np.random.default_rng(each).random(drawn) for each in seed.tolist()]
             columns = np.reshape(shares, (len(variant), drawn)).T
             for draw, column in zip(sweep.draws, columns, strict=False):
-                value = np.where(repeat == 0, 0.0, draw.at(column)) if draw.implied else draw.at(column)
+                value = (
+                    np.where(repeat == 0, 0.0, draw.at(column)) if draw.implied else draw.at(column)
+                )
                 values[draw.name] = self._masked(draw.name, value, structure)
             if sweep.bodies:  # after the others, which are the same with and without it
                 ensemble = identified.bodies(sweep.bodies)

@@ -27,7 +27,14 @@ from nermo_mjx.rollout import Series
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.rollout.saving import Signal, chosen_signals
 from nermo_mjx.runs.directory import RunDirectory
-from nermo_mjx.runs.files import DirectoryError, WrongDirectory, clear_errors, content_of, create_file, to_json
+from nermo_mjx.runs.files import (
+    DirectoryError,
+    WrongDirectory,
+    clear_errors,
+    content_of,
+    create_file,
+    to_json,
+)
 from nermo_mjx.runs.rows import FORMER, keys_of, retire
 from nermo_mjx.specs.controllers import code_identity, with_code_copied
 from nermo_mjx.specs.reading import SpecError, differing
@@ -68,7 +75,9 @@ def fixed_differences(there: Sweep, here: Sweep) -> str:
 def sweep_differences(there: Sweep, here: Sweep) -> str:
     """How two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
     # The same values, but another row 0.
-    return _sentence(_apart(there, here)) or ("the parameters under vary or randomize stand in another order")
+    return _sentence(_apart(there, here)) or (
+        "the parameters under vary or randomize stand in another order"
+    )
 
 
 def refusal(there: Sweep, here: Sweep) -> str:
@@ -90,8 +99,13 @@ def _apart(there: Sweep, here: Sweep) -> dict[str, tuple[Any, Any]]:
 
 
 def _sentence(apart: Mapping[str, tuple[Any, Any]]) -> str:
-    some = [f"{name} is {_text(a)} there and {_text(b)} here" for name, (a, b) in list(apart.items())[:_NAMED]]
-    return "; ".join(some) + (f"; and {len(apart) - _NAMED} more fields" if len(apart) > _NAMED else "")
+    some = [
+        f"{name} is {_text(a)} there and {_text(b)} here"
+        for name, (a, b) in list(apart.items())[:_NAMED]
+    ]
+    return "; ".join(some) + (
+        f"; and {len(apart) - _NAMED} more fields" if len(apart) > _NAMED else ""
+    )
 
 
 def _text(value: Any) -> str:
@@ -119,8 +133,12 @@ def simulated_seconds(sweep: Sweep, rows: Sample, further: np.ndarray | None = N
     seconds = np.empty(len(structure))
     for at, walk in enumerate(sweep.structures):
         here = structure == at
-        values: dict[str, Any] = {name: value for name, value in walk.constants.items() if name in walk.setup.timing}
-        values |= known({name: column[here] for name, column in columns.items() if name in walk.setup.timing})
+        values: dict[str, Any] = {
+            name: value for name, value in walk.constants.items() if name in walk.setup.timing
+        }
+        values |= known(
+            {name: column[here] for name, column in columns.items() if name in walk.setup.timing}
+        )
         _, end = walk.run.seconds(walk.setup.cycle_rate(values))
         seconds[here] = np.asarray(end, dtype=float)
     if (total := seconds.sum()) > MOST_SECONDS:
@@ -280,7 +298,13 @@ def _field(name: str, kind: pa.DataType, unit: str, description: str, role: str)
 
 
 #: What is made of the results, and belongs to them.
-_TABLES: Final = ("comparison.parquet", "sensitivity.parquet", "optimum.parquet", "optimum.csv", "optimum.tex")
+_TABLES: Final = (
+    "comparison.parquet",
+    "sensitivity.parquet",
+    "optimum.parquet",
+    "optimum.csv",
+    "optimum.tex",
+)
 _MADE: Final = ("summary.json", *_TABLES, "plots", RECORDINGS)
 
 
@@ -336,20 +360,29 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
                 held.move_aside(name, FORMER)
             sweep = _with_files(held, sweep)
             held.write(path.name, sweep.to_yaml(folder).encode())
-        elif held.shard is None and (begun.compare, begun.optimum) != (sweep.compare, sweep.optimum):
-            again = dataclasses.replace(begun, compare=sweep.compare, optimum=sweep.optimum)  # no row depends on them
+        elif held.shard is None and (begun.compare, begun.optimum) != (
+            sweep.compare,
+            sweep.optimum,
+        ):
+            again = dataclasses.replace(
+                begun, compare=sweep.compare, optimum=sweep.optimum
+            )  # no row depends on them
             held.write(path.name, again.to_yaml(folder).encode())
         values = dict[str, set[float]]()
         for walk in sweep.structures:
             own = walk.setup.defaults() | walk.constants
             for name in sweep.parameters:
-                values.setdefault(name, set()).update([own[name]] if unread(walk.setup, name) is None else [])
+                values.setdefault(name, set()).update(
+                    [own[name]] if unread(walk.setup, name) is None else []
+                )
         asked: Any = None if sweep.compare is None else sweep.compare.written()
         read = SweepRecord(
             rows=sweep.variants * sweep.repeats,
             fields=sweep.walk_fields() | code_identity(sweep.setup),
             labelled=sweep.labelled,
-            parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
+            parameters={
+                name: each.pop() if len(each) == 1 else None for name, each in values.items()
+            },
             comparison=asked,
             optimum=None if sweep.optimum is None else sweep.optimum.written(),
             variants=sweep.variants,
@@ -367,7 +400,9 @@ def _with_files(held: RunDirectory, sweep: Sweep) -> Sweep:
     """The sweep with the files that it names copied into the directory."""
     if sweep.rows is not None:
         held.write(*sweep.kept_rows())
-    return dataclasses.replace(sweep, setup=with_code_copied(sweep.setup, held.out.resolve(), held.write))
+    return dataclasses.replace(
+        sweep, setup=with_code_copied(sweep.setup, held.out.resolve(), held.write)
+    )
 
 
 def sweep_in(source: Path) -> Sweep:

@@ -55,7 +55,9 @@ class Structure(WalkSpec):
     def identity(self) -> str:
         """All that decides a run apart from named values: fields, defaults, content of custom code."""
         fields = {name: value for name, value in self.walk_fields().items() if name != "set"}
-        return json.dumps([fields | code_identity(self.setup), self.setup.defaults()], sort_keys=True)
+        return json.dumps(
+            [fields | code_identity(self.setup), self.setup.defaults()], sort_keys=True
+        )
 
     def written(self, name: str) -> Any:
         """A structure as it stands in a file."""
@@ -76,17 +78,31 @@ class Listed(Checked):
         if isinstance(value, dict) and list(value) == ["values"]:
             value, path = value["values"], ("values",)
         if not isinstance(value, list):
-            raise Refused(f"is {describe(value)}: expected the list [a, b, ...] of what '{self.name}' may be.", at=path)
+            raise Refused(
+                f"is {describe(value)}: expected the list [a, b, ...] of what '{self.name}' may be.",
+                at=path,
+            )
         if not value:
-            raise Refused("is an empty list, so the grid is empty: give at least one value.", at=path)
+            raise Refused(
+                "is an empty list, so the grid is empty: give at least one value.", at=path
+            )
         return value
 
     def schema(self, own: JsonSchema) -> JsonSchema:
         item = _ABOUT[self.name].json_schema_extra
         if self.name == "pilot":
-            item = {"anyOf": [*PilotFields.short, {"type": "object", "minProperties": 1, "maxProperties": 1}]}
+            item = {
+                "anyOf": [
+                    *PilotFields.short,
+                    {"type": "object", "minProperties": 1, "maxProperties": 1},
+                ]
+            }
         listed = {"type": "array", "items": item, "minItems": 1}
-        values = {"properties": {"values": listed}, "required": ["values"], "additionalProperties": False}
+        values = {
+            "properties": {"values": listed},
+            "required": ["values"],
+            "additionalProperties": False,
+        }
         return {"anyOf": [listed, {"type": "object", **values}]}
 
 
@@ -113,7 +129,10 @@ STRUCTURES: Final = (
     "robot",
 )
 _FIELDS: Final[dict[str, Any]] = {
-    name: (Annotated[Any, Listed(name)], optional(f"{_ABOUT[name].description}: these, each as a setup of its own"))
+    name: (
+        Annotated[Any, Listed(name)],
+        optional(f"{_ABOUT[name].description}: these, each as a setup of its own"),
+    )
     for name in STRUCTURES
 }
 _Structures: Any = create_model("_Structures", __base__=Fields, **_FIELDS)
@@ -173,10 +192,15 @@ def combinations_of(doc: Document, vary: Vary) -> list[dict[str, StructureValue]
     for name, given in doc.data.get("vary", {}).items():
         if name in STRUCTURES:
             path = ("vary", name, "values") if isinstance(given, Mapping) else ("vary", name)
-            listed[name] = [StructureValue(value, (*path, i)) for i, value in enumerate(getattr(vary, name))]
+            listed[name] = [
+                StructureValue(value, (*path, i)) for i, value in enumerate(getattr(vary, name))
+            ]
     count = math.prod(map(len, listed.values()))
     if count > MOST_STRUCTURES:
-        doc.fail(("vary",), f"makes {count:,} combinations of structures; allowed are {MOST_STRUCTURES:,}.")
+        doc.fail(
+            ("vary",),
+            f"makes {count:,} combinations of structures; allowed are {MOST_STRUCTURES:,}.",
+        )
     return [dict(zip(listed, each, strict=True)) for each in itertools.product(*listed.values())]
 
 
@@ -201,7 +225,11 @@ def read_structures(
             )
     found = []
     for chosen in combinations:
-        data = {key: value for key, value in doc.data.items() if not chosen or key not in ("vary", "rows", "sample")}
+        data = {
+            key: value
+            for key, value in doc.data.items()
+            if not chosen or key not in ("vary", "rows", "sample")
+        }
         data |= {name: choice.value for name, choice in chosen.items()}
         single = _Alone(doc.source, data, doc.lines, chosen)
         walk = read_walk(single, read(single, model))
@@ -283,15 +311,23 @@ class RowTable:
         which = np.zeros(self.rows, int)
         for row in range(self.rows):
             given = {name: self.columns[name][row] for name in names}
-            given = {name: str(getattr(Setup, name)) if value is None else value for name, value in given.items()}
+            given = {
+                name: str(getattr(Setup, name)) if value is None else value
+                for name, value in given.items()
+            }
             for name, value in given.items():
                 if not isinstance(value, (str, Mapping)):
                     self.fail(row, name, f"is {describe(value)}: expected a name.")
             which[row] = found.setdefault(json.dumps(given), len(found))
             if len(found) > len(chosen):
-                values = {name: value_of(value) if isinstance(value, str) else value for name, value in given.items()}
+                values = {
+                    name: value_of(value) if isinstance(value, str) else value
+                    for name, value in given.items()
+                }
                 place = ("rows", row), self.place(row)
-                chosen.append({name: StructureValue(value, *place) for name, value in values.items()})
+                chosen.append(
+                    {name: StructureValue(value, *place) for name, value in values.items()}
+                )
         return chosen, which
 
 
@@ -312,7 +348,9 @@ def read_row_table(doc: Document, given: Any) -> RowTable:
         path = Path(doc.source).parent / given if doc.lines else Path(given)
         path = path if path.exists() else Path(given)
         if not path.is_file():
-            raise SpecError(f"{doc.where(('rows',))}: field 'rows' is {given!r}: there is no such file.")
+            raise SpecError(
+                f"{doc.where(('rows',))}: field 'rows' is {given!r}: there is no such file."
+            )
         table = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
     for name in table.columns:
         if name in STRUCTURES:
@@ -348,9 +386,13 @@ def _read_csv(path: Path) -> RowTable:
                 rows.append([cell.strip() for cell in row])
                 lines.append(reader.line_num)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SpecError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', error)}).") from None
+        raise SpecError(
+            f"{path}: cannot be read as CSV ({getattr(error, 'strerror', error)})."
+        ) from None
     if not rows:
-        raise SpecError(f"{path}: an empty file: expected a line of names, and a line for each row.")
+        raise SpecError(
+            f"{path}: an empty file: expected a line of names, and a line for each row."
+        )
     header = rows[0]
     for name in header:
         for mark in ";\t|":
@@ -365,7 +407,9 @@ def _read_csv(path: Path) -> RowTable:
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(header):
             hint = " (a decimal comma separates, too: write 0.8)" if len(row) > len(header) else ""
-            raise SpecError(f"{path}:{line}: has {len(row)} values, and the first line {len(header)} names{hint}.")
+            raise SpecError(
+                f"{path}:{line}: has {len(row)} values, and the first line {len(header)} names{hint}."
+            )
     columns = {name: [row[i] or None for row in rows[1:]] for i, name in enumerate(header)}
     return RowTable(columns, lambda row: f"{path}:{lines[row + 1]}", exact=True)
 
@@ -374,16 +418,25 @@ def _read_parquet(path: Path) -> RowTable:
     table = parquet_table(path, ours=False)
     if table is None:
         raise SpecError(f"{path}: cannot be read as Parquet.")
-    roles = {field.name: (field.metadata or {}).get(b"role", b"").decode() for field in table.schema}
+    roles = {
+        field.name: (field.metadata or {}).get(b"role", b"").decode() for field in table.schema
+    }
     ours = any(roles.values())
     names = [name for name, role in roles.items() if role == "varied" or not ours]
     if ours and not names:
-        raise SpecError(f"{path}: a table of results in which nothing is varied: there are no variants to take.")
+        raise SpecError(
+            f"{path}: a table of results in which nothing is varied: there are no variants to take."
+        )
     if twice := [name for name in names if table.column_names.count(name) > 1]:
         raise SpecError(f"{path}: column {twice[0]!r} stands twice.")
     columns = {name: table.column(name).to_pylist() for name in names}
-    nan = {name: [None if value != value else value for value in column] for name, column in columns.items()}
-    return RowTable(nan, lambda row: f"{path}: row {row}" if row >= 0 else str(path), exact=not ours)
+    nan = {
+        name: [None if value != value else value for value in column]
+        for name, column in columns.items()
+    }
+    return RowTable(
+        nan, lambda row: f"{path}: row {row}" if row >= 0 else str(path), exact=not ours
+    )
 
 
 class RowsForm(Checked):
@@ -405,9 +458,13 @@ class RowsForm(Checked):
 
     def schema(self, own: JsonSchema) -> JsonSchema:
         row = by_parameter({})
-        row["properties"] = {name: {"type": ["string", "object"]} for name in STRUCTURES} | row["properties"]
+        row["properties"] = {name: {"type": ["string", "object"]} for name in STRUCTURES} | row[
+            "properties"
+        ]
         file = {"type": "string", "pattern": r"\.(csv|parquet)$"}
-        return {"anyOf": [file, {"type": "array", "items": {"type": "object", **row}, "minItems": 1}]}
+        return {
+            "anyOf": [file, {"type": "array", "items": {"type": "object", **row}, "minItems": 1}]
+        }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -434,7 +491,9 @@ class RowList:
     @functools.cached_property
     def fingerprint(self) -> str:
         """A hash of all values and structures; structures are distinguished by their numbers."""
-        total = hashlib.sha256(json.dumps([*self.values]).encode() + self.structure.astype("<i8").tobytes())
+        total = hashlib.sha256(
+            json.dumps([*self.values]).encode() + self.structure.astype("<i8").tobytes()
+        )
         for column in self.values.values():
             total.update(np.ascontiguousarray(column, "<f8").tobytes())
         return total.hexdigest()[:16]
@@ -444,7 +503,8 @@ class RowList:
         chosen = [{name: each.written(name) for name in each.labels} for each in structures]
         columns = {name: column.tolist() for name, column in self.values.items()}
         return [
-            chosen[at] | {name: column[i] for name, column in columns.items() if column[i] == column[i]}
+            chosen[at]
+            | {name: column[i] for name, column in columns.items() if column[i] == column[i]}
             for i, at in enumerate(self.structure.tolist())
         ]
 
@@ -453,17 +513,24 @@ class RowList:
         arrays: dict[str, pa.Array] = {}
         for name in structures[0].labels:
             given = [each.written(name) for each in structures]
-            texts = np.array([label_of(text) if isinstance(text, Mapping) else text for text in given], object)
+            texts = np.array(
+                [label_of(text) if isinstance(text, Mapping) else text for text in given], object
+            )
             arrays[name] = pa.array(texts[self.structure].tolist(), pa.string())
         for name, column in self.values.items():
             arrays[name] = pa.array(column, pa.float64(), from_pandas=True)
-        fields = [pa.field(name, each.type, metadata={"role": "varied"}) for name, each in arrays.items()]
+        fields = [
+            pa.field(name, each.type, metadata={"role": "varied"}) for name, each in arrays.items()
+        ]
         content = parquet_bytes(pa.table(arrays, schema=pa.schema(fields)))
         return f"rows-{hashlib.sha256(content).hexdigest()[:8]}.parquet", content
 
 
 def listed_rows(
-    table: RowTable, structures: Sequence[Structure], structure: np.ndarray, parameters: Mapping[str, Quantity]
+    table: RowTable,
+    structures: Sequence[Structure],
+    structure: np.ndarray,
+    parameters: Mapping[str, Quantity],
 ) -> RowList:
     """The rows of a table as numbers, each within its range and read by its structure.
 
@@ -476,7 +543,11 @@ def listed_rows(
     Raises:
         SpecError: a value is not a number, out of range, or without effect, or a row comes twice.
     """
-    values = {name: _numbers(table, name, parameters[name]) for name in table.columns if name not in STRUCTURES}
+    values = {
+        name: _numbers(table, name, parameters[name])
+        for name in table.columns
+        if name not in STRUCTURES
+    }
     for at, each in enumerate(structures):
         for name, column in values.items():
             lacks, given = unread(each.setup, name), (structure == at) & ~np.isnan(column)

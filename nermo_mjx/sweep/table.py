@@ -74,30 +74,46 @@ def chunk_table(
     """
     columns = Columns()
     parameters = sweep.parameters
-    forms = {axis.name: axis.form for axis in sweep.axes} | {draw.name: draw.form for draw in sweep.draws}
+    forms = {axis.name: axis.form for axis in sweep.axes} | {
+        draw.name: draw.form for draw in sweep.draws
+    }
     forms |= dict.fromkeys(sweep.body_parameters, "loguniform")  # the prior of the identification
     forms |= dict.fromkeys(sweep.varied if sweep.rows is not None else (), "values")
     for name, values in zip(_INDEX, (index, rows.variant, rows.repeat, rows.seed), strict=True):
         columns.add(name, values, "index", "1", _INDEX[name])
     if rows.body is not None:
-        columns.add("body", rows.body, "index", "1", "body of the identified ensemble; 0 is the default one")
+        columns.add(
+            "body", rows.body, "index", "1", "body of the identified ensemble; 0 is the default one"
+        )
     for name in sweep.labelled:
         labels = np.array([each.labels[name] for each in sweep.structures], object)[rows.structure]
         columns.add(name, labels, "varied", "1", about_structure(name), scale="structure")
     for name, values in rows.values.items():
         role = "varied" if name in sweep.varied else "randomized"
         scale = "log" if forms[name].startswith("log") else "linear"
-        columns.add(name, values, role, parameters[name].unit, parameters[name].doc, nulls=True, scale=scale)
+        columns.add(
+            name, values, role, parameters[name].unit, parameters[name].doc, nulls=True, scale=scale
+        )
     for name, metric in sweep.metrics.items():
         if name in metrics:
-            columns.add(name, metrics[name], "metric", metric.unit, metric.doc, better=metric.better)
+            columns.add(
+                name, metrics[name], "metric", metric.unit, metric.doc, better=metric.better
+            )
     columns.add("status", np.asarray(status), "status", "1", "ok, or how the run ended")
     codes = np.broadcast_to(np.asarray(code, object), len(index))
     columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler
     pairs = {"second_order": "true"} if sweep.second_order else {}
     profiles = dict.fromkeys(each.setup.profile for each in sweep.structures)
-    return columns.table({"sweep": sweep.digest(), "sampler": sampler, "profile": " ".join(profiles), **pairs, **about})
+    return columns.table(
+        {
+            "sweep": sweep.digest(),
+            "sampler": sampler,
+            "profile": " ".join(profiles),
+            **pairs,
+            **about,
+        }
+    )
 
 
 def joined(parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
@@ -117,7 +133,9 @@ def columns_of(table: Any, *roles: str) -> list[str]:
 def profiles_of(table: Any) -> list[str]:
     """The profiles of a table's walks, on which speeds and costs depend; none where an older table does not say it."""
     if "profile" in table.schema.names:  # they are varied
-        return [name for name in dict.fromkeys(np.asarray(table.column("profile")).tolist()) if name]
+        return [
+            name for name in dict.fromkeys(np.asarray(table.column("profile")).tolist()) if name
+        ]
     return ((table.schema.metadata or {}).get(b"profile") or b"").decode().split()
 
 
@@ -173,7 +191,9 @@ RECORD: Final = "sweep.json"
 RECORDINGS: Final = "recordings"
 
 
-_Asked = TypedDict("_Asked", {"by": str, "base": NotRequired[str | float | None], "for": Sequence[str]})
+_Asked = TypedDict(
+    "_Asked", {"by": str, "base": NotRequired[str | float | None], "for": Sequence[str]}
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,7 +234,9 @@ class SweepRecord:
                 return found
         except FileError:
             pass
-        raise DirectoryError(f"{out / RECORD} is damaged: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out} again.")
+        raise DirectoryError(
+            f"{out / RECORD} is damaged: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out} again."
+        )
 
 
 class Results:
@@ -235,14 +257,19 @@ class Results:
         Raises:
             DirectoryError: a file cannot be read, now or when a column is asked for.
         """
-        self._source, self._called = source, "the table" if isinstance(source, pa.Table) else source[0]
+        self._source, self._called = (
+            source,
+            "the table" if isinstance(source, pa.Table) else source[0],
+        )
         self._names: dict[str, tuple[str, ...]] = {}
         if isinstance(source, pa.Table):
             schema = source.schema
         else:
             with opened_part(source[0]) as file:
                 schema = file.schema_arrow
-                schema = pa.schema([field for field in schema if field.name != "key"], schema.metadata)
+                schema = pa.schema(
+                    [field for field in schema if field.name != "key"], schema.metadata
+                )
         self.schema = schema.with_metadata(_common(schema))
         for name, is_kind in (("row", pa.types.is_integer), ("status", pa.types.is_string)):
             if name not in schema.names or not is_kind(schema.field(name).type):
@@ -297,8 +324,12 @@ class Results:
         table = _with_gaits_named(pa.concat_tables(joined))
         for name, column in zip(table.column_names, table.columns, strict=True):
             # What the code of some rows did not know is null, but none of these.
-            if column.null_count and (name in ("status", "code") or pa.types.is_integer(column.type)):
-                raise DirectoryError(f"{self._called} has rows without {name!r}: run the same command again.")
+            if column.null_count and (
+                name in ("status", "code") or pa.types.is_integer(column.type)
+            ):
+                raise DirectoryError(
+                    f"{self._called} has rows without {name!r}: run the same command again."
+                )
         return table
 
 
@@ -312,13 +343,20 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
         DirectoryError: no readable part is there.
     """
     parts = []
-    for path in part_files(Path(of_type("out", out, (str, os.PathLike), "the path of a directory"))):
-        with contextlib.suppress(DirectoryError), opened_part(path) as file:  # a damaged one is left out
+    for path in part_files(
+        Path(of_type("out", out, (str, os.PathLike), "the path of a directory"))
+    ):
+        with (
+            contextlib.suppress(DirectoryError),
+            opened_part(path) as file,
+        ):  # a damaged one is left out
             parts.append(file.read([name for name in file.schema_arrow.names if name != "key"]))
     if not parts:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     metadata = _common(parts[0].schema)
-    table = _with_gaits_named(joined_tables([part.replace_schema_metadata(metadata) for part in parts], out))
+    table = _with_gaits_named(
+        joined_tables([part.replace_schema_metadata(metadata) for part in parts], out)
+    )
     del parts
     known = "row" in table.column_names and not table.column("row").null_count
     if not known or not pa.types.is_integer(table.schema.field("row").type):
@@ -328,7 +366,9 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     order = _order(table, once=True)
     if len(order) < table.num_rows:
         table, order = table.take(order), np.arange(len(order))
-    for place, field in enumerate(table.schema):  # column by column, so that none but one is there twice
+    for place, field in enumerate(
+        table.schema
+    ):  # column by column, so that none but one is there twice
         table = table.set_column(place, field, table.column(place).combine_chunks().take(order))
     return table
 
@@ -388,7 +428,17 @@ def sweep_status(out: Path) -> Status:
     complete = rows is not None and done >= rows and (out / "summary.json").exists()
     # The figures need no simulation; the others are distinguished by the table's columns.
     engine = ", ".join(dict.fromkeys(filter(None, engines))) or None
-    return status_of("runs", out, done, rows, complete, command="sweep", spec="sweep.yaml", engine=engine, notes=notes)
+    return status_of(
+        "runs",
+        out,
+        done,
+        rows,
+        complete,
+        command="sweep",
+        spec="sweep.yaml",
+        engine=engine,
+        notes=notes,
+    )
 
 
 # ---
@@ -439,7 +489,9 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
             here = column == value
             if np.isfinite(tally.mean[here]).any():
                 lost = float(1 - tally.count[here].sum() / tally.runs[here].sum())
-                marginal[name].append({"value": value, LEADING: float(np.nanmean(tally.mean[here])), "lost": lost})
+                marginal[name].append(
+                    {"value": value, LEADING: float(np.nanmean(tally.mean[here])), "lost": lost}
+                )
     return {
         "rows": results.rows,
         "variants": variants.all,
@@ -507,7 +559,11 @@ def _best(
 def _plain_number(values: Mapping[str, np.ndarray], at: int) -> dict[str, Any]:
     """The varied parameters and structures of a variant, as far as it has them."""
     parts = {name: column[at] for name, column in values.items()}
-    return {name: each if isinstance(each, str) else float(each) for name, each in parts.items() if each == each}
+    return {
+        name: each if isinstance(each, str) else float(each)
+        for name, each in parts.items()
+        if each == each
+    }
 
 
 def rank_correlation(parameter: np.ndarray, speed: np.ndarray) -> float:
@@ -517,14 +573,18 @@ def rank_correlation(parameter: np.ndarray, speed: np.ndarray) -> float:
     return math.nan if constant else float(stats.spearmanr(parameter, speed).statistic)
 
 
-def _spine_ratio(values: Mapping[str, np.ndarray], speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _spine_ratio(
+    values: Mapping[str, np.ndarray], speed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Speed over speed at amplitude 0, all but the spine's phase equal, and that speed at amplitude 0."""
     group = np.zeros(len(speed), int)  # a number for each group of equal rows
     for name, column in values.items():
         if name not in ("spine", "spine.amplitude", "spine.phase"):
             distinct, place = np.unique(column, return_inverse=True)
             group = np.unique(group * len(distinct) + place, return_inverse=True)[1]
-    still = ~(values["spine.amplitude"] > 0) & np.isfinite(speed)  # a structure without it has no number
+    still = ~(values["spine.amplitude"] > 0) & np.isfinite(
+        speed
+    )  # a structure without it has no number
     groups = int(group.max(initial=-1)) + 1
     runs = np.bincount(group[still], minlength=groups)
     total = np.bincount(group[still], speed[still], groups)
@@ -541,13 +601,19 @@ def _spine_gain(values: Mapping[str, np.ndarray], tally: Tally) -> list[dict[str
     ratio = np.where(values["spine.amplitude"] > 0, ratio, math.nan)
     lines = []
     for frequency in np.unique(values["frequency"]) if "frequency" in values else [None]:
-        here = np.isfinite(ratio) & (True if frequency is None else values["frequency"] == frequency)
+        here = np.isfinite(ratio) & (
+            True if frequency is None else values["frequency"] == frequency
+        )
         line: dict[str, Any] = {} if frequency is None else {"frequency": float(frequency)}
         for word, pick in (("best", np.argmax), ("worst", np.argmin)):
             if here.any():
                 here &= tally.lost == tally.lost[here].min()
                 at = int(np.flatnonzero(here)[pick(ratio[here])])
-                parameters = {name: each for name, each in _plain_number(values, at).items() if name != "frequency"}
+                parameters = {
+                    name: each
+                    for name, each in _plain_number(values, at).items()
+                    if name != "frequency"
+                }
                 line[word] = {
                     "ratio": float(ratio[at]),
                     "speed": float(speed[at]),
@@ -588,10 +654,14 @@ def write_report(
             out.parent.mkdir(parents=True, exist_ok=True)
             stream = io.BytesIO()
             csv.write_csv(table, stream)
-            replace_file(out, parquet_bytes(table) if out.suffix == ".parquet" else stream.getvalue())
+            replace_file(
+                out, parquet_bytes(table) if out.suffix == ".parquet" else stream.getvalue()
+            )
         return [out], ""
     if out.is_file() or (out.suffix and not out.is_dir()):
-        raise ParameterError(f"out is {str(out)!r}: allowed is a directory, FILE.parquet or FILE.csv.")
+        raise ParameterError(
+            f"out is {str(out)!r}: allowed is a directory, FILE.parquet or FILE.csv."
+        )
     with RunDirectory(out, kind) as held, Written(held) as written:
         paths = [held.out / f"{kind}.parquet", held.out / f"{kind}.json"]
         for path, content in zip(paths, (parquet_bytes(table), to_json(about)), strict=True):
@@ -609,7 +679,9 @@ def report_table(out: Path, kind: str) -> pa.Table:
     """
     table = parquet_table(out / f"{kind}.parquet")
     if table is None:
-        raise DirectoryError(f"{out / kind}.parquet is absent or damaged: run nermo-mjx {_COMMANDS[kind]} again.")
+        raise DirectoryError(
+            f"{out / kind}.parquet is absent or damaged: run nermo-mjx {_COMMANDS[kind]} again."
+        )
     return table
 
 

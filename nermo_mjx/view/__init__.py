@@ -56,12 +56,19 @@ def show(
         DirectoryError: a directory holds no runs that can be shown, or is given with another recording.
     """
     for each in (recording, other):
-        of_type("recording", each, (Recording, str, os.PathLike, type(None)), "a recording, or the path of one")
+        of_type(
+            "recording",
+            each,
+            (Recording, str, os.PathLike, type(None)),
+            "a recording, or the path of one",
+        )
     if not isinstance(recording, Recording) and Path(recording).is_dir():
         from nermo_mjx.runs import DirectoryError, kind_of
 
         if other is not None:
-            raise DirectoryError(f"{recording} is a directory: it is shown alone, and compared row by row in its page.")
+            raise DirectoryError(
+                f"{recording} is a directory: it is shown alone, and compared row by row in its page."
+            )
         if kind_of(Path(recording)) == "training":
             from nermo_mjx.view.trained import trained
 
@@ -72,7 +79,9 @@ def show(
     from nermo_mjx.view.clip import page_of
 
     given = [recording] if other is None else [recording, other]
-    names = ["AB"[i] if isinstance(each, Recording) else Path(each).stem for i, each in enumerate(given)]
+    names = [
+        "AB"[i] if isinstance(each, Recording) else Path(each).stem for i, each in enumerate(given)
+    ]
     if len(set(names)) < len(names):  # files of one name tell runs apart by their folders
         names = ["/".join(Path(str(each)).resolve().with_suffix("").parts[-2:]) for each in given]
     loaded = [each if isinstance(each, Recording) else Recording.load(each) for each in given]

@@ -57,9 +57,13 @@ def smooth_path(points: Float[np.ndarray, "F 3"], interval: float) -> Float[np.n
     return smooth
 
 
-def body_radius(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[Float[np.ndarray, " 3"], float]:
+def body_radius(
+    model: mujoco.MjModel, data: mujoco.MjData, root: int
+) -> tuple[Float[np.ndarray, " 3"], float]:
     """Centre [m] and radius [m] of everything visible that is attached to the root body, in the pose of `data`."""
-    shown = (model.body_rootid[model.geom_bodyid] == model.body_rootid[root]) & (model.geom_group < 3)
+    shown = (model.body_rootid[model.geom_bodyid] == model.body_rootid[root]) & (
+        model.geom_group < 3
+    )
     if root == 0 or not shown.any():
         return np.array(model.stat.center), float(model.stat.extent)
     # Few geoms reach far; their bounding spheres are loose, so count half of each radius.
@@ -95,7 +99,9 @@ def put_sun_overhead(model: mujoco.MjModel) -> None:
     model.light_pos[overhead, :2] = 0.0
 
 
-def move_sun_above(model: mujoco.MjModel, data: mujoco.MjData, point: Float[np.ndarray, " 3"]) -> None:
+def move_sun_above(
+    model: mujoco.MjModel, data: mujoco.MjData, point: Float[np.ndarray, " 3"]
+) -> None:
     """Move the sun to a point in the world [m], after `mj_camlight`; otherwise the robot walks out of its shadow
     map."""
     data.light_xpos[model.light_type == _DIRECTIONAL, :2] += point[:2]
@@ -150,7 +156,9 @@ def draw_support(
         tail: tip of the tail [m], included if the recording has its force.
     """
 
-    def add(colour: tuple[float, ...], radius: float, begin: np.ndarray, end: np.ndarray | None = None) -> None:
+    def add(
+        colour: tuple[float, ...], radius: float, begin: np.ndarray, end: np.ndarray | None = None
+    ) -> None:
         """A ball, or a bar from one point to another."""
         if scene.ngeom >= scene.maxgeom:
             return

@@ -44,21 +44,29 @@ class Frames:
         position, quaternion: of each in its parent's frame, (T, n, 3) [m] and (T, n, 4), without sign flips.
     """
 
-    def __init__(self, model: mujoco.MjModel, motion: Motion, origin: Float[np.ndarray, "T 3"]) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, motion: Motion, origin: Float[np.ndarray, "T 3"]
+    ) -> None:
         self.bodies: Int[np.ndarray, " n"] = np.flatnonzero(model.body_weldid != 0)
         place = {int(body): i for i, body in enumerate(self.bodies)}
         self.parents = [place.get(int(model.body_parentid[body]), -1) for body in self.bodies]
         self._position = motion.position[:, self.bodies] - origin[:, None]
         turns = motion.quaternion[:, self.bodies]
-        self._turns = [Rotation.from_quat(turns[:, i], scalar_first=True) for i in range(len(self.bodies))]
+        self._turns = [
+            Rotation.from_quat(turns[:, i], scalar_first=True) for i in range(len(self.bodies))
+        ]
         self.position, self.quaternion = self._position.copy(), turns.copy()
         for i, parent in enumerate(self.parents):
             if parent >= 0:
                 self.position[:, i] = self._inside(parent, self._position[:, i])
-                self.quaternion[:, i] = (self._turns[parent].inv() * self._turns[i]).as_quat(scalar_first=True)
+                self.quaternion[:, i] = (self._turns[parent].inv() * self._turns[i]).as_quat(
+                    scalar_first=True
+                )
         self.quaternion = without_jumps(self.quaternion)
 
-    def fixed(self, path: Float[np.ndarray, "T K 3"]) -> tuple[list[int], Float[np.ndarray, "T K 3"]]:
+    def fixed(
+        self, path: Float[np.ndarray, "T K 3"]
+    ) -> tuple[list[int], Float[np.ndarray, "T K 3"]]:
         """Points in the frames in which they move least: indices in `bodies` or -1, and the points."""
         frames, points = [], path.copy()
         for k in range(path.shape[1]):
@@ -122,7 +130,11 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
     eyes, camera = None, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, "eyes")
     if camera >= 0:
         pose = {"pos": _rounded(model.cam_pos[camera]), "quat": _rounded(model.cam_quat[camera])}
-        eyes = {"body": int(model.cam_bodyid[camera]), **pose, "fovy": float(model.cam_fovy[camera])}
+        eyes = {
+            "body": int(model.cam_bodyid[camera]),
+            **pose,
+            "fovy": float(model.cam_fovy[camera]),
+        }
     names = [model.body(i).name for i in range(model.nbody)]
     return {"bodies": names, "eyes": eyes, "geoms": geoms, "meshes": meshes}
 
@@ -137,7 +149,9 @@ def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
     for texture in [t for t in model.mat_texid[material] if t >= 0][:1]:
         channels, start = model.tex_nchannel[texture], model.tex_adr[texture]
         size = model.tex_height[texture] * model.tex_width[texture] * channels
-        colour[:3] *= model.tex_data[start : start + size].reshape(-1, channels)[:, :3].mean(axis=0) / 255.0
+        colour[:3] *= (
+            model.tex_data[start : start + size].reshape(-1, channels)[:, :3].mean(axis=0) / 255.0
+        )
     return colour
 
 
@@ -165,7 +179,9 @@ class Detail:
 
     def samples(self, recording: Recording) -> int:
         """Maximum number of samples of a recording."""
-        within = recording.duration * self.rate + 1 if recording.duration else 1.0  # the rate may be infinite
+        within = (
+            recording.duration * self.rate + 1 if recording.duration else 1.0
+        )  # the rate may be infinite
         return self.most if within >= self.most else max(int(within), 2)
 
 
@@ -185,7 +201,10 @@ class Models:
 
     def index(self, recording: Recording, robot: Robot) -> int:
         """Index of the header of a recording's robot, which is added if it is new."""
-        shape = own_geometry(recording) or Geometry(), own_build(recording) or ModelParameters().build
+        shape = (
+            own_geometry(recording) or Geometry(),
+            own_build(recording) or ModelParameters().build,
+        )
         key = robot.config, tuple(float(value) for each in shape for _, value in values_of(each))
         if key not in self._known:
             self._known[key] = len(self.headers)
@@ -209,11 +228,15 @@ def page_of(recordings: list[Recording], names: list[str], height: int) -> Page:
 def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> dict[str, Any]:
     """The header's part on recordings: `models`, each once, and `clips`; errors as above."""
     models = Models(packer)
-    clips = [clip_of(each, name, models, packer) for each, name in zip(recordings, names, strict=True)]
+    clips = [
+        clip_of(each, name, models, packer) for each, name in zip(recordings, names, strict=True)
+    ]
     return {"models": models.headers, "clips": clips}
 
 
-def clip_of(recording: Recording, name: str, models: Models, packer: Packer, detail: Detail = FULL) -> dict[str, Any]:
+def clip_of(
+    recording: Recording, name: str, models: Models, packer: Packer, detail: Detail = FULL
+) -> dict[str, Any]:
     """The header of one recording; errors as above."""
     robot = robot_of(recording)
     model = recorded_model(recording, robot)
@@ -240,25 +263,43 @@ def clip_of(recording: Recording, name: str, models: Models, packer: Packer, det
         "follow": packer.plain(smooth_path(origin.copy(), interval) + (centre - data.xpos[root])),
         "moving": frames.bodies.tolist(),
         "parents": frames.parents,
-        "still": {"position": motion.position[0].tolist(), "quaternion": motion.quaternion[0].tolist()},
+        "still": {
+            "position": motion.position[0].tolist(),
+            "quaternion": motion.quaternion[0].tolist(),
+        },
         "position": packer.steps(frames.position, detail.length),
         "quaternion": packer.steps(frames.quaternion, detail.turn),
     }
-    header |= {"tendons": [], "contacts": [], "footprints": _footprints(recording, motion), "plots": []}
+    header |= {
+        "tendons": [],
+        "contacts": [],
+        "footprints": _footprints(recording, motion),
+        "plots": [],
+    }
     for tendon in motion.tendons:
         within, path = frames.fixed(tendon.path - origin[:, None])
         about = {"name": tendon.name, "radius": tendon.radius, "frames": within}
-        values = {"path": packer.steps(path, detail.length), "tension": packer.steps(tendon.tension, detail.force)}
+        values = {
+            "path": packer.steps(path, detail.length),
+            "tension": packer.steps(tendon.tension, detail.force),
+        }
         header["tendons"].append(about | values)
     for contact in motion.contacts:
-        point, force = packer.steps(contact.point - origin, detail.length), packer.steps(contact.force, detail.force)
+        point, force = (
+            packer.steps(contact.point - origin, detail.length),
+            packer.steps(contact.force, detail.force),
+        )
         header["contacts"].append({"limb": contact.limb, "point": point, "force": force})
     for plot in plots_of(recording, motion):
         lines = []
         for line in plot.lines:
             known = line.values[np.isfinite(line.values)]
-            values = packer.steps(line.values, detail.curve * float(np.ptp(known)) if len(known) else 0.0)
-            lines.append({"name": line.name, "colour": line.colour, "faint": line.faint, "values": values})
+            values = packer.steps(
+                line.values, detail.curve * float(np.ptp(known)) if len(known) else 0.0
+            )
+            lines.append(
+                {"name": line.name, "colour": line.colour, "faint": line.faint, "values": values}
+            )
         about = {"key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars}
         header["plots"].append(about | {"lines": lines})
     return header | {"model": models.index(recording, robot)}
@@ -269,11 +310,21 @@ def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
     if not {"foot_force", "foot_position"} <= recording.sensors.keys():
         return []
     samples = np.searchsorted(recording.time, motion.time)
-    force, place = recording.sensors["foot_force"][samples], recording.sensors["foot_position"][samples]
+    force, place = (
+        recording.sensors["foot_force"][samples],
+        recording.sensors["foot_position"][samples],
+    )
     prints = []
     for limb in range(force.shape[1]):
         for begin, end in stretches(force[:, limb] > 0.1):
             if motion.time[end - 1] - motion.time[begin] >= 0.05:
                 x, y = place[(begin + end - 1) // 2, limb, :2]
-                prints.append([round(float(motion.time[begin]), 4), limb, round(float(x), 5), round(float(y), 5)])
+                prints.append(
+                    [
+                        round(float(motion.time[begin]), 4),
+                        limb,
+                        round(float(x), 5),
+                        round(float(y), 5),
+                    ]
+                )
     return sorted(prints)

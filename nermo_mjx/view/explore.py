@@ -105,11 +105,17 @@ class ExplorerRuns:
     def counts(self) -> np.ndarray:
         """Which runs count for the leading metric, (n,)."""
         values, status = self.columns[self.leading].values, self.columns.get("status")
-        return counts(self.leading, values, np.full(len(values), True) if status is None else status.values == "ok")
+        return counts(
+            self.leading,
+            values,
+            np.full(len(values), True) if status is None else status.values == "ok",
+        )
 
     def of(self, *roles: str) -> list[ExplorerColumn]:
         """Columns of these roles that differ between the runs."""
-        return [each for each in self.columns.values() if each.role in roles and len(each.distinct) > 1]
+        return [
+            each for each in self.columns.values() if each.role in roles and len(each.distinct) > 1
+        ]
 
 
 def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> ExplorerRuns:
@@ -127,24 +133,39 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ex
     if (file := path / "atlas.parquet").exists():
         table = parquet_table(file)
         if table is None or not len(table):
-            reason = "cannot be read: run the same search again" if table is None else "has no filled cell yet"
+            reason = (
+                "cannot be read: run the same search again"
+                if table is None
+                else "has no filled cell yet"
+            )
             raise DirectoryError(f"{file} {reason}.")
         schema, column = table.schema, lambda name: np.asarray(table.column(name).to_numpy())
     else:
         files = sorted((path / "results").glob("*.parquet"))
         if not files:
-            raise DirectoryError(f"{path} holds no results yet: nermo-mjx status {path} says how to resume.")
+            raise DirectoryError(
+                f"{path} holds no results yet: nermo-mjx status {path} says how to resume."
+            )
         results = Results(files)
         schema, column = results.schema, results.column
     about = schema.metadata or {}
     fields = {field.name: meta(field) for field in schema}
-    shown = [name for role in ROLES for name, each in fields.items() if each.get("role") == role and name != "seed"]
+    shown = [
+        name
+        for role in ROLES
+        for name, each in fields.items()
+        if each.get("role") == role and name != "seed"
+    ]
     metrics = [name for name in shown if fields[name]["role"] == "metric"]
     atlas = json_of(about[b"atlas"], _Atlas, path / "atlas.parquet") if b"atlas" in about else None
     sides = {field.name: better(field) for field in schema}
     if atlas is None and not metrics:
         raise DirectoryError("The table has no metric: no column's role is 'metric'.")
-    usual = LEADING if LEADING in metrics else next(iter([*(name for name in metrics if sides[name]), *metrics]), "")
+    usual = (
+        LEADING
+        if LEADING in metrics
+        else next(iter([*(name for name in metrics if sides[name]), *metrics]), "")
+    )
     leading = usual if atlas is None else str(atlas["objective"]["metric"])
     number = column("row")
     price = _column(leading, fields[leading], sides[leading], column(leading)).cost()
@@ -153,13 +174,19 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ex
         best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, most // 2)]
         places = np.union1d(thinned(places, most - len(best)), best)
         places = np.union1d(places, np.flatnonzero(np.isin(number, list(kept))))
-    columns = {name: _column(name, fields[name], sides[name], column(name)[places]) for name in shown if name != "row"}
+    columns = {
+        name: _column(name, fields[name], sides[name], column(name)[places])
+        for name in shown
+        if name != "row"
+    }
     if atlas is not None:
         side = "low" if atlas["objective"]["direction"] == "minimize" else "high"
         columns[leading] = dataclasses.replace(columns[leading], better=side)
     kind = "atlas" if atlas is not None else kind_of(path) or "sweep"
     grid = about.get(b"sampler") == b"grid"
-    return ExplorerRuns(kind, columns, number[places].astype(np.int64), len(number), leading, grid, atlas)
+    return ExplorerRuns(
+        kind, columns, number[places].astype(np.int64), len(number), leading, grid, atlas
+    )
 
 
 class _Aim(BaseModel, extra="allow"):
@@ -214,7 +241,11 @@ def commands_of(path: Path, runs: ExplorerRuns) -> dict[str, Any]:
             data = read_file(spec, runs.kind).data
             walk = _walk(data, runs)
             profile = "" if "profile" in runs.columns else str(data.get("profile", Setup.profile))
-    return {"replay": f"nermo-mjx replay {shlex.quote(str(path))} --row", "walk": walk, "profile": profile}
+    return {
+        "replay": f"nermo-mjx replay {shlex.quote(str(path))} --row",
+        "walk": walk,
+        "profile": profile,
+    }
 
 
 def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
@@ -231,7 +262,11 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
         or any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items())
         # A custom scene is stored as MJCF, which cannot be an option's value.
         or any("<" in scene for scene in names.get("scene", {str(spec.get("scene", Setup.scene))}))
-        or ("physics" not in names and step is not None and (preset is None or float(step) != preset.timestep))
+        or (
+            "physics" not in names
+            and step is not None
+            and (preset is None or float(step) != preset.timestep)
+        )
         or not names.get("pilot", {pilot}) <= set(_PILOTS)
         or ("pilot" not in names and not set(chosen) <= set(_PILOTS[pilot]))
     ):
@@ -240,7 +275,11 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
     words = ["nermo-mjx", "walk"]
     for name in _OPTIONS:
         value = str(spec.get(name, getattr(Setup, name)))
-        words += [_option(name), value] if name not in names and value != str(getattr(Setup, name)) else []
+        words += (
+            [_option(name), value]
+            if name not in names and value != str(getattr(Setup, name))
+            else []
+        )
     if "pilot" not in names:
         words += ["--pilot", pilot] if pilot != Setup.pilot else []
         fixed |= {f"pilot.{key}": _TURNS.get(value, value) for key, value in chosen.items()}
@@ -295,7 +334,9 @@ def explore(
     """
     path = Path(path)
     if kind_of(path) not in KINDS:
-        raise DirectoryError(f"{path} is neither the directory of a sweep nor that of a search: those have a page.")
+        raise DirectoryError(
+            f"{path} is neither the directory of a sweep nor that of a search: those have a page."
+        )
     there = {
         int(found[1]): each
         for each in sorted((path / "recordings").glob("row-*.npz"))
@@ -309,7 +350,9 @@ def explore(
     ranked = runs.rows[known[np.argsort(price[known], kind="stable")]]
     chosen = ranked[thinned(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
     if len(chosen) < len(there):
-        notes.append(f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst.")
+        notes.append(
+            f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst."
+        )
     runs = with_gain(path, runs)
     table, shapes = Packer("table"), Packer("models")
     models, clips, parts = Models(shapes), dict[str, Any](), list[Packer]()
@@ -357,7 +400,10 @@ def _optimum(path: Path) -> dict[str, Any] | None:
     heads, cells = optimum_cells(found)
     lines = [
         # A gain stands below its mean, and a region's ranges below one another.
-        {"cells": [re.sub(r" \((.*)\)$|(?<=[:,]) (?!.*\])", r"\n\1", cell) for cell in own], "group": answer.group}
+        {
+            "cells": [re.sub(r" \((.*)\)$|(?<=[:,]) (?!.*\])", r"\n\1", cell) for cell in own],
+            "group": answer.group,
+        }
         | {"row": answer.rows[0] if answer.rows else None}
         for own, answer in zip(cells, found.answers, strict=True)
     ]
@@ -378,13 +424,21 @@ def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
         ((by, base),) = sweep.optimum["base"].items()
         comparison = {"by": by, "base": base, "for": sweep.optimum["over"]}
     elif not comparison and {"spine.amplitude", "spine.phase"} <= names and runs.grid:
-        comparison = {"by": "spine.amplitude", "base": 0.0, "for": ["spine.amplitude", "spine.phase"]}
+        comparison = {
+            "by": "spine.amplitude",
+            "base": 0.0,
+            "for": ["spine.amplitude", "spine.phase"],
+        }
     if comparison.get("by") not in names:
         return runs
     by, leading, well = runs.columns[comparison["by"]], runs.columns[runs.leading], runs.counts
     if (base := comparison.get("base")) is None:
         base = "none" if by.is_text and "none" in by.distinct else by.values[0]
-    of_base = by.values == base if by.is_text else np.isclose(by.values, float(base), rtol=0.0, atol=1e-12)
+    of_base = (
+        by.values == base
+        if by.is_text
+        else np.isclose(by.values, float(base), rtol=0.0, atol=1e-12)
+    )
     if not (of_base & well).any() or (of_base | ~well).all():
         return runs
     # A stiff spine has no phase, whatever its column says.
@@ -401,9 +455,13 @@ def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
     values = np.where(well & ~of_base & np.isfinite(gain), gain, np.nan)
     text = by.values[of_base][0] if by.is_text else f"{by.name} {float(base):g}"
     about = f"{runs.leading.replace('_', ' ')} relative to the mean of {text}, all else equal"
-    found = ExplorerColumn(f"{runs.leading}_gain", "%", about, "metric", leading.better, False, values)
+    found = ExplorerColumn(
+        f"{runs.leading}_gain", "%", about, "metric", leading.better, False, values
+    )
     return dataclasses.replace(
-        runs, columns={found.name: found, **runs.columns}, gain_over=tuple(comparison.get("for") or ())
+        runs,
+        columns={found.name: found, **runs.columns},
+        gain_over=tuple(comparison.get("for") or ()),
     )
 
 
@@ -414,7 +472,12 @@ def start_of(runs: ExplorerRuns) -> dict[str, Any]:
     """
     repeat = runs.columns.get("repeat")
     of = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
-    varied, metrics, gain, colour = runs.of("varied"), runs.of("metric"), f"{runs.leading}_gain", runs.leading
+    varied, metrics, gain, colour = (
+        runs.of("varied"),
+        runs.of("metric"),
+        f"{runs.leading}_gain",
+        runs.leading,
+    )
     gridded = [each for each in varied if runs.grid and len(each.distinct) <= MOST_CELLS]
     cells = len(gridded) > 1
     if gain in runs.columns and cells:
@@ -427,11 +490,15 @@ def start_of(runs: ExplorerRuns) -> dict[str, Any]:
         cells = len(measures) > 1
     elif cells:
         # A number across, and structures above each other.
-        steps, names = ([each.name for each in gridded if each.is_text == is_text] for is_text in (False, True))
+        steps, names = (
+            [each.name for each in gridded if each.is_text == is_text] for is_text in (False, True)
+        )
         x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
     else:
         directed = {each.name for each in metrics if each.better and each.name != runs.leading}
-        colour = next((name for name in (*MAIN_METRICS, *runs.columns) if name in directed), runs.leading)
+        colour = next(
+            (name for name in (*MAIN_METRICS, *runs.columns) if name in directed), runs.leading
+        )
         numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
         others = [each.name for each in [*numbers, *varied, *metrics] if each.name != runs.leading]
         x, y = [*others, runs.leading][0], runs.leading
@@ -455,12 +522,16 @@ def _field(column: ExplorerColumn, grid: bool, packer: Packer) -> dict[str, Any]
         "colours": "gain" if gain else "cyclic" if cyclic else "",
     }
     known = column.distinct
-    about["stepped"] = len(known) <= (MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW)
+    about["stepped"] = len(known) <= (
+        MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW
+    )
     if column.is_text:
         codes = np.searchsorted(known.astype(str), column.values.astype(str))
         return about | {"texts": known.tolist(), "values": packer.plain(codes, "uint16")}
     if len(known) <= _LISTED:
-        codes = np.where(np.isfinite(column.values), np.searchsorted(known, column.values), len(known))
+        codes = np.where(
+            np.isfinite(column.values), np.searchsorted(known, column.values), len(known)
+        )
         return about | {"known": known.tolist(), "values": packer.plain(codes, "uint16")}
     return about | {"values": packer.floats(column.values, exact=column.role != "metric")}
 
@@ -471,5 +542,8 @@ def _palette() -> dict[str, Any]:
     from matplotlib.colors import to_hex
 
     names = {"scale": style.COLOURS, "gain": style.GAIN_COLOURS, "cyclic": "twilight"}
-    scales = {key: [to_hex(c) for c in colormaps[name](np.linspace(0, 1, _LEVELS))] for key, name in names.items()}
+    scales = {
+        key: [to_hex(c) for c in colormaps[name](np.linspace(0, 1, _LEVELS))]
+        for key, name in names.items()
+    }
     return {**scales, "series": list(style.SERIES), "missing": style.MISSING}

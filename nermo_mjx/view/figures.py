@@ -63,7 +63,10 @@ class RecordedGait:
     @property
     def title(self) -> str:
         """The gait in words, after a colon, its frequency and the profile; empty if unknown."""
-        setup, labels = self.recording.metadata.get("setup", {}), self.recording.metadata.get("labels", {})
+        setup, labels = (
+            self.recording.metadata.get("setup", {}),
+            self.recording.metadata.get("labels", {}),
+        )
         gait = spoken(setup.get("gait") or labels.get("gait") or "")
         rate = "" if self.cycle is None else f" at {self.values['frequency']:.3g} Hz"
         profile = labels.get("profile") or setup.get("profile")
@@ -77,13 +80,19 @@ class RecordedGait:
             return slice(None), "the whole recording"
         whole = int(time[-1] / self.cycle + 1e-6)
         count = min(SHOWN_CYCLES, whole)
-        begin, end = np.searchsorted(time, [(whole - count) * self.cycle - 1e-9, whole * self.cycle + 1e-9])
-        return slice(int(begin), max(int(end), int(begin) + 2)), f"the last {count} whole gait cycles"
+        begin, end = np.searchsorted(
+            time, [(whole - count) * self.cycle - 1e-9, whole * self.cycle + 1e-9]
+        )
+        return slice(
+            int(begin), max(int(end), int(begin) + 2)
+        ), f"the last {count} whole gait cycles"
 
     @cached_property
     def planned(self) -> np.ndarray | None:
         """Planned contact of each foot, (T, 4); None if the recording does not contain it."""
-        if self.cycle is None or not {"duty", *(f"offset.{limb}" for limb in LIMBS)} <= set(self.values):
+        if self.cycle is None or not {"duty", *(f"offset.{limb}" for limb in LIMBS)} <= set(
+            self.values
+        ):
             return None
         phase = (self.values.get("start.phase", 0.0) + self.recording.time / self.cycle) % 1.0
         known = {name for name, _ in quantities(ControlParameters)}
@@ -122,10 +131,14 @@ def gait_diagram(walk: RecordedGait) -> Figure | None:
     ax = page.axes[0, 0]
     shares, names = [], [name_of(limb) for limb in LIMBS]
     for row, limb in enumerate(LIMBS):
-        ax.broken_barh(spans(contact[:, row], time), (row - 0.18, 0.5), color=FOOT[limb], lw=0, zorder=3)
+        ax.broken_barh(
+            spans(contact[:, row], time), (row - 0.18, 0.5), color=FOOT[limb], lw=0, zorder=3
+        )
         share = f"{contact[:, row].mean():.2f}"
         if planned is not None:
-            ax.broken_barh(spans(planned[:, row], time), (row - 0.36, 0.11), color=INK, lw=0, zorder=3)
+            ax.broken_barh(
+                spans(planned[:, row], time), (row - 0.36, 0.11), color=INK, lw=0, zorder=3
+            )
             share = f"{share} ({planned[:, row].mean():.2f})"
         shares.append(share)
         ax.axhline(row + 0.5, color="white", lw=0)
@@ -139,7 +152,9 @@ def gait_diagram(walk: RecordedGait) -> Figure | None:
         first = np.ceil(time[0] / walk.cycle - 1e-6)
         for k in np.arange(first, time[-1] / walk.cycle + 1e-6):
             ax.axvline(k * walk.cycle, color=MISSING, lw=0.9, zorder=1)
-        above = ax.secondary_xaxis("top", functions=(lambda t: t / walk.cycle, lambda c: c * walk.cycle))
+        above = ax.secondary_xaxis(
+            "top", functions=(lambda t: t / walk.cycle, lambda c: c * walk.cycle)
+        )
         above.set_xlabel("gait cycles [1]")
         above.xaxis.get_major_locator().set_params(integer=True)
         above.spines["top"].set_visible(False)
@@ -169,7 +184,9 @@ def orientation(walk: RecordedGait) -> Figure | None:
         return None
     page = FigurePage(f"Orientation of the torso{walk.title}", (7.4, 5.6), 3, 1, sharex=True)
     time = walk.recording.time
-    for ax, name, values in zip(page.axes[:, 0], ("roll", "pitch", "yaw"), walk.angles.T, strict=True):
+    for ax, name, values in zip(
+        page.axes[:, 0], ("roll", "pitch", "yaw"), walk.angles.T, strict=True
+    ):
         ax.plot(time, values, color=LINE, lw=1.3, zorder=3)
         ax.set_ylabel(f"{name} [deg]")
         ax.margins(y=0.08)
@@ -189,7 +206,8 @@ def orientation(walk: RecordedGait) -> Figure | None:
     page.axes[-1, 0].set(xlabel="time [s]", xlim=(time[0], time[-1]))
     page.figure.align_ylabels(page.axes[:, 0])
     return page.finish(
-        [], "positive: leaning left, nose down, turned left; above each: mean ± standard deviation; grid: gait cycles"
+        [],
+        "positive: leaning left, nose down, turned left; above each: mean ± standard deviation; grid: gait cycles",
     )
 
 
@@ -207,7 +225,10 @@ def ground_path(walk: RecordedGait) -> Figure | None:
     ahead, left = seen(np.asarray(position))
     feet = walk.recording.sensors.get("foot_position")
     tall = (float(np.ptp(left)) + 120) / (float(np.ptp(ahead)) + 120)
-    page = FigurePage(f"Way on the ground, seen from above{walk.title}", (7.4, 1.9 + min(max(6.4 * tall, 1.3), 5.6)))
+    page = FigurePage(
+        f"Way on the ground, seen from above{walk.title}",
+        (7.4, 1.9 + min(max(6.4 * tall, 1.3), 5.6)),
+    )
     ax = page.axes[0, 0]
     handles: list[Artist] = [Line2D([], [], color=INK, lw=0.9, label="torso")]
     ax.plot(ahead, left, color=INK, lw=0.8, zorder=4)
@@ -219,16 +240,32 @@ def ground_path(walk: RecordedGait) -> Figure | None:
     if feet is not None and walk.contact is not None:
         put_down = walk.contact[1:] & ~walk.contact[:-1]
         for i, limb in enumerate(LIMBS):
-            ax.scatter(*seen(np.asarray(feet)[1:][put_down[:, i], i]), s=12, color=FOOT[limb], lw=0, zorder=3)
+            ax.scatter(
+                *seen(np.asarray(feet)[1:][put_down[:, i], i]),
+                s=12,
+                color=FOOT[limb],
+                lw=0,
+                zorder=3,
+            )
             handles.append(
-                Line2D([], [], ls="none", marker="o", ms=4.5, color=FOOT[limb], label=f"{name_of(limb)} foot")
+                Line2D(
+                    [],
+                    [],
+                    ls="none",
+                    marker="o",
+                    ms=4.5,
+                    color=FOOT[limb],
+                    label=f"{name_of(limb)} foot",
+                )
             )
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(color=MISSING, lw=0.6)
     ax.set_axisbelow(True)
     ax.margins(0.06)
     ax.set(xlabel="ahead of the start [mm]", ylabel="to its left [mm]")
-    return page.finish(handles, "the robot starts to the right; ring: start; dots: where a foot is put down")
+    return page.finish(
+        handles, "the robot starts to the right; ring: start; dots: where a foot is put down"
+    )
 
 
 def _cycle_mean(walk: RecordedGait, places: np.ndarray) -> np.ndarray:
@@ -250,10 +287,21 @@ def leg_paths(walk: RecordedGait, robot: Robot) -> Figure | None:
     measured = in_leg_frame(recorded_model(walk.recording, robot), walk.recording.qpos[part])
     geometry = own_geometry(walk.recording) or Geometry()
     commanded = commanded_feet(walk.recording.ctrl[part], robot.config.routing, geometry)
-    page = FigurePage(f"Foot paths in the leg's frame{walk.title}", (7.4, 4.9), 2, 2, sharex=True, sharey="row")
+    page = FigurePage(
+        f"Foot paths in the leg's frame{walk.title}", (7.4, 4.9), 2, 2, sharex=True, sharey="row"
+    )
     for i, (ax, limb) in enumerate(zip(page.axes.ravel(), LIMBS, strict=True)):
-        ax.plot(-1e3 * commanded[:, i, 0], 1e3 * commanded[:, i, 1], color=INK, lw=1.0, ls=(0, (4, 2)), zorder=3)
-        ax.plot(-1e3 * measured[:, i, 0], 1e3 * measured[:, i, 1], color=FOOT[limb], lw=1.6, zorder=4)
+        ax.plot(
+            -1e3 * commanded[:, i, 0],
+            1e3 * commanded[:, i, 1],
+            color=INK,
+            lw=1.0,
+            ls=(0, (4, 2)),
+            zorder=3,
+        )
+        ax.plot(
+            -1e3 * measured[:, i, 0], 1e3 * measured[:, i, 1], color=FOOT[limb], lw=1.6, zorder=4
+        )
         ax.set_title(name_of(limb))
         ax.set_aspect("equal")
         ax.grid(color=GRID, lw=0.8)
@@ -266,12 +314,17 @@ def leg_paths(walk: RecordedGait, robot: Robot) -> Figure | None:
         Line2D([], [], color=FOOT["front_left"], lw=1.6, label="measured, in the foot's colour"),
         Line2D([], [], color=INK, lw=1.0, ls=(0, (4, 2)), label="commanded"),
     ]
-    return page.finish(handles, f"{what}; the axis is the shoulder's or the hip's; the robot walks to the right")
+    return page.finish(
+        handles, f"{what}; the axis is the shoulder's or the hip's; the robot walks to the right"
+    )
 
 
 def over_ground(walk: RecordedGait) -> Figure | None:
     """The height of each foot over its path along the robot's course; thick where it is loaded."""
-    feet, position = walk.recording.sensors.get("foot_position"), walk.recording.sensors.get("position")
+    feet, position = (
+        walk.recording.sensors.get("foot_position"),
+        walk.recording.sensors.get("position"),
+    )
     if feet is None or position is None or walk.angles is None:
         return None
     part, what = walk.shown
@@ -280,7 +333,9 @@ def over_ground(walk: RecordedGait) -> Figure | None:
     course = np.array([np.sin(mean_yaw), -np.cos(mean_yaw)])
     along = 1e3 * (places[..., :2] - np.asarray(position)[part][0, :2]) @ course
     height = 1e3 * places[..., 2]
-    page = FigurePage(f"Foot paths over the ground{walk.title}", (7.4, 6.0), 4, 1, sharex=True, sharey=True)
+    page = FigurePage(
+        f"Foot paths over the ground{walk.title}", (7.4, 6.0), 4, 1, sharex=True, sharey=True
+    )
     for i, (ax, limb) in enumerate(zip(page.axes[:, 0], LIMBS, strict=True)):
         ax.plot(along[:, i], height[:, i], color=FOOT[limb], lw=1.0, zorder=3)
         if walk.contact is not None:
@@ -292,7 +347,8 @@ def over_ground(walk: RecordedGait) -> Figure | None:
     page.axes[-1, 0].set_xlabel("along the course [mm]")
     page.figure.supylabel("height of the foot [mm]", fontsize=9.5)
     note = (
-        f"{what}; thick: the foot bears a load, so that a long thick line is a slip; heights are drawn larger than ways"
+        f"{what}; thick: the foot bears a load, so that a long thick line is a slip;"
+        " heights are drawn larger than ways"
     )
     return page.finish([], note)
 
@@ -338,15 +394,24 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
     if measured is None:
         return None
     part, what = walk.shown
-    time, aim, angle = (np.asarray(each)[part] for each in (walk.recording.time, walk.recording.ctrl, measured))
+    time, aim, angle = (
+        np.asarray(each)[part] for each in (walk.recording.time, walk.recording.ctrl, measured)
+    )
     aim, angle = np.degrees(aim), np.degrees(angle)
     names = servos_by_count(angle.shape[1])
     others = [
-        i for i in range(2 * len(LIMBS), len(names)) if np.ptp(aim[:, i]) > _STILL or np.ptp(angle[:, i]) > _STILL
+        i
+        for i in range(2 * len(LIMBS), len(names))
+        if np.ptp(aim[:, i]) > _STILL or np.ptp(angle[:, i]) > _STILL
     ]
-    rows = [(f"{name_of(limb)} leg", [(i, _HIP), (i + len(LIMBS), _KNEE)]) for i, limb in enumerate(LIMBS)]
+    rows = [
+        (f"{name_of(limb)} leg", [(i, _HIP), (i + len(LIMBS), _KNEE)])
+        for i, limb in enumerate(LIMBS)
+    ]
     rows += [(names[i].replace("_", " "), [(i, _OTHER)]) for i in others]
-    page = FigurePage(f"Servo angles{walk.title}", (7.4, 1.3 + 1.3 * len(rows)), len(rows), 1, sharex=True)
+    page = FigurePage(
+        f"Servo angles{walk.title}", (7.4, 1.3 + 1.3 * len(rows)), len(rows), 1, sharex=True
+    )
     for ax, (name, lines) in zip(page.axes[:, 0], rows, strict=True):
         for i, colour in lines:
             ax.plot(time, angle[:, i], color=colour, lw=1.5, zorder=3)
@@ -364,7 +429,10 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
         moved = ", ".join(names[i].replace("_", " ") for i in others)
         handles.append(Line2D([], [], color=_OTHER, lw=1.5, label=f"{moved}, measured"))
     handles.append(Line2D([], [], color=INK, lw=0.9, ls=(0, (4, 2)), label="commanded"))
-    return page.finish(handles, f"{what}; hip 0: leg straight down, positive: backward; spine positive: to the left")
+    return page.finish(
+        handles,
+        f"{what}; hip 0: leg straight down, positive: backward; spine positive: to the left",
+    )
 
 
 def beside_robot(walk: RecordedGait) -> Figure | None:
@@ -373,7 +441,9 @@ def beside_robot(walk: RecordedGait) -> Figure | None:
     if not channels:
         return None
     rows = -(-len(channels) // 2)
-    page = FigurePage("The robot's log beside the twin", (9.6, 1.3 + 1.35 * rows), rows, 2, sharex=True)
+    page = FigurePage(
+        "The robot's log beside the twin", (9.6, 1.3 + 1.35 * rows), rows, 2, sharex=True
+    )
     for ax, each in zip(page.axes.T.ravel(), channels, strict=False):
         measured, simulated = (line.values for line in each.lines)
         ax.plot(time, simulated, color=SERIES[0], lw=1.8, zorder=3)
@@ -388,12 +458,20 @@ def beside_robot(walk: RecordedGait) -> Figure | None:
     for ax in page.axes.T.ravel()[[rows - 1, len(channels) - 1]]:
         ax.tick_params(labelbottom=True)
         ax.set(xlabel="time [s]", xlim=(time[0], time[-1]))
-    lines = ((INK, 0.7, "measured"), (SERIES[0], 1.8, "simulated"), (SERIES[1], 0.7, "measured minus simulated"))
-    handles: list[Artist] = [Line2D([], [], color=colour, lw=width, label=label) for colour, width, label in lines]
+    lines = (
+        (INK, 0.7, "measured"),
+        (SERIES[0], 1.8, "simulated"),
+        (SERIES[1], 0.7, "measured minus simulated"),
+    )
+    handles: list[Artist] = [
+        Line2D([], [], color=colour, lw=width, label=label) for colour, width, label in lines
+    ]
     return page.finish(handles, "lag: of what was measured behind what was simulated")
 
 
-def figures_of_recording(recording: Recording, notify: Callable[[str], None]) -> Iterator[tuple[str, Figure]]:
+def figures_of_recording(
+    recording: Recording, notify: Callable[[str], None]
+) -> Iterator[tuple[str, Figure]]:
     """The figures of a recording: `gait-diagram`, `orientation`, `foot-paths`, `foot-paths-over-ground`,
     `servo-angles` and `ground-path`; of one with a robot's log, `beside-robot`.
 

@@ -30,8 +30,15 @@ def require_gl() -> None:
     """
     chosen = os.environ.get("MUJOCO_GL", "")
     if chosen.lower() in {"disable", "disabled", "off", "false", "0"}:
-        raise RenderingUnavailable("Rendering is switched off by MUJOCO_GL: unset it, or set it to egl or osmesa.")
-    if chosen or sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        raise RenderingUnavailable(
+            "Rendering is switched off by MUJOCO_GL: unset it, or set it to egl or osmesa."
+        )
+    if (
+        chosen
+        or sys.platform != "linux"
+        or os.environ.get("DISPLAY")
+        or os.environ.get("WAYLAND_DISPLAY")
+    ):
         return
     backend = _headless_backend()
     if backend is None:
@@ -75,13 +82,16 @@ def _egl_starts(*, software: bool) -> bool:
     find = egl.eglGetProcAddress
     find.restype, find.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
     query, text, display_of = (
-        find(name) for name in (b"eglQueryDevicesEXT", b"eglQueryDeviceStringEXT", b"eglGetPlatformDisplayEXT")
+        find(name)
+        for name in (b"eglQueryDevicesEXT", b"eglQueryDeviceStringEXT", b"eglGetPlatformDisplayEXT")
     )
     if not (query and text and display_of):
         return False
     handle, integer = ctypes.c_void_p, ctypes.c_int
     devices, count = (handle * 16)(), integer()
-    query_devices = ctypes.CFUNCTYPE(ctypes.c_uint, integer, ctypes.POINTER(handle), ctypes.POINTER(integer))(query)
+    query_devices = ctypes.CFUNCTYPE(
+        ctypes.c_uint, integer, ctypes.POINTER(handle), ctypes.POINTER(integer)
+    )(query)
     device_string = ctypes.CFUNCTYPE(ctypes.c_char_p, handle, integer)(text)
     platform_display = ctypes.CFUNCTYPE(handle, ctypes.c_uint, handle, handle)(display_of)
     egl.eglInitialize.argtypes, egl.eglTerminate.argtypes = [handle] * 3, [handle]

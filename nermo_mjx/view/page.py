@@ -19,7 +19,10 @@ import numpy as np
 from nermo_mjx.recording import write_whole
 
 _WEB: Final = resources.files("nermo_mjx.view") / "web"
-_LIBRARIES: Final = {"three": "vendor/three/three.min.js", "meshoptimizer": "vendor/meshoptimizer/simplifier.min.js"}
+_LIBRARIES: Final = {
+    "three": "vendor/three/three.min.js",
+    "meshoptimizer": "vendor/meshoptimizer/simplifier.min.js",
+}
 
 
 #: The step that stands for NaN, and the largest one.
@@ -70,7 +73,9 @@ class Packer:
 
     def json(self, value: Any) -> dict[str, Any]:
         """Entry of a JSON value."""
-        content = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+        content = json.dumps(
+            value, ensure_ascii=False, separators=(",", ":"), allow_nan=False
+        ).encode()
         return self._add(content, "json", (len(content),))
 
     @property
@@ -84,7 +89,12 @@ class Packer:
 
     def _add(self, content: bytes, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
         padding = bytes(-self._size % 4)
-        entry = {"part": self.part, "kind": kind, "at": self._size + len(padding), "shape": list(shape)}
+        entry = {
+            "part": self.part,
+            "kind": kind,
+            "at": self._size + len(padding),
+            "shape": list(shape),
+        }
         self._parts += [padding, content]
         self._size += len(padding) + len(content)
         return entry
@@ -123,14 +133,21 @@ class Page:
         )
 
     def __repr__(self) -> str:
-        held = f"{self.rows} rows, {self.recordings} recordings" if self.rows else f"{self.samples} samples"
+        held = (
+            f"{self.rows} rows, {self.recordings} recordings"
+            if self.rows
+            else f"{self.samples} samples"
+        )
         return f"Page({len(self.html) / 1e6:.1f} MB, {held})"
 
 
 def template(kind: str) -> str:
     """The document of a `viewer` or an `explore` page, with places for what it shows."""
     main = "main.js" if kind == "viewer" else f"{kind}/main.js"
-    return _filled(web_file("frame.html"), {"kind": kind, "main": main, "body": web_file(f"{kind}.html").rstrip()})
+    return _filled(
+        web_file("frame.html"),
+        {"kind": kind, "main": main, "body": web_file(f"{kind}.html").rstrip()},
+    )
 
 
 def _filled(document: str, content: Mapping[str, str]) -> str:
@@ -138,7 +155,11 @@ def _filled(document: str, content: Mapping[str, str]) -> str:
 
 
 def document(
-    kind: str, title: str, header: Mapping[str, Any], parts: Sequence[Packer], folders: Sequence[str] = ("",)
+    kind: str,
+    title: str,
+    header: Mapping[str, Any],
+    parts: Sequence[Packer],
+    folders: Sequence[str] = ("",),
 ) -> str:
     """A whole page.
 
@@ -149,15 +170,24 @@ def document(
         parts: packed arrays that the header points into.
         folders: of `web/` whose modules and style the page has.
     """
-    styles = [name for each in folders if (_WEB / (name := f"{each}/style.css".lstrip("/"))).is_file()]
-    data = [f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>' for part in parts]
+    styles = [
+        name for each in folders if (_WEB / (name := f"{each}/style.css".lstrip("/"))).is_file()
+    ]
+    data = [
+        f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>'
+        for part in parts
+    ]
     # An import map: the libraries, and each of our modules as `viewer/[FOLDER/]NAME.js`, as data URLs.
     sources = {name: web_file(path) for name, path in _LIBRARIES.items()}
     for folder in folders:
-        for each in sorted(each.name for each in (_WEB / folder).iterdir() if each.name.endswith(".js")):
+        for each in sorted(
+            each.name for each in (_WEB / folder).iterdir() if each.name.endswith(".js")
+        ):
             name = f"viewer/{folder}/{each}".replace("//", "/")
             sources[name] = f"{web_file(name.removeprefix('viewer/'))}\n//# sourceURL={name}\n"
-    encoded = {name: base64.b64encode(source.encode()).decode("ascii") for name, source in sources.items()}
+    encoded = {
+        name: base64.b64encode(source.encode()).decode("ascii") for name, source in sources.items()
+    }
     modules = {name: f"data:text/javascript;base64,{content}" for name, content in encoded.items()}
     content = {
         "title": html.escape(title),
@@ -176,4 +206,6 @@ def web_file(name: str) -> str:
 
 def as_json(value: Any) -> str:
     """JSON that may stand in a script element."""
-    return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace(
+        "<", "\\u003c"
+    )

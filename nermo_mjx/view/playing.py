@@ -15,7 +15,13 @@ import numpy as np
 
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.view.camera import body_radius, following_camera, move_sun_above, put_sun_overhead, root_body
+from nermo_mjx.view.camera import (
+    body_radius,
+    following_camera,
+    move_sun_above,
+    put_sun_overhead,
+    root_body,
+)
 from nermo_mjx.view.recorded import robot_of, shown_spec
 
 #: Frame rate of the viewer [Hz].
@@ -27,7 +33,11 @@ MOST_KEYS: Final = 5000
 def set_sample(data: mujoco.MjData, recording: Recording, sample: int) -> None:
     """Put a sample's time, positions, velocities and commands into MuJoCo's data, for `mj_forward`."""
     data.time = float(recording.time[sample])
-    data.qpos[:], data.qvel[:], data.ctrl[:] = recording.qpos[sample], recording.qvel[sample], recording.ctrl[sample]
+    data.qpos[:], data.qvel[:], data.ctrl[:] = (
+        recording.qpos[sample],
+        recording.qvel[sample],
+        recording.ctrl[sample],
+    )
 
 
 def play(recording: Recording, *, speed: float = 1.0, viewer: Any = None) -> None:
@@ -74,7 +84,11 @@ def play(recording: Recording, *, speed: float = 1.0, viewer: Any = None) -> Non
         _, radius = body_radius(model, data, root)
         view = following_camera("three_quarter", radius, float(model.vis.global_.fovy), aspect=1.5)
         camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, root
-        camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
+        camera.distance, camera.azimuth, camera.elevation = (
+            view.distance,
+            view.azimuth,
+            view.elevation,
+        )
         began, first = time.perf_counter(), float(recording.time[0])
         while window.is_running():
             passed = speed * (time.perf_counter() - began)
@@ -89,7 +103,9 @@ def play(recording: Recording, *, speed: float = 1.0, viewer: Any = None) -> Non
             time.sleep(1.0 / _REFRESH)
 
 
-def write_keyframes(recording: Recording, path: str | os.PathLike[str], *, rate: float = 25.0) -> int:
+def write_keyframes(
+    recording: Recording, path: str | os.PathLike[str], *, rate: float = 25.0
+) -> int:
     """Write the robot as one MJCF file whose keyframes are samples of the recording, and return their number.
 
     Any MuJoCo of version 3 opens it, without this package: `python -m mujoco.viewer --mjcf=FILE.xml`, then the slider
@@ -109,13 +125,21 @@ def write_keyframes(recording: Recording, path: str | os.PathLike[str], *, rate:
     robot = robot_of(recording)
     count = int(recording.duration * rate + 1e-6) + 1
     if count > MOST_KEYS:
-        raise ParameterError(f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}.")
+        raise ParameterError(
+            f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}."
+        )
     wanted = recording.time[0] + np.arange(count) / rate
     samples = np.unique(np.abs(recording.time - wanted[:, None]).argmin(axis=1))
     spec = shown_spec(recording, robot) or mujoco.MjSpec.from_string(robot.to_xml())
     for sample in samples:
-        key = spec.add_key(name=f"t{recording.time[sample]:.3f}", time=float(recording.time[sample]))
-        key.qpos, key.qvel, key.ctrl = recording.qpos[sample], recording.qvel[sample], recording.ctrl[sample]
+        key = spec.add_key(
+            name=f"t{recording.time[sample]:.3f}", time=float(recording.time[sample])
+        )
+        key.qpos, key.qvel, key.ctrl = (
+            recording.qpos[sample],
+            recording.qvel[sample],
+            recording.ctrl[sample],
+        )
     spec.compile()
     try:
         Path(path).write_text(spec.to_xml(), encoding="utf-8")

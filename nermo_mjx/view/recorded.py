@@ -61,7 +61,11 @@ def shown_spec(recording: Recording, robot: Robot) -> mujoco.MjSpec | None:
     """An editable specification for rendering, with the geometry and the build of the recorded robot; None if these
     are the published ones."""
     geometry, build = own_geometry(recording), own_build(recording)
-    return None if geometry is build is None else robot.spec_with_geometry(geometry or Geometry(), build)
+    return (
+        None
+        if geometry is build is None
+        else robot.spec_with_geometry(geometry or Geometry(), build)
+    )
 
 
 def shown_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
@@ -81,7 +85,11 @@ def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
     known = {name: about.default for name, about in quantities(ModelParameters)}
     known |= terrain_values(str(robot.config.scene))
     given = recording.metadata.get("parameters") or {}
-    changed = {name: value for name, value in given.items() if name in known and value not in (None, known[name])}
+    changed = {
+        name: value
+        for name, value in given.items()
+        if name in known and value not in (None, known[name])
+    }
     return compile_model(robot, changed) if changed else robot.model
 
 
@@ -139,7 +147,10 @@ class Motion:
 
 
 def motion_of(
-    recording: Recording, model: mujoco.MjModel, most: int | None = None, data: mujoco.MjData | None = None
+    recording: Recording,
+    model: mujoco.MjModel,
+    most: int | None = None,
+    data: mujoco.MjData | None = None,
 ) -> Motion:
     """Evaluate a model at a recording's samples, up to the first that is not finite.
 
@@ -171,23 +182,35 @@ def motion_of(
         for k, path in enumerate(paths):
             path.append(_path(data, k))
         for key, point, force in _contacts(model, data):
-            places, forces = found.setdefault(key, (np.full((len(samples), 3), np.nan), np.zeros((len(samples), 3))))
+            places, forces = found.setdefault(
+                key, (np.full((len(samples), 3), np.nan), np.zeros((len(samples), 3)))
+            )
             places[i], forces[i] = point, force
     tendons = []
     for k, path in enumerate(paths):
         longest = max(map(len, path))
-        points = np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in path])
-        tendons.append(Tendon(model.tendon(k).name, float(model.tendon_width[k]), points, tension[:, k]))
+        points = np.stack(
+            [np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in path]
+        )
+        tendons.append(
+            Tendon(model.tendon(k).name, float(model.tendon_width[k]), points, tension[:, k])
+        )
     contacts = []
     for key in sorted(found):
         places, forces = found[key]
         # The point of the previous contact, and before the first contact the first one's.
         there = np.flatnonzero(np.isfinite(places[:, 0]))
-        nearest = there[np.maximum(np.searchsorted(there, np.arange(len(places)), side="right") - 1, 0)]
+        nearest = there[
+            np.maximum(np.searchsorted(there, np.arange(len(places)), side="right") - 1, 0)
+        ]
         bodies = [model.body(model.geom_bodyid[geom]).name for geom in key[:2]]
-        limb = next((i for i, limb in enumerate(LIMBS) if any(body.startswith(limb) for body in bodies)), -1)
+        limb = next(
+            (i for i, limb in enumerate(LIMBS) if any(body.startswith(limb) for body in bodies)), -1
+        )
         contacts.append(RecordedContact(limb, places[nearest], forces))
-    return Motion(recording.time[samples].astype(float), position, quaternion, tuple(tendons), tuple(contacts))
+    return Motion(
+        recording.time[samples].astype(float), position, quaternion, tuple(tendons), tuple(contacts)
+    )
 
 
 def finite_samples(recording: Recording, most: int | None = None) -> np.ndarray:
@@ -210,14 +233,18 @@ def _path(data: mujoco.MjData, tendon: int) -> Float[np.ndarray, "K 3"]:
     along = slice(first, first + data.ten_wrapnum[tendon])
     points, geoms = data.wrap_xpos.reshape(-1, 3)[along], data.wrap_obj.reshape(-1)[along]
     parts = [points[:1]]
-    for begin, end, geom, following in zip(points[:-1], points[1:], geoms[:-1], geoms[1:], strict=True):
+    for begin, end, geom, following in zip(
+        points[:-1], points[1:], geoms[:-1], geoms[1:], strict=True
+    ):
         if geom >= 0 and geom == following:
             parts.append(_arc(begin, end, data.geom_xpos[geom], data.geom_xmat[geom, 2::3]))
         parts.append(end[None])
     return np.concatenate(parts)
 
 
-def _arc(begin: np.ndarray, end: np.ndarray, centre: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "ARC 3"]:
+def _arc(
+    begin: np.ndarray, end: np.ndarray, centre: np.ndarray, axis: np.ndarray
+) -> Float[np.ndarray, "ARC 3"]:
     """Points between two on a cylinder, along the shorter arc, since wraps are shorter than half a turn."""
     u, v = begin - centre, end - centre
     height_u, height_v = u @ axis, v @ axis
@@ -230,10 +257,14 @@ def _arc(begin: np.ndarray, end: np.ndarray, centre: np.ndarray, axis: np.ndarra
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """`np.cross` of two vectors, without its large overhead."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
-def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[tuple[int, int, int], np.ndarray, np.ndarray]]:
+def _contacts(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> list[tuple[tuple[int, int, int], np.ndarray, np.ndarray]]:
     """((geom, geom, number), point, force on the robot) of each contact."""
     result: list[Any] = []
     seen: dict[tuple[int, int], int] = {}
@@ -247,7 +278,13 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[tuple[in
         number = seen[one, two] = seen.get((one, two), -1) + 1
         # MuJoCo's normal points from the first geom to the second, and the force acts on the second.
         sign = -1.0 if model.body_weldid[model.geom_bodyid[two]] == 0 else 1.0
-        result.append(((one, two, number), contact.pos.copy(), sign * (contact.frame.reshape(3, 3).T @ wrench[:3])))
+        result.append(
+            (
+                (one, two, number),
+                contact.pos.copy(),
+                sign * (contact.frame.reshape(3, 3).T @ wrench[:3]),
+            )
+        )
     return result
 
 
@@ -260,7 +297,9 @@ def stretches(flags: Bool[np.ndarray, " T"]) -> Int[np.ndarray, "n 2"]:
     return np.flatnonzero(np.diff(flags.astype(int), prepend=0, append=0)).reshape(-1, 2)
 
 
-def spans(flags: Bool[np.ndarray, " T"], time: Float[np.ndarray, " T"]) -> list[tuple[float, float]]:
+def spans(
+    flags: Bool[np.ndarray, " T"], time: Float[np.ndarray, " T"]
+) -> list[tuple[float, float]]:
     """(begin, length) [s] of each stretch that is true; a sample stands for the time since the one before."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     begins = np.concatenate([time - step, [time[-1]]])
@@ -309,24 +348,40 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
         plots.append(dataclasses.replace(plot, lines=lines))
     if "foot_force" in sensors:
         loads = [
-            (limb.replace("_", " "), limb, force) for limb, force in zip(LIMBS, sensors["foot_force"].T, strict=True)
+            (limb.replace("_", " "), limb, force)
+            for limb, force in zip(LIMBS, sensors["foot_force"].T, strict=True)
         ]
         if "tail_force" in sensors:
             loads.append(("tail", "tail", sensors["tail_force"]))
-        stance = tuple(Curve(name, colour, (force > STANDING).astype(float)) for name, colour, force in loads)
+        stance = tuple(
+            Curve(name, colour, (force > STANDING).astype(float)) for name, colour, force in loads
+        )
         plots.append(Plot("stance", "Feet and tail on the ground", "", stance, bars=True))
-        plots.append(Plot("force", "Force on feet and tail", "N", tuple(Curve(*load) for load in loads)))
+        plots.append(
+            Plot("force", "Force on feet and tail", "N", tuple(Curve(*load) for load in loads))
+        )
     if {"position", "orientation"} <= sensors.keys():
         angles, place = attitude_of(sensors["orientation"]), 1e3 * sensors["position"]
         names = zip(("roll", "pitch", "yaw"), _ORDINALS, angles.T, strict=True)
-        plots.append(Plot("attitude", "Attitude of the torso", "°", tuple(Curve(*each) for each in names)))
+        plots.append(
+            Plot("attitude", "Attitude of the torso", "°", tuple(Curve(*each) for each in names))
+        )
         if "linear_velocity" in sensors:
             yaw, velocity = np.deg2rad(angles[:, 2]), 1e3 * sensors["linear_velocity"]
             forward = velocity[:, 0] * np.sin(yaw) - velocity[:, 1] * np.cos(yaw)
             parameters = recording.metadata.get("parameters") or {}
-            period = float(parameters.get("tracking.clock_ratio") or 1.0) / float(parameters.get("frequency") or 1.0)
+            period = float(parameters.get("tracking.clock_ratio") or 1.0) / float(
+                parameters.get("frequency") or 1.0
+            )
             mean = Curve("over a cycle", "first", _over_cycle(forward, time, period))
-            plots.append(Plot("speed", "Forward speed", "mm/s", (mean, Curve("at once", "first", forward, faint=True))))
+            plots.append(
+                Plot(
+                    "speed",
+                    "Forward speed",
+                    "mm/s",
+                    (mean, Curve("at once", "first", forward, faint=True)),
+                )
+            )
         way = (Curve("forward", "first", -place[:, 1]), Curve("to the left", "second", place[:, 0]))
         plots.append(Plot("place", "Position of the torso", "mm", way))
     tensions: dict[str, list[Curve]] = {"leg": []}
@@ -335,7 +390,9 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
         part, _, rest = ("leg", "", limb) if limb else tendon.name.partition("_")
         curves = tensions.setdefault(part, [])
         if limb or len(curves) < len(_ORDINALS):
-            curves.append(Curve(rest.replace("_", " "), limb or _ORDINALS[len(curves)], tendon.tension))
+            curves.append(
+                Curve(rest.replace("_", " "), limb or _ORDINALS[len(curves)], tendon.tension)
+            )
     for part, curves in tensions.items():
         key = "knee_tension" if part == "leg" else f"{part}_tension"
         plots += [Plot(key, f"Tension, {part} tendons", "N", tuple(curves))] if curves else []
@@ -351,10 +408,14 @@ def beside_log(recording: Recording) -> list[Plot]:
     for name, about in (_part(recording, "log").get("channels") or {}).items():
         if (values := recording.sensors.get(BESIDE + name)) is not None:
             unit = str(about.get("unit", ""))
-            both, rms = (in_shown_unit("", unit, each) for each in (np.asarray(values, float), about["rms"]))
+            both, rms = (
+                in_shown_unit("", unit, each) for each in (np.asarray(values, float), about["rms"])
+            )
             curves = zip(("measured", "simulated"), ("second", "first"), both.values.T, strict=True)
             title = f"{name}: lag {1e3 * about['lag']:.0f} ms, RMS {float(rms.values):.3g}"  # in the plot's unit
-            plots.append(Plot(f"log_{name}", title, both.unit, tuple(Curve(*curve) for curve in curves)))
+            plots.append(
+                Plot(f"log_{name}", title, both.unit, tuple(Curve(*curve) for curve in curves))
+            )
     return plots
 
 
@@ -363,7 +424,11 @@ def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
     names = servos_by_count(angle.shape[1])
     # Key, title, and the name and colour of each servo's curve.
     groups: list[tuple[str, str, dict[str, tuple[str, str]]]] = [
-        (kind, f"{kind.capitalize()} servos", {f"{limb}_{kind}": (limb.replace("_", " "), limb) for limb in LIMBS})
+        (
+            kind,
+            f"{kind.capitalize()} servos",
+            {f"{limb}_{kind}": (limb.replace("_", " "), limb) for limb in LIMBS},
+        )
         for kind in ("hip", "knee")
     ]
     for key, title, single in (
@@ -371,7 +436,9 @@ def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
         ("vertical_servos", "Vertical servos, + hip up, nose down", ("spine_vertical", "head")),
     ):
         coloured = zip(single, _ORDINALS, strict=False)
-        groups.append((key, title, {name: (name.replace("_", " "), colour) for name, colour in coloured}))
+        groups.append(
+            (key, title, {name: (name.replace("_", " "), colour) for name, colour in coloured})
+        )
     plots = []
     for key, title, servos in groups:
         curves: list[Curve] = []
@@ -420,7 +487,10 @@ def title_of(recording: Recording) -> str:
     if file := _part(recording, "log").get("file"):
         return f"Commands of {str(file).rpartition('/')[2]}"
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
-    gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
+    gait, controller = (
+        setup.get("gait"),
+        str(setup.get("controller") or "Recording").rpartition(":")[2],
+    )
     controller = controller.rpartition("/")[2]  # of a policy's file, its name
     parts = [titled(str(gait)) if gait else controller]
     if (frequency := parameters.get("frequency")) is not None:
@@ -443,7 +513,9 @@ def headline_of(recording: Recording) -> list[list[str]]:
     status = metrics.get("status", "ok")
     profile = (_part(recording, "setup") | _part(recording, "labels")).get("profile")
     rows += [["profile", str(profile)]] if rows and profile else []
-    return [row for row in rows if row[1] != "–"] + ([["status", str(status)]] if status != "ok" else [])
+    return [row for row in rows if row[1] != "–"] + (
+        [["status", str(status)]] if status != "ok" else []
+    )
 
 
 def details_of(recording: Recording) -> list[dict[str, Any]]:
@@ -458,7 +530,10 @@ def details_of(recording: Recording) -> list[dict[str, Any]]:
         ("versions", "Versions"),
     ):
         units = _units(recording) if key in ("metrics", "parameters") else {}
-        rows = [[name, _shown(value, units.get(name, ""))] for name, value in _part(recording, key).items()]
+        rows = [
+            [name, _shown(value, units.get(name, ""))]
+            for name, value in _part(recording, key).items()
+        ]
         rows = [row for row in rows if row[1] not in ("–", "")]
         if rows:
             tables.append({"title": title, "rows": rows})
@@ -477,13 +552,23 @@ def _units(recording: Recording) -> dict[str, str]:
     from nermo_mjx.rollout.transitions import TRANSITION
 
     units = {name: about.unit for name, about in quantities(WorldParameters)}
-    return units | {name: metric.unit for name, metric in (METRICS | TRANSITION).items()} | _part(recording, "units")
+    return (
+        units
+        | {name: metric.unit for name, metric in (METRICS | TRANSITION).items()}
+        | _part(recording, "units")
+    )
 
 
 def _shown(value: Any, unit: str, digits: int = 4) -> str:
     """A value as people read it: degrees and millimetres."""
     if value is None or isinstance(value, bool) or not isinstance(value, (int, float)):
-        return "–" if value is None else ("no", "yes")[value] if isinstance(value, bool) else str(value)
+        return (
+            "–"
+            if value is None
+            else ("no", "yes")[value]
+            if isinstance(value, bool)
+            else str(value)
+        )
     if not math.isfinite(value):
         return "–"
     quantity = in_shown_unit("", unit, value)

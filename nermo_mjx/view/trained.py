@@ -26,7 +26,15 @@ from nermo_mjx.trust import RUNS_CODE
 from nermo_mjx.view.clip import page_of
 from nermo_mjx.view.page import Page, web_file
 
-_HEADINGS: Final = ("", "", "success [%]", "speed [mm/s]", "distance [m]", "cost, mechanical", "cost, electrical")
+_HEADINGS: Final = (
+    "",
+    "",
+    "success [%]",
+    "speed [mm/s]",
+    "distance [m]",
+    "cost, mechanical",
+    "cost, electrical",
+)
 #: Of a walk in the evaluation's summary: factor and digits.
 _NUMBERS: Final = {
     "success": (100.0, 0),
@@ -54,7 +62,9 @@ def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Pa
     code = code_place(training.task.observe)
     if code and not RUNS_CODE.get():
         own = html.escape(Path(code).name)
-        parts.append(f"<p>The policy observes functions of {own}, which a command that only reads does not run.</p>")
+        parts.append(
+            f"<p>The policy observes functions of {own}, which a command that only reads does not run.</p>"
+        )
     elif (path / POLICY_FILE).exists():
         for scene, recording in recorded(training, load_policy(path / POLICY_FILE, code), engine):
             page = page_of([recording], ["A"], 520)
@@ -64,7 +74,9 @@ def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Pa
         judged = judged_in(training.evaluated()[0][0])
         where = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
         table = _table(summary_of(parquet_table(content)))
-        parts.append(f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>')
+        parts.append(
+            f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>'
+        )
     if reload is not None:
         parts.insert(0, f'<meta http-equiv="refresh" content="{reload:g}">')
     return Page(offline_page(name, "a training", parts, drawn), 680, samples)
@@ -83,9 +95,15 @@ def offline_page(name: str, what: str, parts: Sequence[str], figures: Figures) -
             lay_out(figure)
             file = io.BytesIO()
             figure.savefig(file, format="svg", metadata={"Date": None})
-            source = f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
-            parts.append(f'<h2>{title.capitalize()}</h2><img alt="{html.escape(title)}" src="{source}">')
-    head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+            source = (
+                f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+            )
+            parts.append(
+                f'<h2>{title.capitalize()}</h2><img alt="{html.escape(title)}" src="{source}">'
+            )
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+    )
     head += f"<title>Nermo: {name}, {what}</title><style>{web_file('trained.css')}</style>"
     body = f"<header><h1>{name}</h1></header><main>{''.join(parts)}</main>"
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
@@ -96,7 +114,13 @@ def _table(found: dict[str, Any]) -> str:
     rows = ["".join(f"<th>{each}</th>" for each in _HEADINGS)]
     for scene, walkers in found.items():
         for who, numbers in walkers.items():
-            shown = [f"{factor * numbers[key]:.{digits}f}" for key, (factor, digits) in _NUMBERS.items()]
+            shown = [
+                f"{factor * numbers[key]:.{digits}f}" for key, (factor, digits) in _NUMBERS.items()
+            ]
             called = "policy" if who == POLICY else "controller alone"
-            rows.append("".join(f"<td>{html.escape(each)}</td>" for each in (scene_name(scene), called, *shown)))
+            rows.append(
+                "".join(
+                    f"<td>{html.escape(each)}</td>" for each in (scene_name(scene), called, *shown)
+                )
+            )
     return "".join(f"<tr>{row}</tr>" for row in rows)

@@ -51,7 +51,11 @@ SUFFIXES: Final = (".mp4", ".gif", ".webp")
 #: What ffmpeg is told; its quality of WebP is that of JPEG, which blurs text below 70.
 _CODECS: Final[dict[str, dict[str, Any]]] = {
     ".mp4": {"codec": "libx264", "quality": 8, "output_params": ["-movflags", "+faststart"]},
-    ".webp": {"codec": "libwebp_anim", "quality": None, "output_params": ["-quality", "70", "-loop", "0"]},
+    ".webp": {
+        "codec": "libwebp_anim",
+        "quality": None,
+        "output_params": ["-quality", "70", "-loop", "0"],
+    },
 }
 
 
@@ -126,7 +130,9 @@ class Strip:
     def __init__(self, recording: Recording, panels: list[StripPanel], width: int) -> None:
         self.begin, self.end = float(recording.time[0]), float(recording.time[-1])
         self._width = width
-        self._rate = (width - MARGIN) / min(PAST + AHEAD, max(self.end - self.begin, 1e-3))  # pixels per second
+        self._rate = (width - MARGIN) / min(
+            PAST + AHEAD, max(self.end - self.begin, 1e-3)
+        )  # pixels per second
         self._rows, top = list[tuple[int, StripPanel]](), GAP
         for panel in panels:
             self._rows.append((top, panel))
@@ -161,7 +167,12 @@ class Strip:
             until = since + width / self._rate
             figure = blank_strip(width, self.height)
             for top, panel in self._rows:
-                place = (0.0, 1 - (top + panel.height) / self.height, 1.0, panel.height / self.height)
+                place = (
+                    0.0,
+                    1 - (top + panel.height) / self.height,
+                    1.0,
+                    panel.height / self.height,
+                )
                 axes = figure.add_axes(place)
                 axes.axis("off")
                 axes.set(xlim=(since, until), ylim=(panel.low, panel.high))
@@ -170,7 +181,14 @@ class Strip:
             for half in range(int(np.floor(2 * since)), int(np.ceil(2 * until)) + 1):
                 at = (half / 2 - since) * self._rate
                 if _HALF_LABEL < first + at < total - _HALF_LABEL:  # else it would be clipped
-                    write_text(figure, at, self.height - SCALE + 1, f"{half / 2:g} s", fontsize=7.5, ha="center")
+                    write_text(
+                        figure,
+                        at,
+                        self.height - SCALE + 1,
+                        f"{half / 2:g} s",
+                        fontsize=7.5,
+                        ha="center",
+                    )
             yield pixels(figure)
 
 
@@ -185,9 +203,13 @@ def gait_panels(recording: Recording) -> list[StripPanel]:
 
     def draw(axes: Any) -> None:
         for row, colour in enumerate(rows.values()):
-            axes.broken_barh(spans(standing[:, row], recording.time), (top - row + 0.12, 0.76), color=colour)
+            axes.broken_barh(
+                spans(standing[:, row], recording.time), (top - row + 0.12, 0.76), color=colour
+            )
 
-    notes = tuple((top + 0.5 - row, name, colour) for row, (name, colour) in enumerate(rows.items()))
+    notes = tuple(
+        (top + 0.5 - row, name, colour) for row, (name, colour) in enumerate(rows.items())
+    )
     return [StripPanel(13 * len(rows), 0.0, float(len(rows)), draw, notes)]
 
 
@@ -204,7 +226,9 @@ def servo_panels(recording: Recording) -> list[StripPanel]:
         def draw(axes: Any, name: str = name, columns: range = columns) -> None:
             for column in columns:
                 colour = COLOURS["spine" if name == "spine" else LIMBS[column % 4]]
-                axes.plot(recording.time, commanded[:, column], color=colour, linewidth=2.2, alpha=0.3)
+                axes.plot(
+                    recording.time, commanded[:, column], color=colour, linewidth=2.2, alpha=0.3
+                )
                 axes.plot(recording.time, measured[:, column], color=colour, linewidth=1.1)
 
         ends = [(at, f"{at:.0f}°", INK) for at in (middle + half, middle - half)]
@@ -215,7 +239,9 @@ def servo_panels(recording: Recording) -> list[StripPanel]:
 
 #: Sensors that an overlay needs, and what makes its rows of the strip below the image; None: drawn into the scene.
 #: `gait`: a bar for each standing foot; `servos`: their angles; `support`: polygon and centre of mass on the ground.
-OVERLAYS: Final[dict[str, tuple[tuple[str, ...], Callable[[Recording], list[StripPanel]] | None]]] = {
+OVERLAYS: Final[
+    dict[str, tuple[tuple[str, ...], Callable[[Recording], list[StripPanel]] | None]]
+] = {
     "gait": (("foot_force",), gait_panels),
     "servos": (("servo_angle",), servo_panels),
     "support": (("foot_force", "foot_position"), None),
@@ -231,9 +257,13 @@ def check_overlays(names: Sequence[str], recording: Recording | None = None) -> 
     """
     for name in names:
         choice("overlay", name, OVERLAYS)
-        missing = [sensor for sensor in OVERLAYS[name][0] if recording and sensor not in recording.sensors]
+        missing = [
+            sensor for sensor in OVERLAYS[name][0] if recording and sensor not in recording.sensors
+        ]
         if missing:
-            raise RecordingError(f"The overlay {name!r} needs the sensor {missing[0]!r}, which the recording lacks.")
+            raise RecordingError(
+                f"The overlay {name!r} needs the sensor {missing[0]!r}, which the recording lacks."
+            )
     if len(set(names)) < len(names):
         raise ParameterError(f"overlay is {', '.join(names)}: allowed is each name once.")
 
@@ -270,7 +300,9 @@ def write_video(
                     progress(done, count)
         partial.replace(path)
     except OSError as error:
-        reason = error.strerror or str(error).partition("\n")[0]  # imageio quotes all that ffmpeg printed
+        reason = (
+            error.strerror or str(error).partition("\n")[0]
+        )  # imageio quotes all that ffmpeg printed
         raise VideoError(f"{path}: the video cannot be written ({reason}).") from None
     finally:
         with contextlib.suppress(OSError):
@@ -279,7 +311,9 @@ def write_video(
 
 
 @contextlib.contextmanager
-def _writer(path: Path, fps: int, width: int, height: int, count: int) -> Iterator[Callable[[np.ndarray], object]]:
+def _writer(
+    path: Path, fps: int, width: int, height: int, count: int
+) -> Iterator[Callable[[np.ndarray], object]]:
     if path.suffix == ".gif":
         import imageio.v2 as imageio
 
@@ -316,9 +350,13 @@ def require_encoder() -> Any:
 
         program = imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
-        raise VideoError("No ffmpeg encodes MP4 or WebP: `pip install imageio-ffmpeg`, or write a .gif.") from None
+        raise VideoError(
+            "No ffmpeg encodes MP4 or WebP: `pip install imageio-ffmpeg`, or write a .gif."
+        ) from None
     if shutil.which(program) is None:  # the user's choice, which imageio-ffmpeg does not check
-        raise VideoError(f"IMAGEIO_FFMPEG_EXE is {program!r}, which cannot be run: unset it, or write a .gif.")
+        raise VideoError(
+            f"IMAGEIO_FFMPEG_EXE is {program!r}, which cannot be run: unset it, or write a .gif."
+        )
     return imageio_ffmpeg
 
 
@@ -396,7 +434,16 @@ def render(
     if not panes:
         raise ParameterError("A video side by side needs at least one recording.")
     path = Path(path)
-    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed, overlays=overlays)
+    check_video(
+        model,
+        path,
+        fps=fps,
+        width=width,
+        height=height,
+        camera=camera,
+        speed=speed,
+        overlays=overlays,
+    )
     for pane in panes:
         check_overlays(overlays, pane.recording)
         pane.recording.check_model(model)
@@ -404,12 +451,16 @@ def render(
     count = min(map(len, samples))
     samples = [each[:count] for each in samples]
     drawn = [
-        draw_frames(pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays)
+        draw_frames(
+            pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays
+        )
         for pane, each in zip(panes, samples, strict=True)
     ]
     pictures, height = drawn[0]
     if isinstance(recording, Recording):
-        return write_video(path, pictures, count, fps=fps, width=width, height=height, progress=progress)
+        return write_video(
+            path, pictures, count, fps=fps, width=width, height=height, progress=progress
+        )
     beside = len(panes) if len(panes) <= MOST_BESIDE else 2
     headers = _header(panes, width)
     # Each robot's distance from its start, without the sway of the steps [m].
@@ -423,7 +474,9 @@ def render(
             footers = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
             each = [np.concatenate(parts) for parts in zip(headers, row, footers, strict=True)]
             each += [np.full_like(each[0], PAPER)] * (-len(each) % beside)
-            yield np.concatenate([_beside(each[start : start + beside]) for start in range(0, len(each), beside)])
+            yield np.concatenate(
+                [_beside(each[start : start + beside]) for start in range(0, len(each), beside)]
+            )
 
     height = (height + len(headers[0]) + _FOOTER) * math.ceil(len(panes) / beside)
     wide = beside * (width + _GAP) - _GAP
@@ -451,7 +504,9 @@ def check_video(
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         allowed = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
-        raise ParameterError(f"{path}: a video ends in {allowed}, not in {path.suffix or 'nothing'!r}.")
+        raise ParameterError(
+            f"{path}: a video ends in {allowed}, not in {path.suffix or 'nothing'!r}."
+        )
     if suffix == ".gif" and fps > FASTEST_GIF:
         raise ParameterError(
             f"fps is {fps}: allowed is [1, {FASTEST_GIF}] in a GIF, which players show slowly past it."
@@ -462,13 +517,17 @@ def check_video(
             "16 x 16 to 7680 x 4320 pixels, 1 to 240 frames/s, and a speed above 0."
         )
     if suffix != ".gif" and (width % 2 or height % 2):
-        raise ParameterError(f"A video {suffix} needs an even width and height, not {width} x {height}.")
+        raise ParameterError(
+            f"A video {suffix} needs an even width and height, not {width} x {height}."
+        )
     own = [model.camera(i).name for i in range(model.ncam)]
     known = [*CAMERAS, *filter(None, own), *([STEREO] if set(EYES) <= set(own) else [])]
     if camera not in known:
         raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join(known)}.")
     if camera == STEREO and width % 2:
-        raise ParameterError(f"width is {width}: allowed is an even number with camera {STEREO}, half for each eye.")
+        raise ParameterError(
+            f"width is {width}: allowed is an even number with camera {STEREO}, half for each eye."
+        )
     check_overlays(overlays)
     if suffix != ".gif":
         require_encoder()
@@ -512,7 +571,9 @@ def draw_frames(
         middle = centre - data.xpos[root]
         path = smooth_path(root_path(recording, model, data, samples), interval) + middle
         fovy = float(model.vis.global_.fovy)
-        following = following_camera(camera, radius, fovy, width / height) if camera in CAMERAS else None
+        following = (
+            following_camera(camera, radius, fovy, width / height) if camera in CAMERAS else None
+        )
         views: list[Any] = [following] if following else [*EYES] if camera == STEREO else [camera]
         with _renderer(model, width // len(views), height) as renderer:
             for i, (sample, point) in enumerate(zip(samples, path, strict=True)):
@@ -527,9 +588,16 @@ def draw_frames(
                     renderer.update_scene(data, view)
                     if "support" in overlays:
                         tail = data.geom_xpos[tip] if tip >= 0 else None
-                        draw_support(renderer.scene, recording, int(sample), data.subtree_com[root], tail)
+                        draw_support(
+                            renderer.scene, recording, int(sample), data.subtree_com[root], tail
+                        )
                     pictures.append(renderer.render())
-                yield np.concatenate([np.concatenate(pictures, axis=1), *(strip.at(i * interval) for strip in strips)])
+                yield np.concatenate(
+                    [
+                        np.concatenate(pictures, axis=1),
+                        *(strip.at(i * interval) for strip in strips),
+                    ]
+                )
 
     return frames(), height + sum(strip.height for strip in strips)
 
@@ -540,8 +608,14 @@ def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
     model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
     model.vis.global_.offheight = max(model.vis.global_.offheight, height)
     quality = model.vis.quality
-    quality.shadowsize, quality.offsamples = min(quality.shadowsize, SHADOW_MAP), min(quality.offsamples, SAMPLES)
-    quality.numslices, quality.numstacks = min(quality.numslices, SLICES), min(quality.numstacks, STACKS)
+    quality.shadowsize, quality.offsamples = (
+        min(quality.shadowsize, SHADOW_MAP),
+        min(quality.offsamples, SAMPLES),
+    )
+    quality.numslices, quality.numstacks = (
+        min(quality.numslices, SLICES),
+        min(quality.numstacks, STACKS),
+    )
     model.mat_reflectance[:] = 0.0
     put_sun_overhead(model)
     return model
@@ -575,7 +649,9 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer
 def _header(panes: Sequence[Pane], width: int) -> list[UInt8[np.ndarray, "height width 3"]]:
     """The captions above each picture, all with the height of the longest."""
     most = int(width / CHARACTER)
-    texts = [[part for line in pane.caption for part in textwrap.wrap(line, most)] for pane in panes]
+    texts = [
+        [part for line in pane.caption for part in textwrap.wrap(line, most)] for pane in panes
+    ]
     height = _LINE * (1 + max(map(len, texts))) + 10
     strips = []
     for pane, lines in zip(panes, texts, strict=True):
@@ -597,7 +673,9 @@ def _footer(
         figure = blank_strip(width, _FOOTER)
         slowed = {1.0: "", 0.5: ", half speed"}.get(speed, f", speed {speed:g}")
         clock = f"{seconds:.2f} s{slowed}"
-        write_text(figure, 8, 19, f"{1e3 * way:.0f} mm" + (f" in {clock}" if i == 0 else ""), fontsize=8.5)
+        write_text(
+            figure, 8, 19, f"{1e3 * way:.0f} mm" + (f" in {clock}" if i == 0 else ""), fontsize=8.5
+        )
         strip = pixels(figure)
         strip[7:15, 8 : 8 + room] = _TRACK
         strip[7:15, 8 : 8 + round(room * way / max(furthest, 1e-6))] = _BAR

@@ -78,7 +78,9 @@ def test_what_is_not_needed_is_not_imported(script: str, heavy: set[str]) -> Non
 
 
 def test_the_package_is_a_command_too() -> None:
-    done = subprocess.run([sys.executable, "-m", "nermo_mjx", "--version"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "nermo_mjx", "--version"], capture_output=True, text=True, check=True
+    )
     assert done.stdout == f"nermo-mjx {__version__}\n"
 
 
@@ -105,39 +107,84 @@ def test_examples_in_the_help_are_valid_commands() -> None:
         (["walk", "--frequency", "50"], "frequency is 50: allowed is [0.001, 5] Hz."),
         (["walk", "--scene", "moon"], "scene is 'moon': allowed is 'balance_stand' or 'flat'"),
         (["walk", "--spine-amplitude", "0.2"], "--spine-amplitude has no effect with --spine none"),
-        (["walk", "--turn-rate", "0.2", "--pilot", "arc"], "--turn-rate has no effect with --pilot arc"),
+        (
+            ["walk", "--turn-rate", "0.2", "--pilot", "arc"],
+            "--turn-rate has no effect with --pilot arc",
+        ),
         (["walk", "--set", "frequency"], "expected NAME=VALUE"),
         (["walk", "--set", "frequncy=1"], "did you mean frequency?"),
         (["walk", "--set", "amplitude=1"], "did you mean spine.amplitude?"),
-        (["walk", "--set", "frequency=quick"], "frequency is 'quick': expected a number in Hz, such as 0.67 Hz."),
+        (
+            ["walk", "--set", "frequency=quick"],
+            "frequency is 'quick': expected a number in Hz, such as 0.67 Hz.",
+        ),
         (["walk", "--cycles", "3", "--duration", "2"], "Give --cycles or --duration, not both."),
-        (["walk", "--cycles", "2", "--warmup", "2"], "--warmup is 2: it must be shorter than the run, 2."),
+        (
+            ["walk", "--cycles", "2", "--warmup", "2"],
+            "--warmup is 2: it must be shorter than the run, 2.",
+        ),
         (["walk", "--video", "walk.avi"], "a video ends in .mp4, .gif or .webp"),
-        (["walk", "--video", "walk.mp4", "--camera", "moon"], "camera is 'moon': allowed is one of three_quarter"),
-        (["drive", "--connect", "mqtt://a", "--serve", "mqtt://a"], "Give --connect URL or --serve URL, not both."),
+        (
+            ["walk", "--video", "walk.mp4", "--camera", "moon"],
+            "camera is 'moon': allowed is one of three_quarter",
+        ),
+        (
+            ["drive", "--connect", "mqtt://a", "--serve", "mqtt://a"],
+            "Give --connect URL or --serve URL, not both.",
+        ),
         (["drive", "--rate", "30"], "--rate has no effect without --connect URL."),
-        (["drive", "--connect", "mqtt://a", "--loss", "0.5"], "--loss has no effect without --serve URL."),
-        (["drive", "--connect", "mqtt://a", "--headless", "--port", "8"], "--port has no effect without a page."),
+        (
+            ["drive", "--connect", "mqtt://a", "--loss", "0.5"],
+            "--loss has no effect without --serve URL.",
+        ),
+        (
+            ["drive", "--connect", "mqtt://a", "--headless", "--port", "8"],
+            "--port has no effect without a page.",
+        ),
         (["drive", "--robot", "nermo_5"], "'nermo_5' is not one of 'nermo_lite', 'nermo_41'"),
         (["drive", "--record", "a.csv"], "--record has no effect without --connect URL."),
-        (["drive", "--connect", "print:", "--headless", "--record", "a.npz"], "--record has no effect without a page."),
-        (["drive", "--connect", "print:", "--headless", "--rate", "200"], "rate is 200 Hz: allowed is (0, 100], the"),
+        (
+            ["drive", "--connect", "print:", "--headless", "--record", "a.npz"],
+            "--record has no effect without a page.",
+        ),
+        (
+            ["drive", "--connect", "print:", "--headless", "--rate", "200"],
+            "rate is 200 Hz: allowed is (0, 100], the",
+        ),
         (
             ["drive", "--connect", "tcp://me:secret@a", "--headless"],
             "connect is 'tcp://...@a': allowed is mqtt://HOST[:P",
         ),
-        (["drive", "--serve", "mqtt://me:secret@a:99999"], "serve is 'mqtt://...@a:99999': allowed is mqtt://HOST[:"),
+        (
+            ["drive", "--serve", "mqtt://me:secret@a:99999"],
+            "serve is 'mqtt://...@a:99999': allowed is mqtt://HOST[:",
+        ),
         (["replay", "."], "Give --row N, a row of the table."),
         (["servos", "--frequency", "0.8"], "Give --out FILE.csv, --send URL, or both."),
         (["plot", "missing"], "missing: there is no such file or directory."),
         (["sweep"], "A sweep needs SPEC.yaml or --rows FILE, and --out DIR"),
         (["sweep", "missing.yaml", "--out", "runs"], "missing.yaml: there is no such file."),
         (["sweep", "a.yaml", "--out", "b", "--shard", "4/4"], "I from 0 to N - 1"),
-        (["experiment", "turnin", "--out", "a"], "not one of 'straight-line', 'turning', 'balance', 'maze', 'body', "),
-        (["experiment", "maze", "--out", "a", "--set", "frequency=1"], "frequency cannot be set for maze"),
-        (["experiment", "maze", "--out", "a", "--set", "servo.kp"], "expected NAME=VALUE, such as frequency=0.67"),
-        (["experiment", "maze", "--out", "a", "--set", "contact.friction=9"], "friction is 9: allowed is [0.05, 5]."),
-        (["experiment", "maze", "--out", "/sys/kernel/nermo"], "cannot write in /sys/kernel/nermo: "),
+        (
+            ["experiment", "turnin", "--out", "a"],
+            "not one of 'straight-line', 'turning', 'balance', 'maze', 'body', ",
+        ),
+        (
+            ["experiment", "maze", "--out", "a", "--set", "frequency=1"],
+            "frequency cannot be set for maze",
+        ),
+        (
+            ["experiment", "maze", "--out", "a", "--set", "servo.kp"],
+            "expected NAME=VALUE, such as frequency=0.67",
+        ),
+        (
+            ["experiment", "maze", "--out", "a", "--set", "contact.friction=9"],
+            "friction is 9: allowed is [0.05, 5].",
+        ),
+        (
+            ["experiment", "maze", "--out", "/sys/kernel/nermo"],
+            "cannot write in /sys/kernel/nermo: ",
+        ),
     ],
 )
 def test_wrong_use_is_exit_code_2_and_one_sentence(arguments: list[str], sentence: str) -> None:
@@ -147,18 +194,28 @@ def test_wrong_use_is_exit_code_2_and_one_sentence(arguments: list[str], sentenc
         assert "secret" not in said
 
 
-@pytest.mark.parametrize("command", ["render --out a.mp4", "view --out a.html", "plot --out plots", "play --xml a.xml"])
-def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "command", ["render --out a.mp4", "view --out a.html", "plot --out plots", "play --xml a.xml"]
+)
+def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(
+    command: str, tmp_path: Path
+) -> None:
     name, *options = command.split()
     time, states = np.arange(1, 4) * 0.01, np.zeros((3, load_robot().model.nq))
-    old = Recording(time, states, np.zeros((3, 3)), np.zeros((3, 11)), model_hash="0123456789abcdef")
+    old = Recording(
+        time, states, np.zeros((3, 3)), np.zeros((3, 11)), model_hash="0123456789abcdef"
+    )
     (tmp_path / "text.npz").write_text("no recording")
     np.savez(tmp_path / "other.npz", speed=np.zeros(3))
     cases = {
-        tmp_path / "text.npz": "so it is not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes",
-        tmp_path / "other.npz": "not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes one, and "
+        tmp_path
+        / "text.npz": "so it is not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes",
+        tmp_path
+        / "other.npz": "not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes one, and "
         "nermo-mjx log reads a robot's log.",
-        old.save(tmp_path / "old.npz"): "made with another version of the robot's model; record the run again.",
+        old.save(
+            tmp_path / "old.npz"
+        ): "made with another version of the robot's model; record the run again.",
     }
     there = sorted(tmp_path.iterdir())
     with contextlib.chdir(tmp_path):
@@ -177,7 +234,11 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
         ("JAX_PLATFORMS=cuda", "walk --engine mjx --quiet", "unset it to compute on the CPU"),
         ("JAX_PLATFORMS=moon", "servos --out a.csv", "unset it to compute on the CPU"),
         ("MUJOCO_GL=glfw", "walk --duration 0.3 --quiet --video a.mp4", "set MUJOCO_GL=osmesa"),
-        ("MUJOCO_GL=moon", "walk --duration 0.3 --quiet --video a.mp4", "allowed is egl, osmesa or glfw"),
+        (
+            "MUJOCO_GL=moon",
+            "walk --duration 0.3 --quiet --video a.mp4",
+            "allowed is egl, osmesa or glfw",
+        ),
     ],
 )
 def test_what_the_environment_wants_and_the_machine_has_not_is_a_sentence(
@@ -196,7 +257,9 @@ def test_what_the_environment_wants_and_the_machine_has_not_is_a_sentence(
 # --- failed, stopped
 
 
-def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_is_exit_code_1_and_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also Ctrl-C, which says what to do."""
     result = call("model", "--xml", tmp_path / "missing" / "robot.xml")
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
@@ -208,10 +271,14 @@ def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
-    spec.write_text("run: {cycles: 3, warmup_cycles: 1}\nvary: {frequency: {linspace: [0.8, 1.2, 24]}}\nchunk: 2\n")
+    spec.write_text(
+        "run: {cycles: 3, warmup_cycles: 1}\nvary: {frequency: {linspace: [0.8, 1.2, 24]}}\nchunk: 2\n"
+    )
     # A shell starts background jobs with Ctrl-C ignored, and the tests may run in one.
     heed = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     start = f"{heed}; runpy.run_module('nermo_mjx', run_name='__main__', alter_sys=True)"
@@ -251,7 +318,16 @@ def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> Non
 
 @pytest.mark.release
 def test_options_reach_the_simulation(tmp_path: Path) -> None:
-    options = ("--spine", "stride_extension", "--spine-amplitude", "0.3", "--spine-phase", "0.5", "--stride", "0.8")
+    options = (
+        "--spine",
+        "stride_extension",
+        "--spine-amplitude",
+        "0.3",
+        "--spine-phase",
+        "0.5",
+        "--stride",
+        "0.8",
+    )
     more = (
         "--gait",
         "lateral_walk",
@@ -296,13 +372,21 @@ def test_the_seed_decides_the_start() -> None:
 @pytest.mark.release
 @pytest.mark.parametrize(
     ("options", "theory"),
-    [((), r"80\.4"), (("--spine", "stride_extension"), r"101\.[5-7]"), (("--set", "duty=0.8"), r"50\.[23]")],
+    [
+        ((), r"80\.4"),
+        (("--spine", "stride_extension"), r"101\.[5-7]"),
+        (("--set", "duty=0.8"), r"50\.[23]"),
+    ],
 )
 def test_walk_sums_up_in_millimetres_and_degrees(options: tuple[str, ...], theory: str) -> None:
     """In theory (5.33): 0.67 Hz, two strides of 60 mm, with the spine of 75.8 mm; 1 / 0.8 of 60 mm (erratum 20)."""
     result = call(*SHORT, *options)
     assert result.exit_code == 0
-    for line in (r"speed +-?[\d.]+ +mm/s", rf"speed in theory +{theory} +mm/s", r"roll( +-?[\d.]+){4}"):
+    for line in (
+        r"speed +-?[\d.]+ +mm/s",
+        rf"speed in theory +{theory} +mm/s",
+        r"roll( +-?[\d.]+){4}",
+    ):
         assert re.search(rf"^{line}$", result.stdout, re.MULTILINE)
     result = call(*SHORT, *options, "--quiet")
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
@@ -320,7 +404,9 @@ def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     assert recording.ctrl.shape[1] == model.nu
     assert recording.sensors["foot_position"].shape[1:] == (4, 3)
     assert recording.metadata["metrics"] == report["metrics"]
-    shape = json_of("render", record, "--out", video, "--fps", "5", "--width", "64", "--height", "48")
+    shape = json_of(
+        "render", record, "--out", video, "--fps", "5", "--width", "64", "--height", "48"
+    )
     assert shape["video"] == str(video)
     assert video.stat().st_size > 0
 
@@ -328,7 +414,9 @@ def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
 @pytest.mark.release
 def test_sweep_json_and_directory(tmp_path: Path) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
-    spec.write_text("run: {duration: 0.3, warmup: 0.1}\nvary: {frequency: [0.6, 0.9]}\nplots: false\n")
+    spec.write_text(
+        "run: {duration: 0.3, warmup: 0.1}\nvary: {frequency: [0.6, 0.9]}\nplots: false\n"
+    )
     result = json_of("sweep", spec, "--out", out, "--engine", "c", "--seed", "5")
     assert result["complete"]
     assert result["summary"]["status"] == {"ok": 2}
@@ -347,7 +435,9 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     return pretend(monkeypatch)
 
 
-def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], tmp_path: Path) -> None:
+def test_experiment_json_is_the_report_and_nothing_else(
+    fakes: dict[str, Fake], tmp_path: Path
+) -> None:
     options = ("--out", tmp_path, "--quick", "--seed", "5", "--set", "contact.friction=0.8")
     result = json_of("experiment", "all", *options)
     assert list(result["run"]) == list(choices.EXPERIMENTS)
@@ -355,13 +445,28 @@ def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], 
     stored = json.loads((tmp_path / "report.json").read_text())
     assert {name: result[name] for name in stored} == stored
     asked = fakes["maze"].asked[0]
-    assert (asked.seed, asked.quick, asked.repeats, asked.values) == (5, True, 1, {"contact.friction": 0.8})
+    assert (asked.seed, asked.quick, asked.repeats, asked.values) == (
+        5,
+        True,
+        1,
+        {"contact.friction": 0.8},
+    )
     assert json_of("experiment", "maze", *options)["run"] == {"maze": {"kept": True}}
     assert len(fakes["maze"].asked) == 1
 
 
-def test_experiment_prints_figures_side_by_side_and_where_things_are(fakes: dict[str, Fake], tmp_path: Path) -> None:
-    result = call("experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "as_published")
+def test_experiment_prints_figures_side_by_side_and_where_things_are(
+    fakes: dict[str, Fake], tmp_path: Path
+) -> None:
+    result = call(
+        "experiment",
+        "turning",
+        "--out",
+        tmp_path / "out",
+        "--no-video",
+        "--profile",
+        "as_published",
+    )
     assert result.exit_code == 0, "a figure that does not hold is no failure"
     for line in (
         r"^figure +kind +published +author's model +as published +exact +as built +90 % +in it +holds$",
@@ -369,7 +474,10 @@ def test_experiment_prints_figures_side_by_side_and_where_things_are(fakes: dict
     ):
         assert re.search(line, result.stdout, re.MULTILINE)
     assert "turning: 2 of 4 figures hold, 1 not judged or measured (6 runs in " in result.stdout
-    assert "predicted: 1 of 2 figures hold; chosen: 1 of 1 figures hold; fitted: 0 of 1" in result.stdout
+    assert (
+        "predicted: 1 of 2 figures hold; chosen: 1 of 1 figures hold; fitted: 0 of 1"
+        in result.stdout
+    )
     assert "Only predicted lines count as evidence." in result.stdout
     assert str(tmp_path / "out" / "report.md") in result.stdout
     assert "videos" not in result.stdout
@@ -383,8 +491,13 @@ def test_an_experiment_ends_with_the_exit_code_of_what_happened(
 
     run = ("experiment", "all", "--out", tmp_path, "--no-video", "--quiet")
     failed = f"maze failed: it cannot be written. What was done before is kept in {tmp_path}.\n"
-    stopped = f"stopped; what is finished is kept in {tmp_path}. To resume, run the same command again.\n"
-    for error, sentence in ((RecordingError("it cannot be written."), failed), (KeyboardInterrupt(), stopped)):
+    stopped = (
+        f"stopped; what is finished is kept in {tmp_path}. To resume, run the same command again.\n"
+    )
+    for error, sentence in (
+        (RecordingError("it cannot be written."), failed),
+        (KeyboardInterrupt(), stopped),
+    ):
         fakes["maze"].error = error
         result = call(*run)
         assert (result.exit_code, result.stderr) == (1, f"nermo-mjx: {sentence}")
@@ -396,7 +509,9 @@ def test_an_experiment_ends_with_the_exit_code_of_what_happened(
     monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
     fakes["maze"].error = None
     message = refused(*run)
-    assert re.search(r"was made by other code: nermo-mjx \S+, not 9\.9\.9; .*--accept-new-code", message)
+    assert re.search(
+        r"was made by other code: nermo-mjx \S+, not 9\.9\.9; .*--accept-new-code", message
+    )
     assert message.count("\n") == 1
     for option, runs in (("--accept-new-code", 1), ("--again", 2)):
         assert call(*run, option).exit_code == 0
@@ -413,10 +528,17 @@ def test_identify_without_a_log_names_the_robot_instances_of_the_package(tmp_pat
 def test_list_parameters_shows_names_with_unit_default_and_range() -> None:
     from nermo_mjx.rollout import all_parameters
 
-    text, listed = call("sweep", "--list-parameters").stdout, json_of("sweep", "--list-parameters")["parameters"]
+    text, listed = (
+        call("sweep", "--list-parameters").stdout,
+        json_of("sweep", "--list-parameters")["parameters"],
+    )
     assert list(listed) == list(all_parameters())
-    assert re.search(r"^spine\.amplitude +0\.4 +\[0, 0\.6\] rad +servo amplitude", text, re.MULTILINE)
-    assert re.search(r"^foot\.front\.y1 \.\.\. foot\.front\.z8 +0 +\[-0\.02, 0\.02\] m", text, re.MULTILINE)
+    assert re.search(
+        r"^spine\.amplitude +0\.4 +\[0, 0\.6\] rad +servo amplitude", text, re.MULTILINE
+    )
+    assert re.search(
+        r"^foot\.front\.y1 \.\.\. foot\.front\.z8 +0 +\[-0\.02, 0\.02\] m", text, re.MULTILINE
+    )
     assert listed["frequency"]["unit"] == "Hz"
 
 
@@ -441,9 +563,20 @@ def test_what_libraries_print_does_not_reach_json(monkeypatch: pytest.MonkeyPatc
 
 
 def test_json_values_are_plain_and_finite_and_durations_are_in_words() -> None:
-    value = {"a": np.float32(math.inf), "b": np.arange(2), "c": [math.nan, Path("x")], "d": np.bool_(True), 1: None}
+    value = {
+        "a": np.float32(math.inf),
+        "b": np.arange(2),
+        "c": [math.nan, Path("x")],
+        "d": np.bool_(True),
+        1: None,
+    }
     assert plain_json(value) == {"a": None, "b": [0, 1], "c": [None, "x"], "d": True, "1": None}
-    assert [duration(s) for s in (0.4, 59.6, 200, 7500)] == ["0 s", "1 min 0 s", "3 min 20 s", "2 h 5 min"]
+    assert [duration(s) for s in (0.4, 59.6, 200, 7500)] == [
+        "0 s",
+        "1 min 0 s",
+        "3 min 20 s",
+        "2 h 5 min",
+    ]
 
 
 class Terminal(io.StringIO):
@@ -460,7 +593,9 @@ def test_progress_without_a_terminal_is_a_line_now_and_then() -> None:
     lines = often.getvalue().splitlines()
     assert (len(lines), lines[0]) == (3, "sweep: 50%, 50 of 100 runs")
     assert re.fullmatch(r"sweep: 100%, 100 of 100 runs, \S+ runs/s", lines[-1])
-    assert len(seldom.getvalue().splitlines()) == 1, "only the last line, so shortly after the start"
+    assert len(seldom.getvalue().splitlines()) == 1, (
+        "only the last line, so shortly after the start"
+    )
 
 
 def test_progress_on_a_terminal_is_a_bar_and_quiet_is_nothing() -> None:
@@ -496,7 +631,9 @@ def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:
     [(1.0, "1 evaluations/s, 8 s left"), (90.0, "1 min 30 s each, 12 min 0 s left")],
     ids=["fast", "slow"],
 )
-def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second: float, told: str) -> None:
+def test_the_pace_leaves_compilation_out(
+    monkeypatch: pytest.MonkeyPatch, second: float, told: str
+) -> None:
     """A minute of compilation, and then the same time for each: eight are left after two."""
     clock = iter([0.0, 0.0, 60.0, 60.0 + second])
     monkeypatch.setattr("nermo_mjx.progress.time.monotonic", lambda: next(clock))
@@ -511,7 +648,8 @@ def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    ("name", "short"), [("trot", "trot"), ("walking_trot", "walking_trot"), ("lateral_walk", "lateral_walk")]
+    ("name", "short"),
+    [("trot", "trot"), ("walking_trot", "walking_trot"), ("lateral_walk", "lateral_walk")],
 )
 def test_gaits_have_the_names_of_the_field(name: str, short: str) -> None:
     assert Setup(gait=name) == Setup(gait=short)

@@ -24,16 +24,30 @@ def complete(line: str, folder: Path, shell: str = "bash") -> list[str]:
         "try:\n    main(prog_name='nermo-mjx')\n"
         "finally:\n    assert not {'jax', 'mujoco', 'numpy', 'pyarrow'} & set(sys.modules), 'heavy'\n"
     )
-    environment = os.environ | {"_NERMO_MJX_COMPLETE": f"{shell}_complete", "COMP_WORDS": line, "COMP_CWORD": place}
+    environment = os.environ | {
+        "_NERMO_MJX_COMPLETE": f"{shell}_complete",
+        "COMP_WORDS": line,
+        "COMP_CWORD": place,
+    }
     environment |= {"PYTHONPATH": str(Path(__file__).parents[2])}
-    done = subprocess.run([sys.executable, "-c", script], env=environment, cwd=folder, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, cwd=folder, capture_output=True, text=True
+    )
     assert "heavy" not in done.stderr
     return done.stdout.splitlines()
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name in ("trot.yaml", "walk.npz", "notes.txt", "runs/a.yaml", "runs/b.npz", "deep/er/c.yaml", ".hidden.yaml"):
+    for name in (
+        "trot.yaml",
+        "walk.npz",
+        "notes.txt",
+        "runs/a.yaml",
+        "runs/b.npz",
+        "deep/er/c.yaml",
+        ".hidden.yaml",
+    ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     return tmp_path
@@ -55,12 +69,16 @@ def folder(tmp_path: Path) -> Path:
         ("nermo-mjx tune nothing", ["file,nothing"]),
     ],
 )
-def test_the_shell_offers_commands_names_and_files_by_their_kind(line: str, offer: list[str], folder: Path) -> None:
+def test_the_shell_offers_commands_names_and_files_by_their_kind(
+    line: str, offer: list[str], folder: Path
+) -> None:
     assert complete(line, folder) == offer
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_every_shell_is_offered_the_same_after_what_the_command_prints(shell: str, folder: Path) -> None:
+def test_every_shell_is_offered_the_same_after_what_the_command_prints(
+    shell: str, folder: Path
+) -> None:
     assert set(complete("nermo-mjx sweep t", folder, shell)) & {"trot.yaml", "plain,trot.yaml"}
     text = call("completion", shell).stdout
     assert text == call("completion", shell, "--quiet").stdout
@@ -84,7 +102,9 @@ def test_names_written_out_for_the_shell_are_those_of_the_package() -> None:
     assert choices.FILE.read_text() == choices.text_of(choices.of_package())
 
 
-def test_hidden_files_are_offered_when_asked_for(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hidden_files_are_offered_when_asked_for(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(folder)
     assert offered(".h", (".yaml",)) == [".hidden.yaml"]
     assert offered(f"{folder}/tr", (".yaml",)) == [f"{folder}/trot.yaml"]

@@ -24,7 +24,9 @@ def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
     write_log(folder, seconds=4.0, **FAULTS)
     write_log(folder, seconds=4.0, **FAULTS, seed=5, name="again")
-    replayed = json_of("replay", "--commands", folder / "robot.csv", "--record", folder / "twin.npz")
+    replayed = json_of(
+        "replay", "--commands", folder / "robot.csv", "--record", folder / "twin.npz"
+    )
     (folder / "replay.json").write_text(json.dumps(replayed))
     return folder
 
@@ -37,7 +39,9 @@ def test_a_log_is_shown_back_and_checked(folder) -> None:
     assert spine["rate"] == pytest.approx(100.0)
     assert spine["lag"] == pytest.approx(0.02, abs=0.006), "the delay, and the servo's own"
     assert len(found["findings"]) == 1
-    assert re.search(r"\d+ gaps, the longest .* [123]\.?\d* % of the samples are missing", found["findings"][0])
+    assert re.search(
+        r"\d+ gaps, the longest .* [123]\.?\d* % of the samples are missing", found["findings"][0]
+    )
     text = call("log", folder / "robot.csv", "--channels", folder / "robot.yaml").stdout
     assert "t_ms" in text
     assert re.search(r"pos_spine +angle +spine +100 ", text)
@@ -47,8 +51,17 @@ def test_a_log_is_shown_back_and_checked(folder) -> None:
 @pytest.mark.release
 def test_the_twin_is_driven_by_the_commands(folder) -> None:
     """What differs is what the other simulation did otherwise: 20 ms of delay, 5 less as its commands are held."""
-    found = {each["name"]: each for each in json.loads((folder / "replay.json").read_text())["channels"]}
-    assert set(found) > {"pos_spine", "gyro x", "accelerometer z", "marker x", "marker y", "heading"}
+    found = {
+        each["name"]: each for each in json.loads((folder / "replay.json").read_text())["channels"]
+    }
+    assert set(found) > {
+        "pos_spine",
+        "gyro x",
+        "accelerometer z",
+        "marker x",
+        "marker y",
+        "heading",
+    }
     assert not any(name.startswith("cmd") for name in found)
     for name in ("pos_spine", "pos_neck", "pos_front_left_knee", "pos_rear_right_hip"):
         assert found[name]["lag"] == pytest.approx(0.015, abs=0.002)
@@ -60,7 +73,10 @@ def test_the_twin_is_driven_by_the_commands(folder) -> None:
 @pytest.mark.release
 def test_commands_act_at_their_times(folder) -> None:
     """In each step of physics the last command that had been given by then."""
-    log, twin = read_log(folder / "robot.csv", folder / "robot.yaml"), Recording.load(folder / "twin.npz")
+    log, twin = (
+        read_log(folder / "robot.csv", folder / "robot.yaml"),
+        Recording.load(folder / "twin.npz"),
+    )
     dt = 0.002
     np.testing.assert_allclose(np.diff(twin.time), dt, atol=1e-9)
     command, held = log.of_quantity("command")["spine"], twin.ctrl[:, 8]
@@ -73,8 +89,13 @@ def test_commands_act_at_their_times(folder) -> None:
 def test_a_twin_of_the_robots_delay_is_nearer(folder, tmp_path) -> None:
     """The residual tells a better twin from a worse one: the same log without its delay."""
     write_log(tmp_path, seconds=4.0, **{**FAULTS, "delay": 0.0})
-    nearer = {e["name"]: e["rms"] for e in json_of("replay", "--commands", tmp_path / "robot.csv")["channels"]}
-    found = {e["name"]: e["rms"] for e in json.loads((folder / "replay.json").read_text())["channels"]}
+    nearer = {
+        e["name"]: e["rms"]
+        for e in json_of("replay", "--commands", tmp_path / "robot.csv")["channels"]
+    }
+    found = {
+        e["name"]: e["rms"] for e in json.loads((folder / "replay.json").read_text())["channels"]
+    }
     assert all(nearer[name] < 0.6 * found[name] for name in ("pos_spine", "pos_neck", "heading"))
 
 
@@ -90,16 +111,27 @@ def test_view_and_plot_lay_measured_over_simulated(folder, tmp_path) -> None:
     assert np.nanstd(measured - simulated) < 0.3 * np.nanstd(simulated)
     files = json_of("plot", folder / "twin.npz", "--out", tmp_path, "--format", "png")["files"]
     assert any(file.endswith("beside-robot.png") for file in files)
-    page = json_of("view", folder / "twin.npz", "--out", tmp_path / "twin.html", "--no-open")["page"]
+    page = json_of("view", folder / "twin.npz", "--out", tmp_path / "twin.html", "--no-open")[
+        "page"
+    ]
     assert "pos_spine: lag 1" in Path(page).read_text()
 
 
 @pytest.mark.release
 def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:
     """A robot repeats itself within its noise; the twin is farther away, and the signs of lags follow B minus A."""
-    again = {e["name"]: e for e in json_of("compare", folder / "robot.csv", folder / "again.csv")["channels"]}
-    twin = {e["name"]: e for e in json_of("compare", folder / "robot.csv", folder / "twin.npz")["channels"]}
-    back = {e["name"]: e for e in json_of("compare", folder / "twin.npz", folder / "robot.csv")["channels"]}
+    again = {
+        e["name"]: e
+        for e in json_of("compare", folder / "robot.csv", folder / "again.csv")["channels"]
+    }
+    twin = {
+        e["name"]: e
+        for e in json_of("compare", folder / "robot.csv", folder / "twin.npz")["channels"]
+    }
+    back = {
+        e["name"]: e
+        for e in json_of("compare", folder / "twin.npz", folder / "robot.csv")["channels"]
+    }
     assert again["cmd_spine"]["rms"] == pytest.approx(0.0, abs=1e-5)
     noise = np.hypot(FAULTS["noise"], FAULTS["quantum"] / np.sqrt(12.0)) * np.sqrt(2.0)
     assert again["pos_spine"]["rms"] == pytest.approx(noise, rel=0.1)
@@ -108,13 +140,19 @@ def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:
     assert back["pos_spine"]["lag"] == pytest.approx(0.015, abs=0.002)
     assert "deg" in call("compare", folder / "robot.csv", folder / "twin.npz").stdout
     # In either order at the log's 100 Hz, as `replay --commands` reports it: log minus twin.
-    replayed = {each["name"]: each for each in json.loads((folder / "replay.json").read_text())["channels"]}
+    replayed = {
+        each["name"]: each for each in json.loads((folder / "replay.json").read_text())["channels"]
+    }
     assert twin.keys() == back.keys() == replayed.keys()
-    for name, sign, found in ((n, s, f[n]) for n in replayed for s, f in ((1.0, back), (-1.0, twin))):
+    for name, sign, found in (
+        (n, s, f[n]) for n in replayed for s, f in ((1.0, back), (-1.0, twin))
+    ):
         for size in ("rms", "amplitude", "correlation"):
             assert found[size] == pytest.approx(replayed[name][size], rel=1e-9, abs=1e-12), name
         for signed in ("bias", "lag"):
-            assert found[signed] == pytest.approx(sign * replayed[name][signed], rel=1e-9, abs=1e-12), name
+            assert found[signed] == pytest.approx(
+                sign * replayed[name][signed], rel=1e-9, abs=1e-12
+            ), name
 
 
 @pytest.mark.release
@@ -123,14 +161,18 @@ def test_a_track_alone_is_enough(folder, tmp_path) -> None:
     lines = (folder / "robot.yaml").read_text().splitlines()
     kept = [line for line in lines if not re.match(r"  (pos|gyro|acc)", line)]
     (tmp_path / "track.yaml").write_text("\n".join(kept) + "\n")
-    found = json_of("replay", "--commands", folder / "robot.csv", "--channels", tmp_path / "track.yaml")
+    found = json_of(
+        "replay", "--commands", folder / "robot.csv", "--channels", tmp_path / "track.yaml"
+    )
     assert [each["name"] for each in found["channels"]] == ["marker x", "marker y", "heading"]
     only = [line for line in kept if "cmd" not in line]
     (tmp_path / "only.yaml").write_text("\n".join(only) + "\n")
-    assert json_of("log", folder / "robot.csv", "--channels", tmp_path / "only.yaml")["seconds"] == pytest.approx(
-        4, abs=0.05
+    assert json_of("log", folder / "robot.csv", "--channels", tmp_path / "only.yaml")[
+        "seconds"
+    ] == pytest.approx(4, abs=0.05)
+    refused = call(
+        "replay", "--commands", folder / "robot.csv", "--channels", tmp_path / "only.yaml"
     )
-    refused = call("replay", "--commands", folder / "robot.csv", "--channels", tmp_path / "only.yaml")
     assert refused.exit_code == 2
     assert "no channel is a command" in refused.stderr
 
@@ -141,12 +183,27 @@ def test_a_track_alone_is_enough(folder, tmp_path) -> None:
     [
         (["replay"], "Give a directory, a recorded drive, or --commands LOG."),
         (["replay", "--commands", "LOG", "--row", "3"], "--row has no effect without a directory"),
-        (["replay", "--commands", "LOG", "--sweep", "a.yaml"], "--sweep has no effect without a recorded drive"),
-        (["replay", "DIR", "--row", "3", "--scene", "stairs"], "--scene has no effect without --commands LOG"),
-        (["log", "MISSING"], "give the file of its channels, --channels FILE.yaml; by default it is"),
+        (
+            ["replay", "--commands", "LOG", "--sweep", "a.yaml"],
+            "--sweep has no effect without a recorded drive",
+        ),
+        (
+            ["replay", "DIR", "--row", "3", "--scene", "stairs"],
+            "--scene has no effect without --commands LOG",
+        ),
+        (
+            ["log", "MISSING"],
+            "give the file of its channels, --channels FILE.yaml; by default it is",
+        ),
         (["compare", "LOG"], "Give two directories A and B|is a file: give another log"),
-        (["compare", "LOG", "LOG", "--by", "gait"], "--by has no effect without directories of sweeps"),
-        (["compare", "DIR", "DIR", "--channels", "a.yaml"], "--channels has no effect without a robot's log"),
+        (
+            ["compare", "LOG", "LOG", "--by", "gait"],
+            "--by has no effect without directories of sweeps",
+        ),
+        (
+            ["compare", "DIR", "DIR", "--channels", "a.yaml"],
+            "--channels has no effect without a robot's log",
+        ),
         (["log", "LOG", "--channels", "missing.yaml"], "missing.yaml: there is no such file"),
     ],
 )
@@ -163,19 +220,39 @@ def test_wrong_use_is_one_sentence(words, sentence, folder) -> None:
 def test_a_command_of_no_servo_is_refused(folder, tmp_path) -> None:
     text = (folder / "robot.yaml").read_text().replace("command, of: spine", "command, of: spin")
     (tmp_path / "wrong.yaml").write_text(text)
-    result = call("replay", "--commands", folder / "robot.csv", "--channels", tmp_path / "wrong.yaml")
+    result = call(
+        "replay", "--commands", folder / "robot.csv", "--channels", tmp_path / "wrong.yaml"
+    )
     assert result.exit_code == 2
     assert "channel 'cmd_spine' is 'spin': did you mean 'spine'?" in result.stderr
 
 
 @pytest.mark.release
 def test_a_drive_without_a_robot_prints_and_logs(tmp_path) -> None:
-    result = call("drive", "--connect", "print:", "--headless", "--seconds", "0.5", "--record", tmp_path / "r.csv")
+    result = call(
+        "drive",
+        "--connect",
+        "print:",
+        "--headless",
+        "--seconds",
+        "0.5",
+        "--record",
+        tmp_path / "r.csv",
+    )
     assert result.exit_code == 0, result.stderr
     assert re.search(r"q_values: \[-?\d+, ", result.stderr)
     assert re.search(r"It walked for 0\.5 s, and \d+ commands were sent\.", result.stdout)
     log = read_log(tmp_path / "r.csv", tmp_path / "r.yaml")
     assert {each.quantity for each in log.channels} == {"command"}
-    again = call("drive", "--connect", "print:", "--headless", "--seconds", "0.5", "--record", tmp_path / "r.csv")
+    again = call(
+        "drive",
+        "--connect",
+        "print:",
+        "--headless",
+        "--seconds",
+        "0.5",
+        "--record",
+        tmp_path / "r.csv",
+    )
     assert again.exit_code == 2
     assert "exists; name another file" in again.stderr

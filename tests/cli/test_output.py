@@ -17,8 +17,15 @@ from nermo_mjx.sweep import run_sweep
 
 def test_control_characters_of_a_stranger_are_escaped(tmp_path: Path) -> None:
     evil = "\x1b]0;owned\x07\x1b[2J\x9b2J\u202egnp.exe\r\nfigures  rm -rf ~"
-    stamp = dict.fromkeys(("package", "sources", "model", "engine", "mujoco", "mujoco_mjx", "jax"), evil)
-    session = {"started": evil, "command": f"nermo-mjx {evil}", "machine": {"host": evil}, "versions": {"jax": evil}}
+    stamp = dict.fromkeys(
+        ("package", "sources", "model", "engine", "mujoco", "mujoco_mjx", "jax"), evil
+    )
+    session = {
+        "started": evil,
+        "command": f"nermo-mjx {evil}",
+        "machine": {"host": evil},
+        "versions": {"jax": evil},
+    }
     record = {"kind": "sweep", "codes": {evil: stamp}, "sessions": [session]}
     for kind in KINDS:
         (tmp_path / "run.json").write_text(json.dumps(record | {"kind": kind}))
@@ -34,7 +41,9 @@ def test_control_characters_of_a_stranger_are_escaped(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [MemoryError, RecursionError])
-def test_what_does_not_fit_ends_in_a_sentence(error: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_does_not_fit_ends_in_a_sentence(
+    error: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def failing(*_: Any) -> None:
         raise error
 
@@ -49,13 +58,20 @@ def test_what_does_not_fit_ends_in_a_sentence(error: Any, tmp_path: Path, monkey
 @pytest.mark.parametrize(("stream", "code"), [("stdout", 1), ("stderr", 0)])
 def test_a_full_disk_under_the_log_stops_nothing(tmp_path: Path, stream: str, code: int) -> None:
     """What is left to do is the summary, so that the process simulates nothing."""
-    (tmp_path / "s.yaml").write_text("vary: {frequency: [0.6, 0.8]}\nrun: {duration: 0.1}\nplots: false\n")
+    (tmp_path / "s.yaml").write_text(
+        "vary: {frequency: [0.6, 0.8]}\nrun: {duration: 0.1}\nplots: false\n"
+    )
     run_sweep(tmp_path / "s.yaml", tmp_path / "out", simulator=FakeSimulator(engine="c"))
     (tmp_path / "out" / "summary.json").unlink()
     with open("/dev/full", "w") as full:
-        done = run_command(["sweep", str(tmp_path / "s.yaml"), "--out", str(tmp_path / "out")], **{stream: full})
+        done = run_command(
+            ["sweep", str(tmp_path / "s.yaml"), "--out", str(tmp_path / "out")], **{stream: full}
+        )
         assert done.returncode == code
         assert (tmp_path / "out" / "summary.json").exists()
-        assert stream == "stderr" or "done, but standard output cannot be written: No space left" in done.stderr
+        assert (
+            stream == "stderr"
+            or "done, but standard output cannot be written: No space left" in done.stderr
+        )
         assert run_command(["--help"], **{stream: full}).returncode == code
         assert run_command(["nonsense"], **{stream: full}).returncode == 2

@@ -66,12 +66,17 @@ def test_a_directory_that_is_being_written_is_read(tmp_path: Path) -> None:
     with RunDirectory(tmp_path, "sweep") as held:
         code = stamp("a model", "c")
         held.take_code(code, holds_rows=False)
-        held.note_session({"started": "2026-01-01T00:00:00", "command": "nermo-mjx sweep a.yaml --out elsewhere"})
+        held.note_session(
+            {"started": "2026-01-01T00:00:00", "command": "nermo-mjx sweep a.yaml --out elsewhere"}
+        )
         content = said(tmp_path)
         assert known(content) == ("sweep", None, 0, False)
         assert content["code"] == [code.id]
         text = status(tmp_path).stdout
-        assert f"code     {code.id}: nermo-mjx {code.package}, sources {code.sources}, model a model, engine c" in text
+        assert (
+            f"code     {code.id}: nermo-mjx {code.package}, sources {code.sources}, model a model, engine c"
+            in text
+        )
         assert "2026-01-01 00:00" in text
         assert "nermo-mjx sweep a.yaml --out elsewhere" in text
 
@@ -100,7 +105,11 @@ def test_the_last_three_sessions_are_shown(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("zone", "local"),
-    [("Asia/Tokyo", "2026-01-01 09:30 JST"), ("UTC", "2026-01-01 00:30 UTC"), ("EST5EDT", "2025-12-31 19:30 EST")],
+    [
+        ("Asia/Tokyo", "2026-01-01 09:30 JST"),
+        ("UTC", "2026-01-01 00:30 UTC"),
+        ("EST5EDT", "2025-12-31 19:30 EST"),
+    ],
 )
 def test_times_are_those_of_this_machines_zone_and_name_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, zone: str, local: str
@@ -108,8 +117,13 @@ def test_times_are_those_of_this_machines_zone_and_name_it(
     """Wherever a session ran; what is no time is shown as it is."""
     monkeypatch.setenv("TZ", zone)
     time.tzset()
-    sessions = [{"started": each} for each in ("2026-01-01T00:30:00+0000", "2025-12-31T16:30:00-0800", "2026-01-01")]
-    (tmp_path / "run.json").write_text(json.dumps({"kind": "sweep", "sessions": [*sessions, {"started": "then"}, {}]}))
+    sessions = [
+        {"started": each}
+        for each in ("2026-01-01T00:30:00+0000", "2025-12-31T16:30:00-0800", "2026-01-01")
+    ]
+    (tmp_path / "run.json").write_text(
+        json.dumps({"kind": "sweep", "sessions": [*sessions, {"started": "then"}, {}]})
+    )
     text = status(tmp_path).stdout
     assert "session  then, " in text
     assert "session  some time, " in text
@@ -125,7 +139,10 @@ def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
     assert known(said(tmp_path)) == ("tuning", 8, 8, True)
     (tmp_path / "history.parquet").unlink()
     assert known(said(tmp_path)) == ("tuning", 8, 0, False)
-    assert f"resume   nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}" in status(tmp_path).stdout
+    assert (
+        f"resume   nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}"
+        in status(tmp_path).stdout
+    )
 
 
 @pytest.fixture
@@ -137,7 +154,9 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
 def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
     fakes: dict[str, Fake], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["/usr/bin/nermo-mjx", "experiment", "all", "--out", "elsewhere", "--no-video"])
+    monkeypatch.setattr(
+        "sys.argv", ["/usr/bin/nermo-mjx", "experiment", "all", "--out", "elsewhere", "--no-video"]
+    )
     fakes["maze"].error = KeyboardInterrupt()
     with pytest.raises(Interrupted):
         run_experiments(["turning", "maze"], tmp_path, engine="c", video=False)
@@ -194,9 +213,14 @@ def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path
         assert result.exit_code == 2
         assert sentence in result.stderr
     (tmp_path / "run.json").write_text('{"kind": "census"}')
-    assert "holds a census, which this release does not open: use the release that made it" in status(tmp_path).stderr
+    assert (
+        "holds a census, which this release does not open: use the release that made it"
+        in status(tmp_path).stderr
+    )
     (tmp_path / "run.json").write_text('{"kind": "landscape"}')
-    assert "holds a landscape, which this release does not open" in status(tmp_path).stderr, "of an earlier release"
+    assert "holds a landscape, which this release does not open" in status(tmp_path).stderr, (
+        "of an earlier release"
+    )
     (tmp_path / "run.json").write_text('{"kind": ')
     result = status(tmp_path)
     assert result.exit_code == 1

@@ -36,7 +36,9 @@ from nermo_mjx.rollout import Setup, Simulator
 ROBOT = Geometry()
 
 #: Any masses before and behind the spine, and their places: these are of Table A.5.
-MASSES = MassModel(0.1647, 0.1053, np.array([0.0, -0.0317, -0.0270]), np.array([0.0, 0.0310, -0.0160]))
+MASSES = MassModel(
+    0.1647, 0.1053, np.array([0.0, -0.0317, -0.0270]), np.array([0.0, 0.0310, -0.0160])
+)
 TICKS = 300
 #: The author's last ones, at 50 Hz: 300 on the change per 1/50 s.
 PUBLISHED_GAINS = {"pilot.error_gain": 40.0, "pilot.change_gain": 600.0, "pilot.guidance": 0.0}
@@ -47,7 +49,9 @@ def sensors_at(position=(0.0, 0.0, 0.05)) -> Sensors:
     robot = load_robot()
     still = robot.sensors(jnp.zeros(robot.model.nsensordata))
     upright = jnp.asarray([1.0, 0.0, 0.0, 0.0])
-    return dataclasses.replace(still, position=jnp.asarray(position, jnp.float32), orientation=upright)
+    return dataclasses.replace(
+        still, position=jnp.asarray(position, jnp.float32), orientation=upright
+    )
 
 
 def walk(controller, params, ticks=TICKS, phase=0.0, position=(0.0, 0.0, 0.05)):
@@ -84,8 +88,12 @@ def erratic():
         def step(state, command):
             frequency, speed, turn_rate = command
             gait = dataclasses.replace(params.gait, frequency=frequency, commanded_speed=speed)
-            now = dataclasses.replace(params, gait=gait, pilot=dataclasses.replace(params.pilot, turn_rate=turn_rate))
-            state, _ = published_controller(pilot="open_loop", pilot_rate=100.0).update(now, state, sensors_at())
+            now = dataclasses.replace(
+                params, gait=gait, pilot=dataclasses.replace(params.pilot, turn_rate=turn_rate)
+            )
+            state, _ = published_controller(pilot="open_loop", pilot_rate=100.0).update(
+                now, state, sensors_at()
+            )
             return state, state
 
         start = published_controller(pilot="open_loop").init(params, sensors_at())
@@ -106,7 +114,9 @@ def test_the_foot_path_is_continuous_whatever_the_command_does(erratic, seed, ga
     random = np.random.default_rng(seed)
     frequency = random.uniform(0.01, 5.0 * slow, TICKS)
     speed = random.uniform(0.0, 0.7, TICKS) * random.integers(0, 2, TICKS)
-    commands = jnp.asarray(np.stack([frequency, speed, random.uniform(-1, 1, TICKS)], axis=1), jnp.float32)
+    commands = jnp.asarray(
+        np.stack([frequency, speed, random.uniform(-1, 1, TICKS)], axis=1), jnp.float32
+    )
     params = control_parameters(gait)
     start, states = erratic(params, tuple(commands.T))
     foot = np.concatenate([np.asarray(start.foot)[None], states.foot])
@@ -114,7 +124,10 @@ def test_the_foot_path_is_continuous_whatever_the_command_does(erratic, seed, ga
     fastest = steepest(np.concatenate([np.asarray(start.gait.points)[None], states.gait.points]))
     duty = float(params.gait.duty)
     progress = (frequency * 0.01 / min(duty, 1.0 - duty))[:, None, None]
-    assert (np.abs(np.diff(foot, axis=0)) <= 1.02 * np.maximum(fastest[1:], fastest[:-1]) * progress + 1e-6).all()
+    assert (
+        np.abs(np.diff(foot, axis=0))
+        <= 1.02 * np.maximum(fastest[1:], fastest[:-1]) * progress + 1e-6
+    ).all()
 
 
 def steepest(points):
@@ -216,7 +229,10 @@ def test_the_feet_are_where_a_much_faster_controller_has_them(duty):
     params = control_parameters(frequency=2.0, **{"offset.rear_left": 0.283})
     slow, fast = (
         walks_along(
-            published_controller(pilot="open_loop", control_rate=rate), params, {"duty": np.array([duty])}, ticks
+            published_controller(pilot="open_loop", control_rate=rate),
+            params,
+            {"duty": np.array([duty])},
+            ticks,
         )
         for rate, ticks in ((100.0, 200), (5000.0, 10000))
     )
@@ -226,7 +242,10 @@ def test_the_feet_are_where_a_much_faster_controller_has_them(duty):
 @pytest.mark.release
 def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
     """Of every foot at every tick with respect to what sets the instants of the switches, while it is steered."""
-    controller, gait = published_controller(pilot="external", command=WINDING), control_parameters("walking_trot")
+    controller, gait = (
+        published_controller(pilot="external", command=WINDING),
+        control_parameters("walking_trot"),
+    )
     names = ["frequency", "duty", "offset.front_left", "tracking.clock_ratio", "turning.exponent"]
     at = np.array([0.81, 0.63, 0.51, 0.93, 1.3])
 
@@ -249,7 +268,11 @@ def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
 def _start(controller):
     def run(params, phase):
         start = controller.init(params, sensors_at(), phase)
-        return start, controller.initial_servo(params, phase), controller.servo_angles(params, start)
+        return (
+            start,
+            controller.initial_servo(params, phase),
+            controller.servo_angles(params, start),
+        )
 
     return jax.jit(run)
 
@@ -271,7 +294,9 @@ def test_the_first_posture_is_the_gaits_own(gait, phase):
 def test_the_servo_angles_put_the_feet_where_they_are_commanded():
     """Forward kinematics is the oracle; the tolerance is float32 rounding over an arccosine."""
     states, servo = walk(published_controller(), control_parameters("lateral_walk", frequency=0.8))
-    reached = forward_kinematics(four_legs(ROBOT), jnp.stack([servo.hip, servo.knee], axis=-1), "type3")
+    reached = forward_kinematics(
+        four_legs(ROBOT), jnp.stack([servo.hip, servo.knee], axis=-1), "type3"
+    )
     np.testing.assert_allclose(reached.foot, states.foot, atol=2e-6)
     assert reached.reachable.all()
 
@@ -291,7 +316,9 @@ def test_the_published_lag_shortens_a_stride_of_60_mm_by_a_tenth():
     strokes = {}
     for gain in (0.11, 1.0):
         params = control_parameters(frequency=0.8, **{"tracking.foot_gain": gain})
-        strokes[gain] = np.ptp(walk(controller, params, ticks=400)[0].foot[200:, :, 0], axis=0).mean()
+        strokes[gain] = np.ptp(
+            walk(controller, params, ticks=400)[0].foot[200:, :, 0], axis=0
+        ).mean()
     assert strokes[0.11] == pytest.approx(0.054, rel=0.05)
     assert strokes[1.0] == pytest.approx(0.060, abs=0.0005)
 
@@ -302,7 +329,11 @@ def test_the_published_lag_shortens_a_stride_of_60_mm_by_a_tenth():
 @pytest.mark.release
 @pytest.mark.parametrize("rate", [50.0, 100.0, 200.0])
 def test_the_phase_does_not_depend_on_the_control_rate(rate):
-    states, _ = walk(published_controller(control_rate=rate), control_parameters(frequency=0.67), ticks=int(2 * rate))
+    states, _ = walk(
+        published_controller(control_rate=rate),
+        control_parameters(frequency=0.67),
+        ticks=int(2 * rate),
+    )
     assert states.time[-1] == pytest.approx(2.0, rel=1e-6)
     assert states.phase[-1] == pytest.approx(1.34 % 1.0, abs=1e-4)
 
@@ -322,10 +353,14 @@ def test_the_published_clock_makes_0_8_hz_two_cycles_a_second():
 @pytest.mark.release
 def test_stride_extension_is_a_cosine_of_the_phase_and_without_a_mode_the_spine_rests():
     """q_sp = A cos(2 pi phase + psi), (5.33)."""
-    np.testing.assert_array_equal(walk(published_controller(), control_parameters(frequency=0.8))[1].spine, 0.0)
+    np.testing.assert_array_equal(
+        walk(published_controller(), control_parameters(frequency=0.8))[1].spine, 0.0
+    )
     params = control_parameters(**{"spine.amplitude": 0.3, "spine.phase": -0.4})
     states, servo = walk(published_controller(spine="stride_extension"), params)
-    np.testing.assert_allclose(servo.spine, 0.3 * np.cos(2 * np.pi * np.asarray(states.phase) - 0.4), atol=1e-6)
+    np.testing.assert_allclose(
+        servo.spine, 0.3 * np.cos(2 * np.pi * np.asarray(states.phase) - 0.4), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("rate", [-1.0, -0.6, 0.0, 0.6, 1.0])
@@ -357,7 +392,9 @@ def test_two_modes_are_on_together_without_blocking_each_other():
     """The sum of the single modes, clipped to the servo's limit."""
     params = control_parameters("lateral_walk", **{"spine.amplitude": 0.1})
     names = ("stride_extension", "balance", "stride_extension+balance")
-    servos = [walk(published_controller(spine=name, masses=MASSES), params)[1].spine for name in names]
+    servos = [
+        walk(published_controller(spine=name, masses=MASSES), params)[1].spine for name in names
+    ]
     assert np.ptp(servos[1]) > 0.01
     np.testing.assert_allclose(servos[2], np.clip(servos[0] + servos[1], -0.4, 0.4), atol=1e-5)
 
@@ -367,7 +404,8 @@ def test_offset_compensation_takes_the_hips_rise_out_of_the_rear_feet():
     """(5.31): at full compensation each rear foot is lower, in its leg's frame, by what its hip has risen."""
     plain, compensated = (
         walk(
-            published_controller(spine="stride_extension"), control_parameters(**{"spine.offset_compensation": share})
+            published_controller(spine="stride_extension"),
+            control_parameters(**{"spine.offset_compensation": share}),
         )[0]
         for share in (0.0, 1.0)
     )
@@ -383,7 +421,9 @@ def test_offset_compensation_takes_the_hips_rise_out_of_the_rear_feet():
 
 def test_the_pilot_holds_its_turn_rate_between_its_ticks():
     """50 Hz in a 100 Hz controller: each value stands for two ticks."""
-    table = tabulated(np.arange(400) / 100, 0.1, np.random.default_rng(0).uniform(-1, 1, 400), hold=True)
+    table = tabulated(
+        np.arange(400) / 100, 0.1, np.random.default_rng(0).uniform(-1, 1, 400), hold=True
+    )
     states, _ = walk(published_controller(pilot="external", command=table), control_parameters())
     turns = np.asarray(states.turn_rate).reshape(-1, 2)
     np.testing.assert_array_equal(turns[:, 0], turns[:, 1])
@@ -399,7 +439,10 @@ def test_a_robot_beside_its_line_is_steered_back_without_a_kick_at_the_start():
 @pytest.mark.parametrize(("profile", "ticks"), [("exact", 2.0), ("as_published", 5.0)])
 def test_the_change_of_the_error_is_counted_per_published_pilot_tick(profile, ticks):
     """600 per metre and 1/100 s of the controller's clock, of which a pilot tick of 20 ms takes 2, or 5 at 0.4."""
-    params, controller = control_parameters(profile=profile, **PUBLISHED_GAINS), published_controller(control_rate=50.0)
+    params, controller = (
+        control_parameters(profile=profile, **PUBLISHED_GAINS),
+        published_controller(control_rate=50.0),
+    )
     state = program(controller, "init")(params, sensors_at())
     state, _ = program(controller, "update")(params, state, sensors_at((1e-3, 0.0, 0.05)))
     assert state.turn_rate == pytest.approx(-(40e-3 + 600e-3 / ticks), rel=1e-5)
@@ -413,7 +456,9 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
     A PD has no integral: a circle of radius R needs the turn rate 0.15/R, which takes a steady error of 0.15/R/40.
     """
     values = {"pilot.radius": radius, "pilot.direction": side, **PUBLISHED_GAINS}
-    error = unicycle(published_controller(pilot=pilot), control_parameters(**values), curvature=obeys)
+    error = unicycle(
+        published_controller(pilot=pilot), control_parameters(**values), curvature=obeys
+    )
     steady = -side * 0.15 / radius / 40.0 if pilot == "arc" else 0.0
     np.testing.assert_allclose(error[-500:], steady, atol=2e-3)
 
@@ -422,7 +467,9 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
 @pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
 def test_a_unicycle_that_turns_as_expected_stays_on_its_arc(steering, radius):
     """Where the published PD would need an error of 16 mm (legs, 0.5 m) to turn at all."""
-    params = control_parameters(steering=steering, **{"pilot.radius": radius, "pilot.direction": -1.0})
+    params = control_parameters(
+        steering=steering, **{"pilot.radius": radius, "pilot.direction": -1.0}
+    )
     error = unicycle(published_controller(pilot="arc"), params, params.pilot.grip, 0.0)
     np.testing.assert_allclose(error, 0.0, atol=2e-3)
 
@@ -435,7 +482,9 @@ def test_guidance_finds_out_how_much_the_robot_really_turns(steering, share):
     After 9.6 m, ten times the look-ahead.
     """
     params = control_parameters(steering=steering, **{"pilot.radius": 1.0})
-    error = unicycle(published_controller(pilot="arc"), params, share * params.pilot.grip, seconds=120)
+    error = unicycle(
+        published_controller(pilot="arc"), params, share * params.pilot.grip, seconds=120
+    )
     np.testing.assert_allclose(error[-500:], 0.0, atol=1e-3)
     assert np.abs(error).max() < 0.07
 
@@ -444,7 +493,9 @@ def test_guidance_finds_out_how_much_the_robot_really_turns(steering, share):
 def test_a_robot_that_turns_less_than_expected_keeps_to_a_narrow_bend(steering):
     """15 % less, on 0.5 m: within half of the 25 mm that count as followed; with the look-ahead of a line up to 26."""
     params = control_parameters(steering=steering, **{"pilot.radius": 0.5})
-    error = unicycle(published_controller(pilot="arc"), params, 0.85 * params.pilot.grip, 0.0, seconds=30)
+    error = unicycle(
+        published_controller(pilot="arc"), params, 0.85 * params.pilot.grip, 0.0, seconds=30
+    )
     assert np.abs(error).max() < 0.0125
 
 
@@ -469,7 +520,9 @@ def test_the_observers_have_their_poles_where_their_bandwidth_says(bandwidth, fr
     left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), seen @ plant)
     angles = 2 * np.pi * cycles * np.asarray(pilot.HARMONICS)
     fast, slow = np.exp(-bandwidth * cycles), np.exp(-pilot.SLOW[which] * bandwidth * cycles)
-    wanted = np.poly([fast, slow, *(fast * np.exp(1j * angles)), *(fast * np.exp(-1j * angles))]).real
+    wanted = np.poly(
+        [fast, slow, *(fast * np.exp(1j * angles)), *(fast * np.exp(-1j * angles))]
+    ).real
     np.testing.assert_allclose(np.poly(left_over), wanted, atol=1e-9 * np.abs(wanted).max())
 
 
@@ -534,7 +587,9 @@ def obeys(params, turn_rate):
     return turn_rate / 0.15
 
 
-def unicycle(controller, params, share=1.0, beside=0.03, seconds=40, curvature=turning.path_curvature):
+def unicycle(
+    controller, params, share=1.0, beside=0.03, seconds=40, curvature=turning.path_curvature
+):
     """Cross-track error of a unicycle at 0.08 m/s from `beside` [m] left of the start; it turns by `share` of that."""
     return np.asarray(_unicycle(controller, curvature)(params, share, beside))[: 100 * seconds]
 
@@ -553,7 +608,12 @@ def _unicycle(controller, curvature):
             state, x, y, yaw = carry
             state, _ = controller.update(params, state, seen_at(x, y, yaw))
             yaw = yaw + dt * speed * share * curvature(params, state.turn_rate)
-            return (state, x + dt * speed * jnp.sin(yaw), y - dt * speed * jnp.cos(yaw), yaw), state.pilot.point.error
+            return (
+                state,
+                x + dt * speed * jnp.sin(yaw),
+                y - dt * speed * jnp.cos(yaw),
+                yaw,
+            ), state.pilot.point.error
 
         zero = jnp.zeros(())
         start = controller.init(params, seen_at(beside, zero, zero))
@@ -573,7 +633,9 @@ def test_an_arc_starts_in_the_posture_of_its_guidance(steering, side):
     assert side * float(start.turn_rate) > 0.4
     assert after.turn_rate == pytest.approx(float(start.turn_rate), abs=1e-6)
     assert after.spine == pytest.approx(float(start.spine), abs=1e-6)
-    published = control_parameters(profile="as_published", **{"pilot.radius": 0.5})  # which has no guidance
+    published = control_parameters(
+        profile="as_published", **{"pilot.radius": 0.5}
+    )  # which has no guidance
     assert program(controller, "init")(published, sensors_at()).turn_rate == 0.0
 
 
@@ -589,7 +651,10 @@ def random_tree(seed, tree):
             return jnp.asarray(random.integers(0, 2, value.shape), bool)
         if value.dtype == jnp.int32:
             return jnp.asarray(random.integers(0, 10**6, value.shape), jnp.int32)
-        return jnp.asarray(random.normal(size=value.shape) * 10.0 ** random.uniform(-6, 6, value.shape), value.dtype)
+        return jnp.asarray(
+            random.normal(size=value.shape) * 10.0 ** random.uniform(-6, 6, value.shape),
+            value.dtype,
+        )
 
     return jax.tree.map(leaf, tree)
 
@@ -612,7 +677,10 @@ def one_update():
 
     def gradient(params, state, sensors):
         def total(params):
-            return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(controller.update(params, state, sensors)[1]))
+            return sum(
+                jnp.sum(leaf)
+                for leaf in jax.tree.leaves(controller.update(params, state, sensors)[1])
+            )
 
         return controller.update(params, state, sensors), jax.grad(total)(params)
 
@@ -651,15 +719,21 @@ def test_new_values_do_not_compile_again_and_a_batch_equals_its_members():
     ]
     single = [run(case, np.float32(phase)) for case, phase in zip(cases, (0.1, 0.6), strict=True)]
     assert len(compilations) == 1
-    batch = jax.vmap(run)(jax.tree.map(lambda *leaves: np.stack(leaves), *cases), jnp.asarray([0.1, 0.6]))
+    batch = jax.vmap(run)(
+        jax.tree.map(lambda *leaves: np.stack(leaves), *cases), jnp.asarray([0.1, 0.6])
+    )
     for i, alone in enumerate(single):
-        jax.tree.map(lambda both, one, i=i: np.testing.assert_allclose(both[i], one, atol=1e-5), batch, alone)
+        jax.tree.map(
+            lambda both, one, i=i: np.testing.assert_allclose(both[i], one, atol=1e-5), batch, alone
+        )
 
 
 def test_the_controller_is_static_by_value():
     arrays = published_controller(spine=("balance", "stride_extension"), masses=MASSES)
     assert arrays == published_controller(spine="stride_extension+balance", masses=MASSES)
-    assert hash(arrays) == hash(published_controller(spine="stride_extension + balance", masses=MASSES))
+    assert hash(arrays) == hash(
+        published_controller(spine="stride_extension + balance", masses=MASSES)
+    )
     heavier = dataclasses.replace(MASSES, rear_mass=0.2)
     assert arrays != published_controller(spine="stride_extension+balance", masses=heavier)
 
@@ -675,7 +749,9 @@ def test_the_longest_stride_that_a_refusal_names_is_accepted():
 
 def test_bounds_belong_to_the_range_and_batches_are_kept():
     """1.2 is not a float32: parameters stay in double precision until they are traced."""
-    params = control_parameters(stride=1.2, frequency=np.linspace(0.4, 1.2, 5), **{"spine.amplitude": 0.6})
+    params = control_parameters(
+        stride=1.2, frequency=np.linspace(0.4, 1.2, 5), **{"spine.amplitude": 0.6}
+    )
     assert params.gait.frequency.shape == (5,)
     controller_module.check(params)
 

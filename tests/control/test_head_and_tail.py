@@ -27,7 +27,9 @@ ROBOT = Geometry()
 PACE = Pace(*(jnp.asarray(value, jnp.float32) for value in (0.0, 1.0, 0.0, 0.8)))
 
 
-def sensors_at(rotation: Rotation, gyro: tuple[float, float, float] = (0.0, 0.0, 0.0), spine: float = 0.0) -> Sensors:
+def sensors_at(
+    rotation: Rotation, gyro: tuple[float, float, float] = (0.0, 0.0, 0.0), spine: float = 0.0
+) -> Sensors:
     """What the robot reads with its torso turned so."""
     robot = load_robot()
     still = robot.sensors(jnp.zeros(robot.model.nsensordata))
@@ -42,18 +44,27 @@ def params_with(**values: float) -> ControlParameters:
     return replace_quantities(ControlParameters(), named)
 
 
-TILTED = [Rotation.from_euler("ZXY", angles) for angles in ((0.3, 0.1, -0.15), (-2.9, -0.2, 0.3), (1.6, 0.0, 0.2))]
+TILTED = [
+    Rotation.from_euler("ZXY", angles)
+    for angles in ((0.3, 0.1, -0.15), (-2.9, -0.2, 0.3), (1.6, 0.0, 0.2))
+]
 
 
 @pytest.mark.parametrize("torso", TILTED, ids=["left", "behind", "rolled"])
 @pytest.mark.parametrize("pan", [0.0, 0.3])
-def test_the_head_looks_along_the_course_whatever_the_torso_does(torso: Rotation, pan: float) -> None:
+def test_the_head_looks_along_the_course_whatever_the_torso_does(
+    torso: Rotation, pan: float
+) -> None:
     """Torso, neck and tilt one after the other, by SciPy: the gaze is level, and `pan` beside the course."""
     params = params_with(head_lead=0.0, head_pan=pan)
     course = torso.as_euler("ZXY")[0] + 0.2
     begun = head_and_tail.CourseEstimate(jnp.asarray(course, jnp.float32), jnp.zeros(()))
     _, angles = named_head("gaze").update(params, begun, sensors_at(torso), PACE, 1e-9)
-    looks = torso * Rotation.from_euler("z", float(angles.neck)) * Rotation.from_euler("x", float(angles.tilt))
+    looks = (
+        torso
+        * Rotation.from_euler("z", float(angles.neck))
+        * Rotation.from_euler("x", float(angles.tilt))
+    )
     wanted = [np.sin(course + pan), -np.cos(course + pan), 0.0]
     np.testing.assert_allclose(looks.apply([0.0, -1.0, 0.0]), wanted, atol=1e-6)
 
@@ -65,8 +76,14 @@ def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> 
     then = torso * Rotation.from_rotvec(rate * lead)
     course = head_and_tail.CourseEstimate(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
     angles = [
-        np.array(named_head("gaze").update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1])
-        for ahead, seen in ((lead, sensors_at(torso, tuple(rate))), (0.0, sensors_at(then)), (0.0, sensors_at(torso)))
+        np.array(
+            named_head("gaze").update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1]
+        )
+        for ahead, seen in (
+            (lead, sensors_at(torso, tuple(rate))),
+            (0.0, sensors_at(then)),
+            (0.0, sensors_at(torso)),
+        )
     ]
     assert np.abs(angles[0] - angles[1]).max() < 1e-3 < 0.03 < np.abs(angles[2] - angles[1]).max()
 
@@ -92,7 +109,9 @@ def test_the_course_goes_along_with_a_steady_turn_and_leaves_sway_out() -> None:
         return after, after.heading
 
     begun = head_and_tail.CourseEstimate(jnp.asarray(2.5), jnp.asarray(0.2))
-    found = np.asarray(jax.lax.scan(tick, begun, (jnp.asarray(torso), jnp.asarray(servo)))[1], float)[-5000:]
+    found = np.asarray(
+        jax.lax.scan(tick, begun, (jnp.asarray(torso), jnp.asarray(servo)))[1], float
+    )[-5000:]
     left = found - (2.5 + 0.2 * times[-5000:])
     s = 1j * omega
     expected = 0.14 * abs((2 * bandwidth * s + bandwidth**2) / (s + bandwidth) ** 2)
@@ -107,7 +126,9 @@ def test_a_gradient_goes_through_the_gaze() -> None:
     def neck(gain: jax.Array, sensors: Sensors) -> jax.Array:
         params = replace_quantities(ControlParameters(), {"head.gain": gain})
         return sum(
-            named_head("gaze").update(params, named_head("gaze").init(params, (), sensors), sensors, PACE, 0.01)[1]
+            named_head("gaze").update(
+                params, named_head("gaze").init(params, (), sensors), sensors, PACE, 0.01
+            )[1]
         )
 
     for torso in (Rotation.identity(), TILTED[0]):
@@ -141,7 +162,10 @@ def test_the_tail_turns_with_the_body_and_props_it() -> None:
     turned, leaning = (sensors_at(Rotation.from_euler(axis, 0.1)) for axis in "zy")
     _, against_yaw = named_tail("counter_yaw").update(params, course, turned, PACE, 1e-9)
     _, against_roll = named_tail("counter_roll").update(params, (), leaning, PACE, 1e-9)
-    assert (float(against_yaw), float(against_roll)) == (pytest.approx(-0.3, abs=1e-5), pytest.approx(0.3, abs=1e-5))
+    assert (float(against_yaw), float(against_roll)) == (
+        pytest.approx(-0.3, abs=1e-5),
+        pytest.approx(0.3, abs=1e-5),
+    )
 
 
 WALK = Run(cycles=6, warmup_cycles=2)
@@ -152,7 +176,12 @@ def gazing(simulator):
     """Trots with the spine at 0.8 Hz, the head held and gazing, and with a head that tilts; recorded."""
     walks = {"none": {}, "gaze": {"head": "gaze"}, "tilting": {"head": "gaze", "robot": "nermo_41"}}
     # The identified body of docs/model.md, whose head does not tremble between two recorded poses.
-    values = {"frequency": [0.8], "damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
+    values = {
+        "frequency": [0.8],
+        "damping.knee": 0.02531,
+        "damping.ankle": 0.02531,
+        "damping.spine": 0.09242,
+    }
     return {
         name: simulator(spine="stride_extension", **choices).run(values, WALK, record=True)
         for name, choices in walks.items()
@@ -173,10 +202,15 @@ def test_the_gaze_halves_the_yaw_of_the_head_and_more(gazing) -> None:
 @pytest.mark.release
 def test_a_head_that_tilts_holds_its_pitch(gazing) -> None:
     """On Nermo 4.1 the picture is level, and moves half as much as where the neck alone turns."""
-    torso, head = gazing["tilting"].metrics["pitch_std"], gazing["tilting"].metrics["head_pitch_std"]
+    torso, head = (
+        gazing["tilting"].metrics["pitch_std"],
+        gazing["tilting"].metrics["head_pitch_std"],
+    )
     assert head < 0.3 * torso
     assert abs(np.degrees(gazing["tilting"].metrics["head_pitch_mean"])) < 0.3
-    assert gazing["tilting"].metrics["picture_motion"] < 0.8 * gazing["gaze"].metrics["picture_motion"]
+    assert (
+        gazing["tilting"].metrics["picture_motion"] < 0.8 * gazing["gaze"].metrics["picture_motion"]
+    )
 
 
 @pytest.mark.release
@@ -202,7 +236,9 @@ def test_metrics_of_the_eyes_are_those_of_mujocos_head(gazing, head) -> None:
     assert metrics["head_pitch_std"] == pytest.approx(down.std(), rel=0.1 if rough else 0.03)
     assert metrics["head_pitch_mean"] == pytest.approx(down.mean(), abs=2e-3)
     moved = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 0.01
-    assert metrics["picture_motion"] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.15 if rough else 0.08)
+    assert metrics["picture_motion"] == pytest.approx(
+        np.sqrt((moved**2).mean()), rel=0.15 if rough else 0.08
+    )
 
 
 @pytest.mark.parametrize("robot", ["nermo_lite", "nermo_41"])
@@ -212,10 +248,14 @@ def test_the_eyes_look_out_of_their_lenses(robot: str) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     mesh = model.mesh("head_lenses").id
-    (geom,) = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_dataid == mesh))
+    (geom,) = np.flatnonzero(
+        (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_dataid == mesh)
+    )
     first = model.mesh_vertadr[mesh]
     corners = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
-    glass = data.geom_xpos[geom] + corners @ data.geom_xmat[geom].reshape(3, 3).T  # the robot heads along -y
+    glass = (
+        data.geom_xpos[geom] + corners @ data.geom_xmat[geom].reshape(3, 3).T
+    )  # the robot heads along -y
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
         camera = model.camera(name).id
         place, turn = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
@@ -223,7 +263,9 @@ def test_the_eyes_look_out_of_their_lenses(robot: str) -> None:
         dome = glass[side * glass[:, 0] > 0]
         before = (dome - place) @ ahead
         beside = np.linalg.norm(dome - place - before[:, None] * ahead, axis=1)
-        assert -0.003 < before.min() < before.max() < -0.0004, "all of the lens is behind the camera"
+        assert -0.003 < before.min() < before.max() < -0.0004, (
+            "all of the lens is behind the camera"
+        )
         assert beside.min() < 1e-5, "its top in the middle of the view"
         assert abs(turn[2, 0]) < 1e-6, "upright"
         assert (turn[0, 0] < 0, side * ahead[0] > 0) == (True, True)
@@ -232,7 +274,10 @@ def test_the_eyes_look_out_of_their_lenses(robot: str) -> None:
 @pytest.mark.long
 def test_the_moving_tail_does_what_it_is_for(simulator) -> None:
     """In trot at 0.8 Hz the tail lowers the yaw with the spine, and the roll without it."""
-    for motion, spine, name in (("counter_yaw", "stride_extension", "yaw"), ("counter_roll", "none", "roll")):
+    for motion, spine, name in (
+        ("counter_yaw", "stride_extension", "yaw"),
+        ("counter_roll", "none", "roll"),
+    ):
         chosen = simulator(tail="articulated", tail_motion=motion, spine=spine)
         values = {"frequency": 0.8, f"tail.{name}_gain": [0.0, 2.0]}
         still, moving = chosen.run(values, Run(cycles=10, warmup_cycles=3)).metrics[f"{name}_std"]

@@ -35,7 +35,10 @@ def located(course: Course, progress, x, y) -> PathPoint:
     """`locate` in NumPy's float64, over any batch."""
     x, y, progress = np.broadcast_arrays(x, y, progress)
     place = jnp.asarray(np.stack([x, y, 0.05 + 0 * x], axis=-1), jnp.float32)
-    return jax.tree.map(lambda leaf: np.asarray(leaf, float), jitted(course)(jnp.asarray(progress, jnp.float32), place))
+    return jax.tree.map(
+        lambda leaf: np.asarray(leaf, float),
+        jitted(course)(jnp.asarray(progress, jnp.float32), place),
+    )
 
 
 def test_beside_a_straight_line_the_error_is_the_distance_to_its_left():
@@ -44,7 +47,9 @@ def test_beside_a_straight_line_the_error_is_the_distance_to_its_left():
     assert course.length == pytest.approx(2.0, abs=1e-6)
     found = located(course, 0.98, [0.03, -0.04, 0.0], [-1.0, -1.0372, -0.95])
     np.testing.assert_allclose(found.error, [0.03, -0.04, 0.0], atol=1e-6)
-    np.testing.assert_allclose(found.progress, [1.0, 1.0372, 0.98], atol=1e-6)  # never less than before
+    np.testing.assert_allclose(
+        found.progress, [1.0, 1.0372, 0.98], atol=1e-6
+    )  # never less than before
     np.testing.assert_allclose(found.curvature, 0.0, atol=1e-6)
     np.testing.assert_allclose(found.tangent, np.broadcast_to([0.0, -1.0], (3, 2)), atol=1e-6)
 
@@ -71,7 +76,9 @@ def test_beside_a_circle_the_error_is_the_difference_of_two_radii(radius, side):
     x, y = side * (radius - (radius - offset) * np.cos(angle)), -(radius - offset) * np.sin(angle)
     found = located(course, radius * angle - 0.04, x, y)
     np.testing.assert_allclose(found.error, side * offset, atol=5e-5)
-    np.testing.assert_allclose(found.progress, radius * angle, atol=1e-4 * radius + 0.03 * 0.01 / (2 * radius))
+    np.testing.assert_allclose(
+        found.progress, radius * angle, atol=1e-4 * radius + 0.03 * 0.01 / (2 * radius)
+    )
     np.testing.assert_allclose(found.curvature, side / radius, rtol=5e-3)
     np.testing.assert_allclose(found.tangent[..., 0], side * np.sin(angle), atol=2e-3)
     np.testing.assert_allclose(found.tangent[..., 1], -np.cos(angle), atol=2e-3)
@@ -113,7 +120,9 @@ def test_who_walks_beside_the_maze_path_keeps_its_error_and_reaches_the_end():
         walk = points + offset * normal
         index = np.arange(0.0, len(points) - 1, 0.4)
         index[1::2] -= 0.2
-        walked = np.stack([np.interp(index, np.arange(len(points)), column) for column in walk.T], axis=-1)
+        walked = np.stack(
+            [np.interp(index, np.arange(len(points)), column) for column in walk.T], axis=-1
+        )
 
         def step(progress, place):
             found = locate(course, progress, place)
@@ -124,7 +133,9 @@ def test_who_walks_beside_the_maze_path_keeps_its_error_and_reaches_the_end():
         np.testing.assert_allclose(found.error, offset, atol=3e-4)
         progress = np.asarray(found.progress, float)
         assert (np.diff(progress) >= 0.0).all()
-        np.testing.assert_allclose(progress, np.maximum.accumulate(index) * course.spacing, atol=1e-3)
+        np.testing.assert_allclose(
+            progress, np.maximum.accumulate(index) * course.spacing, atol=1e-3
+        )
 
 
 def test_a_robot_that_was_carried_away_is_looked_for_near_its_progress():
@@ -135,7 +146,9 @@ def test_a_robot_that_was_carried_away_is_looked_for_near_its_progress():
     assert back.progress == 1.0
     # The error and the tangent are those of the window's end, a little less than 1 m along the circle.
     turned = (1.0 - BEHIND) / 0.5
-    np.testing.assert_allclose(back.tangent, [np.sin(turned), -np.cos(turned)], atol=2 * course.spacing / 0.5)
+    np.testing.assert_allclose(
+        back.tangent, [np.sin(turned), -np.cos(turned)], atol=2 * course.spacing / 0.5
+    )
     assert np.isfinite([across.error, back.error]).all()
 
 
@@ -150,7 +163,9 @@ def test_gradients_are_finite_and_point_left():
         heading = course.heading[node]
         left = np.array([-np.sin(heading), np.cos(heading)])
         place = np.array([course.x[node], course.y[node]]) + offset * left
-        gradient = slope(jnp.asarray([*place, 0.0], jnp.float32), jnp.float32(course.spacing * node))
+        gradient = slope(
+            jnp.asarray([*place, 0.0], jnp.float32), jnp.float32(course.spacing * node)
+        )
         np.testing.assert_allclose(gradient[:2], left, atol=0.02)
         assert gradient[2] == 0.0
     for place in ([1e30, 0.0, 0.0], [np.inf, -np.inf, 0.0], [0.0, 0.0, 0.0]):

@@ -39,7 +39,12 @@ def test_a_robot_to_the_left_of_its_path_is_steered_to_the_right():
 
 
 @settings(max_examples=60, deadline=None)
-@given(metres, metres, st.floats(0.0625, 1000.0, width=32, allow_subnormal=False), st.sampled_from([-1.0, 1.0]))
+@given(
+    metres,
+    metres,
+    st.floats(0.0625, 1000.0, width=32, allow_subnormal=False),
+    st.sampled_from([-1.0, 1.0]),
+)
 def test_the_arcs_error_is_the_distance_to_the_circle_with_a_sign(x, y, radius, direction):
     """The oracle is hypot in float64; left of a left arc is inside, left of a right arc is outside."""
     x, y = float(np.float32(x)), float(np.float32(y))
@@ -53,15 +58,22 @@ def test_the_arc_bends_to_its_direction_and_guidance_is_added_before_the_limit(d
     place = jnp.asarray([[0.3, -0.2, 0.0], [0.0, 0.0, 0.0]])
     given = pilot_of(radius=0.5, direction=direction, error_gain=10.0, output_limit=0.8)
     np.testing.assert_allclose(arc(given, place).curvature, direction * 2.0)
-    turns = [float(steer(given, jnp.float32(error), jnp.float32(0.0), 0.6)) for error in (0.0, 0.02, -0.1)]
+    turns = [
+        float(steer(given, jnp.float32(error), jnp.float32(0.0), 0.6))
+        for error in (0.0, 0.02, -0.1)
+    ]
     assert turns == pytest.approx([0.6, 0.4, 0.8])
     angle = np.linspace(0, np.pi / 2, 7)
-    on_it = np.stack([direction * 0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle), 0 * angle], axis=-1)
+    on_it = np.stack(
+        [direction * 0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle), 0 * angle], axis=-1
+    )
     np.testing.assert_allclose(arc(given, jnp.asarray(on_it)).error, 0.0, atol=1e-7)
 
 
 def test_the_arc_has_a_finite_gradient_at_its_centre():
-    slope = jax.jit(jax.grad(lambda place: arc(pilot_of(radius=0.5), place).error))(jnp.asarray([0.5, 0.0, 0.0]))
+    slope = jax.jit(jax.grad(lambda place: arc(pilot_of(radius=0.5), place).error))(
+        jnp.asarray([0.5, 0.0, 0.0])
+    )
     assert np.isfinite(slope).all()
 
 
@@ -111,10 +123,14 @@ def test_the_heading_of_a_bent_robot_is_half_way_between_torso_and_hip(bend, tur
     robot = load_robot()
     data, joints = mujoco.MjData(robot.model), robot.joints
     data.qpos[:] = robot.model.qpos0
-    data.qpos[joints.root + 3 : joints.root + 7] = Rotation.from_euler("z", 0.4).as_quat(scalar_first=True)
+    data.qpos[joints.root + 3 : joints.root + 7] = Rotation.from_euler("z", 0.4).as_quat(
+        scalar_first=True
+    )
     data.qpos[list(joints.spine)] = bend
     mujoco.mj_forward(robot.model, data)
-    backward = [frame.xmat.reshape(3, 3)[:2, 1] for frame in (data.body("torso"), data.site("spine_end"))]
+    backward = [
+        frame.xmat.reshape(3, 3)[:2, 1] for frame in (data.body("torso"), data.site("spine_end"))
+    ]
     yaw = [np.arctan2(-x, y) for x, y in backward]
     assert abs(yaw[0] - yaw[1]) > 3 * abs(bend)
     sensors = robot.sensors(jnp.asarray(data.sensordata, jnp.float32))

@@ -56,7 +56,9 @@ class Still:
         return {"ticks": jnp.zeros((), int)}
 
     def initial_servo(self, params, phase):
-        return leg_servos(jnp.stack([jnp.zeros(4), -params.height - jnp.array([0.0, 0.0, 0.005, 0.005])], axis=-1))
+        return leg_servos(
+            jnp.stack([jnp.zeros(4), -params.height - jnp.array([0.0, 0.0, 0.005, 0.005])], axis=-1)
+        )
 
     def update(self, params, state, sensors):
         return {"ticks": state["ticks"] + 1}, self.initial_servo(params, None)
@@ -91,7 +93,9 @@ def test_a_controller_of_thirty_lines_walks(bound: Simulator) -> None:
     assert result.status.tolist() == ["ok", "ok"]
     still, walking = result.metrics["speed"]
     assert walking > still + 0.01
-    np.testing.assert_allclose(result.metrics["duration"], 2 / 1.2, rtol=1e-6)  # gait cycles, at its own rate
+    np.testing.assert_allclose(
+        result.metrics["duration"], 2 / 1.2, rtol=1e-6
+    )  # gait cycles, at its own rate
     assert np.isnan(result.metrics["cross_track_rms"]).all()  # it has no path
     assert bound.setup.defaults()["reach"] == 0.03
     assert "stride" not in bound.setup.defaults()
@@ -105,11 +109,16 @@ def test_a_controller_of_thirty_lines_walks(bound: Simulator) -> None:
     [
         ({"reach": 0.07}, r"reach is 0.07: allowed is \[0, 0.06\] m"),
         ({"stride": 1.0}, "stride is not a parameter"),
-        ({"reach": [0.01, 0.02], "lift": [0.0, 0.01, 0.02]}, "lift has 3 values|reach has 2 values"),
+        (
+            {"reach": [0.01, 0.02], "lift": [0.0, 0.01, 0.02]},
+            "lift has 3 values|reach has 2 values",
+        ),
         ({"reach": []}, "reach has no values: a batch has at least one world"),
     ],
 )
-def test_values_are_checked_by_the_controllers_own_ranges(bound: Simulator, values: Any, message: str) -> None:
+def test_values_are_checked_by_the_controllers_own_ranges(
+    bound: Simulator, values: Any, message: str
+) -> None:
     with pytest.raises(ParameterError, match=message):
         bound.prepare(values)
 
@@ -125,7 +134,9 @@ def test_a_policy_is_for_all_worlds_or_for_each(bound: Simulator) -> None:
     np.testing.assert_allclose(batch.params.control.lag, np.full(3, 0.25))
     with pytest.raises(ParameterError, match="policy has a leaf of shape"):
         bound.prepare({}, policy=dataclasses.replace(own, reach=np.zeros((2, 2))))
-    with pytest.raises(ParameterError, match="expected the structure of the controller's parameters"):
+    with pytest.raises(
+        ParameterError, match="expected the structure of the controller's parameters"
+    ):
         bound.prepare({}, policy=[0.03])
 
 
@@ -165,12 +176,30 @@ class Nested:
     ("choices", "message"),
     [
         ({"controller": 3}, "controller is of type int, which has no dt and no parameters"),
-        ({"controller": Still(), "gait": "lateral_walk"}, "gait is 'lateral_walk' beside a custom controller"),
-        ({"controller": Controller(), "spine": "balance"}, "spine is 'balance' beside a custom controller"),
-        ({"controller": Still(dt=0.007)}, "timestep is 0.002: allowed is the control period 0.007 s divided by"),
-        ({"controller": Still(parameters=Nested())}, "controller has a parameter 'start.x', which is one of the robot"),
-        ({"controller": "bound"}, "controller is 'bound': expected FILE.py:NAME, MODULE:NAME or FILE.npz"),
-        ({"controller": "nowhere.py:Bound"}, r"nowhere.py cannot be read \(No such file or directory\)"),
+        (
+            {"controller": Still(), "gait": "lateral_walk"},
+            "gait is 'lateral_walk' beside a custom controller",
+        ),
+        (
+            {"controller": Controller(), "spine": "balance"},
+            "spine is 'balance' beside a custom controller",
+        ),
+        (
+            {"controller": Still(dt=0.007)},
+            "timestep is 0.002: allowed is the control period 0.007 s divided by",
+        ),
+        (
+            {"controller": Still(parameters=Nested())},
+            "controller has a parameter 'start.x', which is one of the robot",
+        ),
+        (
+            {"controller": "bound"},
+            "controller is 'bound': expected FILE.py:NAME, MODULE:NAME or FILE.npz",
+        ),
+        (
+            {"controller": "nowhere.py:Bound"},
+            r"nowhere.py cannot be read \(No such file or directory\)",
+        ),
         ({"controller": "no_such_module:Bound"}, "there is no module 'no_such_module' here"),
         ({"controller": f"{EXAMPLES / 'bound.py'}:Bond"}, "has no 'Bond'; did you mean 'Bound'?"),
         ({"controller": "math:pi"}, "controller is of type float"),
@@ -193,8 +222,12 @@ def test_no_robot_is_built_to_check_a_setup(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_each_part_of_the_published_controller_can_be_replaced() -> None:
     """With the part that it has, it is the same controller; a custom spine is a function."""
-    assert Controller(spine=SpineModes("stride_extension")) == published_controller(spine="stride_extension")
-    waving = Controller(spine=lambda params, phase, turn_rate, feet, stance: params.spine.amplitude * phase)
+    assert Controller(spine=SpineModes("stride_extension")) == published_controller(
+        spine="stride_extension"
+    )
+    waving = Controller(
+        spine=lambda params, phase, turn_rate, feet, stance: params.spine.amplitude * phase
+    )
     params = Setup(controller=waving, gait="lateral_walk").world({"spine.amplitude": 0.2}).control
     assert params.gait.duty == pytest.approx(0.68)
     robot = Setup().load()
@@ -206,7 +239,12 @@ def test_each_part_of_the_published_controller_can_be_replaced() -> None:
 # --- in files
 
 
-SPEC = {"controller": BOUND, "run": {"duration": 0.3}, "plots": False, "vary": {"reach": [0.01, 0.03], "lag": [0, 0.5]}}
+SPEC = {
+    "controller": BOUND,
+    "run": {"duration": 0.3},
+    "plots": False,
+    "vary": {"reach": [0.01, 0.03], "lag": [0, 0.5]},
+}
 
 
 @pytest.mark.release
@@ -233,23 +271,33 @@ def test_rows_of_two_controllers_are_not_mixed(bound: Simulator, tmp_path: Path)
     run_sweep(spec, tmp_path / "out", simulator=bound)
     (tmp_path / "mine.py").write_text(text.replace("dt = 0.01", "dt = 0.02"))
     assert Sweep.from_dict(spec).digest() != Sweep.from_dict(SPEC).digest()
-    with pytest.raises(DirectoryError, match=r"another sweep: controller is Bound .* there and Bound .* here"):
+    with pytest.raises(
+        DirectoryError, match=r"another sweep: controller is Bound .* there and Bound .* here"
+    ):
         run_sweep(spec, tmp_path / "out", simulator=bound)
 
 
 def test_a_run_in_cycles_lasts_as_the_controller_says() -> None:
-    sweep = Sweep.from_dict(SPEC | {"run": {"cycles": 6, "warmup_cycles": 0}, "vary": {"frequency": [1.0, 3.0]}})
+    sweep = Sweep.from_dict(
+        SPEC | {"run": {"cycles": 6, "warmup_cycles": 0}, "vary": {"frequency": [1.0, 3.0]}}
+    )
     np.testing.assert_allclose(simulated_seconds(sweep, Sample(sweep)), [6.0, 2.0])
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"vary": {"stride": [0.5, 1.0]}}, "'stride' is not a parameter; allowed are frequency, reach, lift, lag"),
+        (
+            {"vary": {"stride": [0.5, 1.0]}},
+            "'stride' is not a parameter; allowed are frequency, reach, lift, lag",
+        ),
         ({"vary": {"reech": [0.01]}}, "did you mean 'reach'?"),
         ({"vary": {"reach": [0.01, 0.1]}}, r"is 0.1: allowed is \[0, 0.06\] m"),
         ({"gait": "lateral_walk"}, "field 'gait' is 'lateral_walk' beside a custom controller"),
-        ({"controller": "bund.py:Bound"}, "field 'controller' is '.*bund.py:Bound': .* cannot be read"),
+        (
+            {"controller": "bund.py:Bound"},
+            "field 'controller' is '.*bund.py:Bound': .* cannot be read",
+        ),
         ({"controller": 3}, "field 'controller' is the number 3: expected FILE.py:NAME"),
     ],
 )
@@ -260,7 +308,9 @@ def test_a_file_is_checked_against_its_controller(change: dict[str, Any], messag
 
 def test_the_path_of_a_controller_counts_from_its_files_folder(tmp_path: Path) -> None:
     shutil.copy(EXAMPLES / "bound.py", tmp_path)
-    (tmp_path / "sweep.yaml").write_text("controller: bound.py:Bound\nvary: {reach: [0.01, 0.02]}\n")
+    (tmp_path / "sweep.yaml").write_text(
+        "controller: bound.py:Bound\nvary: {reach: [0.01, 0.02]}\n"
+    )
     sweep = Sweep.from_file(tmp_path / "sweep.yaml")
     assert sweep.setup.controller == f"{(tmp_path / 'bound.py').resolve()}:Bound"
     assert Sweep.from_text(sweep.to_yaml()).digest() == sweep.digest()
@@ -273,7 +323,11 @@ def test_the_gait_of_a_controller_with_other_parts_stands_in_the_file(tmp_path: 
         "stiff = Controller(spine=lambda params, phase, turn_rate, feet, stance: 0.0 * phase)\n"
     )
     sweep = Sweep.from_dict(
-        {"controller": f"{tmp_path / 'stiff.py'}:stiff", "gait": "lateral_walk", "vary": {"stride": [0.5, 1]}}
+        {
+            "controller": f"{tmp_path / 'stiff.py'}:stiff",
+            "gait": "lateral_walk",
+            "vary": {"stride": [0.5, 1]},
+        }
     )
     again = Sweep.from_text(sweep.to_yaml())
     assert (again.setup.gait, again.digest()) == ("lateral_walk", sweep.digest())
@@ -308,9 +362,13 @@ def test_the_length_of_a_run_is_known_unless_it_hangs_on_what_is_traced() -> Non
     rollout = Rollout(run=Run(cycles=3, warmup_cycles=0), controller=BOUND)
     own = rollout.controller.parameters
     assert lengths(lambda reach: rollout.seconds({"frequency": 2.0, "reach": reach}), 0.03) == 1.5
-    with pytest.raises(ParameterError, match="frequency is traced and the run is given in gait cycles"):
+    with pytest.raises(
+        ParameterError, match="frequency is traced and the run is given in gait cycles"
+    ):
         lengths(lambda frequency: rollout.seconds({"frequency": frequency}), 2.0)
-    with pytest.raises(ParameterError, match="policy is traced and the run is given in gait cycles"):
+    with pytest.raises(
+        ParameterError, match="policy is traced and the run is given in gait cycles"
+    ):
         lengths(lambda policy: rollout.seconds({}, policy), own)
     assert lengths(lambda policy: rollout.seconds({"frequency": 2.0}, policy), own) == 1.5
     rollout.slowest = 1.0
@@ -334,7 +392,10 @@ def test_the_gradient_of_the_commands_by_the_policy_is_that_of_finite_difference
         controller, robot = load_controller(f"{EXAMPLES / 'network.py'}:Network"), Setup().load()
         loop, random = ClosedLoop(robot, controller), np.random.default_rng(0)
         own = controller.parameters
-        policy, way = (jax.tree.map(lambda leaf: jnp.asarray(0.1 * random.normal(size=leaf.shape)), own) for _ in "ab")
+        policy, way = (
+            jax.tree.map(lambda leaf: jnp.asarray(0.1 * random.normal(size=leaf.shape)), own)
+            for _ in "ab"
+        )
         rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
         readings = rest + 0.1 * random.normal(size=(4, loop.steps_per_tick, rest.size))
 
@@ -343,7 +404,9 @@ def test_the_gradient_of_the_commands_by_the_policy_is_that_of_finite_difference
             world = Setup(controller=controller).world({}, now)
             params = LoopParameters(world.control, world.start, Window(), Servo(speed=1000.0))
             state = loop.init(params, rest)
-            return jax.lax.scan(lambda state, seen: loop.step(params, state, seen), state, readings)[1][-1]
+            return jax.lax.scan(
+                lambda state, seen: loop.step(params, state, seen), state, readings
+            )[1][-1]
 
         program = jax.jit(commands)
         slope = jax.jit(jax.jacrev(commands))(0.0)
@@ -362,15 +425,22 @@ def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
         rollout = Rollout(run=run, controller=controller)
         random = np.random.default_rng(0)
         policy = jax.tree.map(
-            lambda leaf: jnp.asarray(leaf + 0.1 * random.normal(size=leaf.shape), float), controller.parameters
+            lambda leaf: jnp.asarray(leaf + 0.1 * random.normal(size=leaf.shape), float),
+            controller.parameters,
         )
         way = jax.tree.map(lambda leaf: random.normal(size=leaf.shape) / leaf.size**0.5, policy)
         program = jax.jit(
-            jax.grad(lambda policy: rollout({}, policy=policy)["speed"]), compiler_options=compiler_options()
+            jax.grad(lambda policy: rollout({}, policy=policy)["speed"]),
+            compiler_options=compiler_options(),
         )
         slope = program(policy)
-        program.trace(policy).lower(lowering_platforms=("cuda", "tpu"))  # refused where an operation is missing there
-        along = sum(float(jnp.vdot(a, b)) for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(way), strict=True))
+        program.trace(policy).lower(
+            lowering_platforms=("cuda", "tpu")
+        )  # refused where an operation is missing there
+        along = sum(
+            float(jnp.vdot(a, b))
+            for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(way), strict=True)
+        )
         simulator = Simulator(engine="c", controller=controller)
         simulator.engine.model.opt.tolerance = 0.0
         both = jax.tree.map(lambda at, to: np.stack([at + eps * to, at - eps * to]), policy, way)
@@ -379,7 +449,9 @@ def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
     assert along == pytest.approx((high - low) / (2 * eps), rel=1e-3)
 
 
-@pytest.mark.parametrize("name", ["bound.py:Bound", "pattern.py:PatternGenerator", "network.py:Network"])
+@pytest.mark.parametrize(
+    "name", ["bound.py:Bound", "pattern.py:PatternGenerator", "network.py:Network"]
+)
 def test_an_example_is_a_page_and_a_controller(name: str) -> None:
     file, _, _ = name.partition(":")
     assert len((EXAMPLES / file).read_text().splitlines()) <= 75

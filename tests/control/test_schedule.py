@@ -29,7 +29,9 @@ PHASES = np.arange(20) / 20
 
 
 def stacked(trees):
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves]), *trees)
+    return jax.tree.map(
+        lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves]), *trees
+    )
 
 
 def commanded(setups: list[Setup], rate: float, seconds: float):
@@ -43,18 +45,25 @@ def commanded(setups: list[Setup], rate: float, seconds: float):
 
     def walk(control, schedule):
         def tick(state, _):
-            state, servos = controller.update(scheduled(control, schedule, state.time, FREQUENCY), state, sensors)
+            state, servos = controller.update(
+                scheduled(control, schedule, state.time, FREQUENCY), state, sensors
+            )
             return state, (state.foot, state.stance, servos.vector(robot.servos))
 
         first = controller.init(scheduled(control, schedule, 0.0, FREQUENCY), sensors)
         return jax.lax.scan(tick, first, None, length=round(rate * seconds))[1]
 
     worlds = [setup.world({"frequency": FREQUENCY}) for setup in setups]
-    control, schedule = stacked([world.control for world in worlds]), stacked([world.schedule for world in worlds])
+    control, schedule = (
+        stacked([world.control for world in worlds]),
+        stacked([world.schedule for world in worlds]),
+    )
 
     def at_phases(control, schedule):
         def later(phase):
-            return walk(control, dataclasses.replace(schedule, at=schedule.at.at[0].add(phase / FREQUENCY)))
+            return walk(
+                control, dataclasses.replace(schedule, at=schedule.at.at[0].add(phase / FREQUENCY))
+            )
 
         return jax.vmap(later)(jnp.asarray(PHASES))
 
@@ -67,7 +76,9 @@ def test_feet_and_servos_are_continuous(switches):
     """In a tick of 1 ms a foot moves by 0.1 mm more than in a steady walk at most, and no servo faster than it can."""
     gaits = [Setup(gait=a, pilot="open_loop", schedule=(Switch(AT, gait=b),)) for a, b in PAIRS]
     last = Switch(9.0, spine="stride_extension+balance")
-    modes = [Setup(spine=a, pilot="open_loop", schedule=(Switch(AT, spine=b), last)) for a, b in SPINES]
+    modes = [
+        Setup(spine=a, pilot="open_loop", schedule=(Switch(AT, spine=b), last)) for a, b in SPINES
+    ]
     with jax.enable_x64(True):
         _, at_phases, worlds = commanded(gaits if switches == "gaits" else modes, 1000.0, 5.0)
         every = jax.jit(jax.vmap(at_phases), compiler_options=compiler_options())
@@ -87,7 +98,9 @@ def test_feet_and_servos_are_continuous(switches):
 
 @pytest.mark.release
 def test_derivatives_through_a_switch_are_those_of_differences():
-    setup = Setup(pilot="open_loop", schedule=(Switch(AT, gait="lateral_walk", values={"stride": 0.8}),))
+    setup = Setup(
+        pilot="open_loop", schedule=(Switch(AT, gait="lateral_walk", values={"stride": 0.8}),)
+    )
     with jax.enable_x64(True):
         walk, _, (control, schedule) = commanded([setup], 100.0, 4.0)
         control, schedule = jax.tree.map(lambda leaf: leaf[0], (control, schedule))
@@ -99,14 +112,18 @@ def test_derivatives_through_a_switch_are_those_of_differences():
 
         slope = np.asarray(jax.jit(jax.grad(value))(jnp.zeros(2)))
         value, step = jax.jit(value), 1e-6
-        differences = [(value(step * each) - value(-step * each)) / (2 * step) for each in np.eye(2)]
+        differences = [
+            (value(step * each) - value(-step * each)) / (2 * step) for each in np.eye(2)
+        ]
     assert np.abs(slope).min() > 1e-2
     np.testing.assert_allclose(slope, differences, rtol=1e-5)
 
 
 @pytest.mark.release
 def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
-    switched = Setup(pilot="open_loop", schedule=(Switch(1.5, gait="lateral_walk", spine="stride_extension"),))
+    switched = Setup(
+        pilot="open_loop", schedule=(Switch(1.5, gait="lateral_walk", spine="stride_extension"),)
+    )
     lateral = Setup(pilot="open_loop", gait="lateral_walk", spine="stride_extension")
 
     def walked(setup):
@@ -123,7 +140,9 @@ def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
 def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approach():
     """Also the slip: of the transition alone, whatever happens before and after."""
     schedule = (
-        Setup(schedule=(Switch(2.0, blend=2.0, gait="lateral_walk"), Switch(5.0, gait="trot"))).world({}).schedule
+        Setup(schedule=(Switch(2.0, blend=2.0, gait="lateral_walk"), Switch(5.0, gait="trot")))
+        .world({})
+        .schedule
     )
     within = transitions.span(schedule, jnp.asarray(1.0))
     assert [float(each) for each in within] == [2.0, 7.0]
@@ -137,7 +156,9 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
     speed = jnp.asarray(np.stack(list(courses.values())), float)
 
     def tick(time, speed):
-        return transitions.integrals(within, time, 0.01, jnp.where(time > 7.0, 9.0, 0.06), 3.0, speed)
+        return transitions.integrals(
+            within, time, 0.01, jnp.where(time > 7.0, 9.0, 0.06), 3.0, speed
+        )
 
     ticks = jax.vmap(jax.vmap(tick), (None, 0))(jnp.asarray(time), speed)
     found = jax.vmap(transitions.transition_result, (0, None))(
@@ -151,16 +172,22 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
 def test_a_run_with_a_schedule_has_the_metrics_of_its_transition():
     setup = Setup(schedule=(Switch(AT, values={"stride": 0.5}),))
     assert set(all_metrics(setup)) - set(all_metrics()) == set(transitions.TRANSITION)
-    found = Simulator(setup, "c").run({"frequency": FREQUENCY}, Run(duration=7.0, warmup=0.75), record=True)
+    found = Simulator(setup, "c").run(
+        {"frequency": FREQUENCY}, Run(duration=7.0, warmup=0.75), record=True
+    )
     assert set(found.metrics) == set(all_metrics(setup))
     # From the recorded way, which is straight: 1.25 s before, 2.5 s of transition, 2.5 s after.
     way = -found.trace.sensors["position"][0, :, 1]
-    before, during, after = (way[end - 1] - way[begin - 1] for begin, end in ((75, 200), (200, 450), (450, 700)))
+    before, during, after = (
+        way[end - 1] - way[begin - 1] for begin, end in ((75, 200), (200, 450), (450, 700))
+    )
     late = (after - during) / (after / 2.5 - before / 1.25)
     assert 0.3 < late < 2.5
     assert found.metrics["transition_time"][0] == pytest.approx(late, rel=0.03)
     ticks = slice(round(100 * AT) - 1, round(100 * (AT + 2 / FREQUENCY)))
-    roll = np.abs(np.asarray(jax.vmap(attitude)(found.trace.sensors["orientation"][0, ticks]))[:, 0]).max()
+    roll = np.abs(
+        np.asarray(jax.vmap(attitude)(found.trace.sensors["orientation"][0, ticks]))[:, 0]
+    ).max()
     assert found.metrics["transition_roll"][0] == pytest.approx(roll, rel=0.05)
     assert 0.001 < found.metrics["transition_slip"][0] < 0.2
 
@@ -173,7 +200,13 @@ def falls(setup: Setup, phases: np.ndarray) -> list[str]:
 
 @pytest.mark.release
 def test_no_walk_falls_where_trot_becomes_a_lateral_walk_with_the_spine():
-    assert falls(Setup(schedule=(Switch(AT, gait="lateral_walk", spine="stride_extension"),)), PHASES[::4]) == []
+    assert (
+        falls(
+            Setup(schedule=(Switch(AT, gait="lateral_walk", spine="stride_extension"),)),
+            PHASES[::4],
+        )
+        == []
+    )
 
 
 @pytest.mark.long
@@ -185,7 +218,10 @@ def test_no_walk_falls_at_any_switch():
 
 @pytest.mark.long
 def test_engines_agree_and_the_gradient_through_a_switch_is_that_of_differences():
-    setup, run = Setup(schedule=(Switch(0.5, gait="lateral_walk", blend=0.5),)), Run(duration=1.5, warmup=0.2)
+    setup, run = (
+        Setup(schedule=(Switch(0.5, gait="lateral_walk", blend=0.5),)),
+        Run(duration=1.5, warmup=0.2),
+    )
     values = {"frequency": np.array([0.8, 1.0])}
     c, mjx = (Simulator(setup, engine).run(values, run).metrics for engine in ("c", "mjx"))
     np.testing.assert_allclose(mjx["speed"], c["speed"], rtol=0.02)
@@ -231,10 +267,18 @@ def test_the_phase_of_a_limb_goes_the_shorter_way_around_the_cycle():
         Switch(at=1.0, blend=0.5, values={"offset.front_left": 0.9, "stride": 0.4}),
         Switch(at=2.0, blend=1.0, values={"offset.front_left": 0.3}),
     ]
-    schedule = schedule_of(Switch(at=0.0, spine="none", head="none", tail_motion="none"), switches, known)
+    schedule = schedule_of(
+        Switch(at=0.0, spine="none", head="none", tail_motion="none"), switches, known
+    )
     control = replace_quantities(ControlParameters(), {"offset.front_left": 0.1, "stride": 1.0})
     now = jax.jit(lambda time: dict(values_of(scheduled(control, schedule, time, 0.5))))
-    for time, offset, stride in ((0.5, 0.1, 1.0), (1.5, 0.0, 0.7), (2.0, -0.1, 0.4), (3.0, 0.1, 0.4), (9.0, 0.3, 0.4)):
+    for time, offset, stride in (
+        (0.5, 0.1, 1.0),
+        (1.5, 0.0, 0.7),
+        (2.0, -0.1, 0.4),
+        (3.0, 0.1, 0.4),
+        (9.0, 0.3, 0.4),
+    ):
         found = now(time)
         apart = (found["offset.front_left"] - offset + 0.5) % 1.0 - 0.5
         assert apart == pytest.approx(0.0, abs=1e-6), time

@@ -42,7 +42,9 @@ def test_the_cubic_path_is_the_clamped_spline_in_y_and_the_natural_spline_in_z(v
 def test_the_other_forms_are_the_polyline_and_the_parabola_through_the_points(values):
     points = np.reshape(values, (3, 2))
     line = np.stack([np.interp(PROGRESS, KNOTS, column) for column in points.T], axis=-1)
-    parabola = np.stack([np.polyval(np.polyfit(KNOTS, column, 2), PROGRESS) for column in points.T], axis=-1)
+    parabola = np.stack(
+        [np.polyval(np.polyfit(KNOTS, column, 2), PROGRESS) for column in points.T], axis=-1
+    )
     np.testing.assert_allclose(path(points, "linear"), line, atol=1e-7)
     np.testing.assert_allclose(path(points, "parabolic"), parabola, atol=1e-7)
 
@@ -62,9 +64,15 @@ def test_a_stance_foot_is_pressed_down_and_moves_backward_and_a_swing_foot_is_ra
     stance, down = Stance(), jnp.asarray([True, False, True, False])
     points = np.asarray(trajectory.nominal_points(stance, down, jnp.full(4, 0.06)))
     neutral = np.array([[-0.005, -0.045], [-0.005, -0.045], [0.0, -0.05], [0.0, -0.05]])
-    np.testing.assert_allclose(points[:, 1, 1] - neutral[:, 1], [-0.005, 0.01, -0.005, 0.01], atol=1e-7)
-    np.testing.assert_allclose(points[:, 2, 0] - neutral[:, 0], [0.03, -0.03, 0.03, -0.03], atol=1e-7)
-    np.testing.assert_allclose(points[:, 0, 0] - neutral[:, 0], [-0.03, 0.03, -0.03, 0.03], atol=1e-7)
+    np.testing.assert_allclose(
+        points[:, 1, 1] - neutral[:, 1], [-0.005, 0.01, -0.005, 0.01], atol=1e-7
+    )
+    np.testing.assert_allclose(
+        points[:, 2, 0] - neutral[:, 0], [0.03, -0.03, 0.03, -0.03], atol=1e-7
+    )
+    np.testing.assert_allclose(
+        points[:, 0, 0] - neutral[:, 0], [-0.03, 0.03, -0.03, 0.03], atol=1e-7
+    )
     np.testing.assert_allclose(points[:, [0, 2], 1], neutral[:, 1:].repeat(2, axis=1), atol=1e-7)
 
 
@@ -78,7 +86,9 @@ def test_exact_tracking_closes_the_whole_error_and_has_a_finite_derivative():
     """(1 - g)^n has an infinite slope at g = 1, which a gradient must not meet."""
     tracking = Tracking()
     assert trajectory.share_closed(tracking, 0.01) == 1.0
-    slope = jax.grad(lambda t: trajectory.share_closed(t, 0.01))(jax.tree.map(jnp.asarray, tracking))
+    slope = jax.grad(lambda t: trajectory.share_closed(t, 0.01))(
+        jax.tree.map(jnp.asarray, tracking)
+    )
     assert np.isfinite(slope.foot_gain)
     assert np.isfinite(slope.clock_ratio)
 
@@ -140,13 +150,21 @@ def test_the_phase_integrates_a_frequency_that_changes_on_the_fly():
 
 
 @settings(max_examples=50, deadline=None)
-@example(phase=-1e-9, offset=[0.0] * 4, duty=0.5)  # modulo 1 it rounds to 1.0 in float32, which is not a phase
-@given(st.floats(-1e6, 1e6, width=32, allow_subnormal=False), st.lists(shares, min_size=4, max_size=4), shares)
+@example(
+    phase=-1e-9, offset=[0.0] * 4, duty=0.5
+)  # modulo 1 it rounds to 1.0 in float32, which is not a phase
+@given(
+    st.floats(-1e6, 1e6, width=32, allow_subnormal=False),
+    st.lists(shares, min_size=4, max_size=4),
+    shares,
+)
 def test_any_phase_offset_and_duty_give_a_state_in_range(phase, offset, duty):
     """Duty 0 and 1 are refused where parameters are built; in a traced program they saturate."""
     wrapped = trajectory.wrap(jnp.float32(phase))
     assert 0.0 <= wrapped < 1.0
-    limbs = trajectory.limb_states(Gait(duty=jnp.float32(duty), offset=jnp.asarray(offset, jnp.float32)), wrapped)
+    limbs = trajectory.limb_states(
+        Gait(duty=jnp.float32(duty), offset=jnp.asarray(offset, jnp.float32)), wrapped
+    )
     assert ((limbs.progress >= 0) & (limbs.progress <= 1)).all()
 
 

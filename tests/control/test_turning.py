@@ -35,7 +35,9 @@ def turning_of(exponent=5.0, leg=1.0, spine=0.0) -> Turning:
 
 def test_the_trot_at_0_8_hz_with_the_full_stride_walks_at_the_speed_of_theory():
     """6.2.1: 0.096 m/s without the spine, 0.120 m/s with a stride longer by 0.015 m."""
-    gait = Gait(frequency=np.float32(0.8), gait_factor=np.float32(GAIT_PATTERNS["trot"].gait_factor))
+    gait = Gait(
+        frequency=np.float32(0.8), gait_factor=np.float32(GAIT_PATTERNS["trot"].gait_factor)
+    )
     assert turning.body_speed(gait, 0.06) == pytest.approx(0.096, rel=1e-3)
     assert turning.body_speed(gait, 0.075) == pytest.approx(0.120, rel=1e-3)
 
@@ -43,7 +45,9 @@ def test_the_trot_at_0_8_hz_with_the_full_stride_walks_at_the_speed_of_theory():
 @pytest.mark.parametrize("gait", GAIT_PATTERNS)
 @pytest.mark.parametrize("frequency", [0.5, 0.67, 0.8])
 def test_the_stride_gives_the_commanded_speed_until_it_saturates(gait, frequency):
-    parameters = Gait(frequency=np.float32(frequency), gait_factor=np.float32(GAIT_PATTERNS[gait].gait_factor))
+    parameters = Gait(
+        frequency=np.float32(frequency), gait_factor=np.float32(GAIT_PATTERNS[gait].gait_factor)
+    )
     most = turning.body_speed(parameters, 0.06)
     for speed in (0.0, 0.01, 0.04):
         stride = turning.stride_length(parameters, Stance(), speed)
@@ -53,7 +57,9 @@ def test_the_stride_gives_the_commanded_speed_until_it_saturates(gait, frequency
     assert turning.stride_length(shorter, Stance(), 2 * most) == pytest.approx(0.048)
 
 
-@pytest.mark.parametrize(("rate", "shares"), [(1.0, [0, 1, 0, 1]), (-1.0, [1, 0, 1, 0]), (0.0, [1, 1, 1, 1])])
+@pytest.mark.parametrize(
+    ("rate", "shares"), [(1.0, [0, 1, 0, 1]), (-1.0, [1, 0, 1, 0]), (0.0, [1, 1, 1, 1])]
+)
 def test_full_input_stops_the_inner_legs(rate, shares):
     """Positive turns left, so the left legs FL and RL are the inner ones; not so where the legs do not turn.
 
@@ -100,7 +106,8 @@ def test_the_smallest_radii_are_the_published_ones():
     With the spine (mb) it is 0.134 m; the feet's diagonal gives 0.145 m, see `foot_diagonals`.
     """
     straight, left, right = (
-        smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(theta), ROBOT) for theta in (0.0, 0.1, -0.1)
+        smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(theta), ROBOT)
+        for theta in (0.0, 0.1, -0.1)
     )
     assert straight == pytest.approx(0.151, abs=5e-4)
     assert left == pytest.approx(float(right), rel=1e-4)
@@ -150,7 +157,9 @@ def test_the_turn_rate_for_a_curvature_walks_that_curvature_or_is_full_lock(stee
     params = steered(steering, **{"turning.exponent": exponent})
     rates = turn_rates_for(params, CURVATURES)
     full = path_curvature(params, jnp.float32(1.0))
-    np.testing.assert_allclose(path_curvature(params, rates), np.minimum(CURVATURES, full), rtol=1e-4, atol=4e-6)
+    np.testing.assert_allclose(
+        path_curvature(params, rates), np.minimum(CURVATURES, full), rtol=1e-4, atol=4e-6
+    )
     np.testing.assert_array_equal(np.asarray(rates) == 1.0, full <= CURVATURES)
 
 
@@ -177,7 +186,9 @@ def bent_robots_curvature(theta_v):
     back = [np.array([0.0, 1.0]), pose[:2, 1]]
     curvatures = []
     for pair in ((0, 3), (1, 2)):
-        rows = np.array([[[1, 0, -y], [0, 1, x]] for x, y in feet[list(pair), :2]], float).reshape(4, 3)
+        rows = np.array([[[1, 0, -y], [0, 1, x]] for x, y in feet[list(pair), :2]], float).reshape(
+            4, 3
+        )
         (right, behind, turn), *_ = np.linalg.lstsq(rows, -np.concatenate(back), rcond=None)
         curvatures.append(turn / np.hypot(right, behind))
     return np.mean(curvatures)

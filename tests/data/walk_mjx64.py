@@ -18,15 +18,29 @@ if __name__ == "__main__":
         ("spine.amplitude", "spine.phase"),
     )
     point = np.array([0.2, -0.5])
-    first = Simulator(setup, "c").prepare({"frequency": 0.8} | dict(zip(names, point, strict=True)), run).qpos[0]
+    first = (
+        Simulator(setup, "c")
+        .prepare({"frequency": 0.8} | dict(zip(names, point, strict=True)), run)
+        .qpos[0]
+    )
     rollout = Rollout(setup, run, "mjx")
 
     def places(point: jax.Array) -> jax.Array:
-        _, path = rollout.record({"frequency": 0.8} | dict(zip(names, point, strict=True)), qpos=first)
+        _, path = rollout.record(
+            {"frequency": 0.8} | dict(zip(names, point, strict=True)), qpos=first
+        )
         return path.qpos[TICKS - 1, rollout.robot.joints.root : rollout.robot.joints.root + 2]
 
     place, slope = jax.jit(
-        lambda point: (places(point), jax.jacfwd(places)(point)), compiler_options=compiler_options()
+        lambda point: (places(point), jax.jacfwd(places)(point)),
+        compiler_options=compiler_options(),
     )(jnp.asarray(point))
     file = Path(__file__).with_suffix(".npz")
-    np.savez(file, ticks=TICKS, first=first, point=point, place=np.asarray(place), slope=np.asarray(slope))
+    np.savez(
+        file,
+        ticks=TICKS,
+        first=first,
+        point=point,
+        place=np.asarray(place),
+        slope=np.asarray(slope),
+    )

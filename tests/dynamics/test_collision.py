@@ -48,7 +48,9 @@ def in_c(data: mujoco.MjData, pose: np.ndarray) -> list[np.ndarray]:
     """Distance, position and frame of each contact."""
     data.qpos[:] = pose
     mujoco.mj_fwdPosition(data.model, data)
-    return [np.array([each.dist, *each.pos, *each.frame]) for each in data.contact if each.dist < 0.0]
+    return [
+        np.array([each.dist, *each.pos, *each.frame]) for each in data.contact if each.dist < 0.0
+    ]
 
 
 def in_mjx(model: mujoco.MjModel, poses: list[np.ndarray]) -> list[list[np.ndarray]]:
@@ -81,7 +83,9 @@ def apart(ours: list[np.ndarray], theirs: list[np.ndarray]) -> tuple[float, floa
         cosines = np.abs(mine[4:].reshape(3, 3) @ each[4:].reshape(3, 3).T)
         swapped = cosines[:, [0, 2, 1]]
         turn = max(
-            turn, np.abs(mine[4:7] - each[4:7]).max(), min(np.abs(m - np.eye(3)).max() for m in (cosines, swapped))
+            turn,
+            np.abs(mine[4:7] - each[4:7]).max(),
+            min(np.abs(m - np.eye(3)).max() for m in (cosines, swapped)),
         )
     return float(place), float(turn)
 
@@ -90,7 +94,13 @@ def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
     """The second geom, aligned and at random, moved from a direction until it is 0.1 or 10 mm deep."""
     rng, found, data = np.random.default_rng(0), [], mujoco.MjData(model)
     turns = [np.array([1.0, 0.0, 0.0, 0.0])]
-    for axis, angle in (((1, 0, 0), 90), ((0, 1, 0), 90), ((0, 1, 0), 45), ((1, 0, 0), 180), ((0, 0, 1), 30)):
+    for axis, angle in (
+        ((1, 0, 0), 90),
+        ((0, 1, 0), 90),
+        ((0, 1, 0), 45),
+        ((1, 0, 0), 180),
+        ((0, 0, 1), 30),
+    ):
         turn = np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, np.array(axis, float), np.deg2rad(angle))
         turns.append(turn)
@@ -98,7 +108,10 @@ def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
     if model.geom_type[0] not in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
         ways += [np.array(way) for way in ([1.0, 0.0, 0.0], [0.0, -1.0, 0.0])]
     todo = [(turn, way) for turn in turns for way in ways]
-    todo += [(rng.normal(size=4), np.abs(rng.normal(size=3)) + np.array([0.0, 0.0, 0.3])) for _ in range(20)]
+    todo += [
+        (rng.normal(size=4), np.abs(rng.normal(size=3)) + np.array([0.0, 0.0, 0.3]))
+        for _ in range(20)
+    ]
     for turn, way in todo:
         unit, turn = way / np.linalg.norm(way), turn / np.linalg.norm(turn)
         near, far = 0.0, 1.0
@@ -117,7 +130,8 @@ def test_contacts_are_those_of_c_or_it_is_said(pair: tuple[str, str]) -> None:
     said = approximated(model)
     if said and pair != ("plane", "cylinder"):
         assert re.fullmatch(
-            rf"geom 'a' and geom 'b' are {pair[0]} and {pair[1]}: their contacts are MJX's, .*", said[0]
+            rf"geom 'a' and geom 'b' are {pair[0]} and {pair[1]}: their contacts are MJX's, .*",
+            said[0],
         )
         return
     poses, data = poses_of(model), mujoco.MjData(model)
@@ -142,7 +156,9 @@ def test_parallel_capsules_of_any_lengths_collide_as_in_c(half: float, other: fl
                 if flipped:
                     mujoco.mju_mulQuat(turn, turn.copy(), np.array([0.0, 1.0, 0.0, 0.0]))
                 poses.append(np.array([0.09 * np.cos(angle), 0.09 * np.sin(angle), along, *turn]))
-    found = [apart(ours, in_c(data, at)) for at, ours in zip(poses, in_mjx(model, poses), strict=True)]
+    found = [
+        apart(ours, in_c(data, at)) for at, ours in zip(poses, in_mjx(model, poses), strict=True)
+    ]
     assert np.max(found) < 1e-5
     assert max(len(in_c(data, at)) for at in poses) == 2
 
@@ -151,7 +167,10 @@ def test_parallel_capsules_of_any_lengths_collide_as_in_c(half: float, other: fl
 def test_coincident_centres_have_the_normal_of_c(kind: str) -> None:
     model = model_of(GEOMS["sphere"], GEOMS[kind])
     data = mujoco.MjData(model)
-    poses = [np.array([0.0, 0.0, 0.0, *turn]) for turn in ([1.0, 0, 0, 0], [0.8, 0.6, 0, 0], [0.5, 0.5, 0.5, 0.5])]
+    poses = [
+        np.array([0.0, 0.0, 0.0, *turn])
+        for turn in ([1.0, 0, 0, 0], [0.8, 0.6, 0, 0], [0.5, 0.5, 0.5, 0.5])
+    ]
     for at, ours in zip(poses, in_mjx(model, poses), strict=True):
         assert max(apart(ours, in_c(data, at))) < 1e-14
 
@@ -174,18 +193,28 @@ def test_a_contact_of_an_ellipsoid_has_its_derivative(kind: str) -> None:
 
         def all_of(pose: Any) -> Any:
             ends = jax.vmap(contact)(pose + 1e-6 * jnp.concatenate([jnp.eye(7), -jnp.eye(7)]))
-            return jax.jacfwd(contact)(pose), jax.jacrev(contact)(pose), (ends[:7] - ends[7:]).T / 2e-6
+            return (
+                jax.jacfwd(contact)(pose),
+                jax.jacrev(contact)(pose),
+                (ends[:7] - ends[7:]).T / 2e-6,
+            )
 
-        ahead, back, differences = jax.jit(jax.vmap(all_of), compiler_options=compiler_options())(jnp.array(poses))
+        ahead, back, differences = jax.jit(jax.vmap(all_of), compiler_options=compiler_options())(
+            jnp.array(poses)
+        )
     np.testing.assert_allclose(back, ahead, atol=1e-9)
     np.testing.assert_allclose(ahead, differences, atol=1e-6 * np.abs(differences).max())
 
 
 @pytest.mark.release
-def test_the_step_warns_of_what_is_approximate_and_refuses_data_of_mjx_with_other_contacts() -> None:
+def test_the_step_warns_of_what_is_approximate_and_refuses_data_of_mjx_with_other_contacts() -> (
+    None
+):
     model = model_of(GEOMS["box"], GEOMS["box"])
     device = put_model(model)
-    with pytest.warns(UserWarning, match=r"^geom 'a' and geom 'b' are box and box: their contacts are MJX's"):
+    with pytest.warns(
+        UserWarning, match=r"^geom 'a' and geom 'b' are box and box: their contacts are MJX's"
+    ):
         jax.eval_shape(step, device, make_data(device))
     model = model_of(GEOMS["capsule"], GEOMS["capsule"])
     device = put_model(model)

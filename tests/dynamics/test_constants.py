@@ -22,7 +22,8 @@ HINGES = (
     f'<body pos="1 0 0"><joint name="b" axis="0 1 0" armature=".01"/>{GEOM.format(0.3, 1)}</body></worldbody>'
 )
 TENDON = (
-    '<tendon><fixed name="t" armature="{}"><joint joint="a" coef="1"/><joint joint="{}" coef="1.5"/></fixed></tendon>'
+    '<tendon><fixed name="t" armature="{}"><joint joint="a" coef="1"/>'
+    '<joint joint="{}" coef="1.5"/></fixed></tendon>'
 )
 #: What these constants were wrong for, and its relatives.
 OWN = {
@@ -57,7 +58,10 @@ def _files() -> list[Path]:
     gymnasium = pytest.importorskip("gymnasium")
     homes = [Path(mujoco.__file__).parent, Path(gymnasium.__file__).parent / "envs"]
     return sorted(
-        file for home in homes for file in home.rglob("*.xml") if "humanoids" not in file.name or "03" in file.name
+        file
+        for home in homes
+        for file in home.rglob("*.xml")
+        if "humanoids" not in file.name or "03" in file.name
     )
 
 
@@ -67,7 +71,9 @@ def _models() -> dict[str, Callable[[], mujoco.MjModel]]:
         name: lambda xml=xml: mujoco.MjModel.from_xml_string(xml) for name, xml in own.items()
     }
     makers["this robot"] = lambda: load_robot().model
-    return makers | {str(file): lambda file=file: mujoco.MjModel.from_xml_path(str(file)) for file in _files()}
+    return makers | {
+        str(file): lambda file=file: mujoco.MjModel.from_xml_path(str(file)) for file in _files()
+    }
 
 
 def _wrong(found: dict[str, Any], model: mujoco.MjModel) -> list[str]:
@@ -76,7 +82,8 @@ def _wrong(found: dict[str, Any], model: mujoco.MjModel) -> list[str]:
         f"{name} {np.asarray(values).ravel()[:6]}, not {getattr(model, name).ravel()[:6]}"
         for name, values in found.items()
         if getattr(model, name).size
-        and not np.abs(np.asarray(values) - getattr(model, name)).max() <= 1e-8 * np.abs(getattr(model, name)).max()
+        and not np.abs(np.asarray(values) - getattr(model, name)).max()
+        <= 1e-8 * np.abs(getattr(model, name)).max()
     ]
 
 
@@ -99,7 +106,10 @@ def test_constants_of_every_model_at_hand_are_mujocos() -> None:
         mujoco.mj_setConst(other, mujoco.MjData(other))
         with jax.enable_x64(True):
             for each in (model, other):
-                wrong += [f"{name}: {said}" for said in _wrong(constants(each.body_mass, each.body_inertia), each)]
+                wrong += [
+                    f"{name}: {said}"
+                    for said in _wrong(constants(each.body_mass, each.body_inertia), each)
+                ]
         tried += 1
     assert wrong == []
     assert tried > 40

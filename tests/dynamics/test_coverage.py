@@ -48,16 +48,27 @@ def unread() -> set[str]:
     home = Path(mjx.__file__).parent / "_src"
     others = ("types", "render", "render_util", "bvh", "test_util", "io", "inverse")
     text = "".join(
-        each.read_text() for each in home.glob("*.py") if not each.stem.endswith("_test") and each.stem not in others
+        each.read_text()
+        for each in home.glob("*.py")
+        if not each.stem.endswith("_test") and each.stem not in others
     )
 
     def fields(kind: type) -> set[str]:
-        return {name for name in vars(kind) if not name.startswith("_") and not callable(getattr(kind, name))}
+        return {
+            name
+            for name in vars(kind)
+            if not name.startswith("_") and not callable(getattr(kind, name))
+        }
 
     has = {field.name for field in mjx.Model.fields()}
     read = {name for name in has if re.search(rf"\b{name}\b", text)}
     options = {field.name for field in mjx.Option.fields()}
-    read |= {f"opt.{name}" for name in options} | {"opt.o_margin", "opt.o_solref", "opt.o_solimp", "opt.o_friction"}
+    read |= {f"opt.{name}" for name in options} | {
+        "opt.o_margin",
+        "opt.o_solref",
+        "opt.o_solimp",
+        "opt.o_friction",
+    }
     every = fields(mujoco.MjModel) | {f"opt.{name}" for name in fields(mujoco.MjOption)}
     return every - read - {"opt.sdf_initpoints"}
 
@@ -73,12 +84,19 @@ def test_every_flag_of_mujoco_is_known() -> None:
     it."""
     kinds = (mujoco.mjtDisableBit, mjx.DisableBit), (mujoco.mjtEnableBit, mjx.EnableBit)
     disable, enable = (
-        {name for name, flag in theirs.__members__.items() if name[:3] != "mjN" and int(flag) not in set(ours)}
+        {
+            name
+            for name, flag in theirs.__members__.items()
+            if name[:3] != "mjN" and int(flag) not in set(ours)
+        }
         for theirs, ours in kinds
     )
-    assert disable <= {f"mjDSBL_{name}" for name in ("MIDPHASE", "AUTORESET", "NATIVECCD", "ISLAND", "MULTICCD")}
+    assert disable <= {
+        f"mjDSBL_{name}" for name in ("MIDPHASE", "AUTORESET", "NATIVECCD", "ISLAND", "MULTICCD")
+    }
     assert all(
-        f"mjENBL_{flag.name}" in enable | {"mjENBL_INVDISCRETE", "mjENBL_SLEEP", "mjENBL_IPC"} for flag in mjx.EnableBit
+        f"mjENBL_{flag.name}" in enable | {"mjENBL_INVDISCRETE", "mjENBL_SLEEP", "mjENBL_IPC"}
+        for flag in mjx.EnableBit
     )
 
 
@@ -87,7 +105,9 @@ BALL = '<geom name="f" type="plane" size="1 1 .1"/><body pos="0 0 .1"><freejoint
 
 
 def model_of(inside: str, rest: str = "", option: str = "") -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(f"<mujoco>{option}<worldbody>{inside}</worldbody>{rest}</mujoco>")
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco>{option}<worldbody>{inside}</worldbody>{rest}</mujoco>"
+    )
 
 
 PID = """<extension><plugin plugin="mujoco.pid"><instance name="p"><config key="kp" value="10"/></instance></plugin>
@@ -119,12 +139,20 @@ REFUSALS: dict[str, tuple[Any, str]] = {
         "geom 'g' has fluidshape='ellipsoid'",
     ),
     "PID": (
-        (HINGE, '<actuator><plugin name="a" joint="j" plugin="mujoco.pid" instance="p"/></actuator>', PID),
+        (
+            HINGE,
+            '<actuator><plugin name="a" joint="j" plugin="mujoco.pid" instance="p"/></actuator>',
+            PID,
+        ),
         "actuator 'a' is run by",
     ),
     "cable": ((ROPE, "", CABLE), "body 'cB_first' is run by a plugin"),
     "disabled group": (
-        (HINGE, '<actuator><motor name="a" joint="j" group="2"/></actuator>', '<option actuatorgroupdisable="2"/>'),
+        (
+            HINGE,
+            '<actuator><motor name="a" joint="j" group="2"/></actuator>',
+            '<option actuatorgroupdisable="2"/>',
+        ),
         "actuator 'a' is in a disabled group",
     ),
     "noslip": ((HINGE, "", '<option noslip_iterations="3"/>'), "noslip_iterations is 3"),
@@ -169,7 +197,10 @@ PUT: dict[str, tuple[tuple[str, ...], str]] = {
         (HINGE, "", '<option integrator="implicit"/>'),
         "integrator is implicit, which MJX lacks: allowed are e",
     ),
-    "solver": ((HINGE, "", '<option solver="PGS"/>'), "solver is pgs, which MJX lacks: allowed are cg, newton."),
+    "solver": (
+        (HINGE, "", '<option solver="PGS"/>'),
+        "solver is pgs, which MJX lacks: allowed are cg, newton.",
+    ),
     "flag": (
         (HINGE, "", '<option><flag energy="enable"/></option>'),
         "flag energy is enabled, which MJX lacks: disable",
@@ -179,7 +210,10 @@ PUT: dict[str, tuple[tuple[str, ...], str]] = {
         "integrator is implicitfast, in a fluid",
     ),
     "slider-crank": (
-        (HINGE, '<actuator><general name="a" cranksite="s" slidersite="s" cranklength=".1"/></actuator>'),
+        (
+            HINGE,
+            '<actuator><general name="a" cranksite="s" slidersite="s" cranklength=".1"/></actuator>',
+        ),
         "trntype of actuator 'a' is slidercrank, which MJX lacks: allowed are joint,",
     ),
     "sensor of energy": (
@@ -187,7 +221,10 @@ PUT: dict[str, tuple[tuple[str, ...], str]] = {
         "type of sensor 'p' is e_kinetic, which MJX",
     ),
     "flex": (
-        (HINGE + '<flexcomp name="x" type="grid" count="2 2 1" spacing=".1 .1 .1" dim="2" radius=".01"/>',),
+        (
+            HINGE
+            + '<flexcomp name="x" type="grid" count="2 2 1" spacing=".1 .1 .1" dim="2" radius=".01"/>',
+        ),
         "flex 'x' is soft",
     ),
     "bodies' contacts": (
@@ -199,7 +236,11 @@ PUT: dict[str, tuple[tuple[str, ...], str]] = {
         "sensor 'p' has the reduction netforce: allowed are none, mindist, maxforce.",
     ),
     "box and cylinder": (
-        (BALL.format('type="cylinder"').replace('type="plane"', 'type="box"').replace('".1"', '".1 .1"'),),
+        (
+            BALL.format('type="cylinder"')
+            .replace('type="plane"', 'type="box"')
+            .replace('".1"', '".1 .1"'),
+        ),
         "geom 'g' and geom 'f' are cylinder and box, which MJX cannot collide: exclude them, or see fitted.",
     ),
     "margin of a mesh": (
@@ -207,7 +248,11 @@ PUT: dict[str, tuple[tuple[str, ...], str]] = {
         "geom 'f' and geom 'g' have a margin, which MJX lacks for meshes and height fields: set it to 0, or",
     ),
     "condim 1": (
-        (BALL.format('condim="1"').replace("/>", ' condim="1"/>', 1), "", '<option cone="elliptic"/>'),
+        (
+            BALL.format('condim="1"').replace("/>", ' condim="1"/>', 1),
+            "",
+            '<option cone="elliptic"/>',
+        ),
         "geom 'f' has condim 1 with elliptic cones, which MJX lacks: take condim 3, or see fitted.",
     ),
     "condim 1 of a priority": (
@@ -260,7 +305,11 @@ def test_contacts_without_friction_are_made_fit(name: str) -> None:
 def test_what_is_simulated_is_not_refused() -> None:
     """The same words without an effect: ellipsoids without a fluid, a group that is not disabled."""
     still = model_of(BALL.format('fluidshape="ellipsoid"'))
-    other = model_of(HINGE, '<actuator><motor joint="j" group="3"/></actuator>', '<option actuatorgroupdisable="2"/>')
+    other = model_of(
+        HINGE,
+        '<actuator><motor joint="j" group="3"/></actuator>',
+        '<option actuatorgroupdisable="2"/>',
+    )
     assert not_simulated(still) == not_simulated(other) == []
 
 
@@ -275,7 +324,9 @@ def test_a_model_of_mjx_is_refused_with_the_function_that_puts_it() -> None:
     """MJX does not report what it has omitted."""
     plain = mjx.put_model(model_of(HINGE))
     for function in (step, forward):
-        with pytest.raises(ValueError, match=r"^model is of mujoco\.Model: .*nermo_mjx\.dynamics\.put_model; mjx\."):
+        with pytest.raises(
+            ValueError, match=r"^model is of mujoco\.Model: .*nermo_mjx\.dynamics\.put_model; mjx\."
+        ):
             function(plain, mjx.make_data(plain))
 
 
@@ -315,7 +366,8 @@ def test_a_model_is_made_fit_for_mjx() -> None:
 def test_what_cannot_be_made_fit_is_said() -> None:
     model = model_of(HINGE, '<actuator><adhesion body="b" ctrlrange="0 1" gain="1"/></actuator>')
     with pytest.raises(
-        ValueError, match=r"^MJX refuses the model also after 0 changes: trntype of actuator 0 is body, "
+        ValueError,
+        match=r"^MJX refuses the model also after 0 changes: trntype of actuator 0 is body, ",
     ):
         fitted(model)
 
@@ -329,7 +381,9 @@ ANIMALS = (f"{WALKERS}/rodent.xml", f"{WALKERS}/dog_v2/dog.xml", "suite/dog.xml"
 def test_animals_are_made_fit_for_mjx() -> None:
     """They are put, and the fish, which touches nothing, moves as in C."""
     home = Path(
-        pytest.importorskip("dm_control", reason="needs the models of dm_control: pip install dm_control").__file__
+        pytest.importorskip(
+            "dm_control", reason="needs the models of dm_control: pip install dm_control"
+        ).__file__
     ).parent
     for path in ANIMALS:
         model = mujoco.MjModel.from_xml_path(str(home / path))

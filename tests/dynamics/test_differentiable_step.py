@@ -47,7 +47,8 @@ class Small:
         """The numbers that are differentiated: the fields', and velocities."""
         model = self.compile()
         return np.array(
-            [getattr(model, name)[index] for name, index in self.fields] + [self.qvel[i] for i in self.speeds]
+            [getattr(model, name)[index] for name, index in self.fields]
+            + [self.qvel[i] for i in self.speeds]
         )
 
     def compile(self) -> mujoco.MjModel:
@@ -182,10 +183,14 @@ def _in_mjx(case: Small):
         for (name, index), value in zip(case.fields, point, strict=False):
             changed = changed.tree_replace({name: getattr(changed, name).at[index].set(value)})
         qvel = jnp.asarray(case.qvel).at[jnp.array(case.speeds)].set(point[len(case.fields) :])
-        data = blank.replace(qpos=jnp.asarray(model.qpos0), qvel=qvel, ctrl=jnp.full(model.nu, CTRL))
+        data = blank.replace(
+            qpos=jnp.asarray(model.qpos0), qvel=qvel, ctrl=jnp.full(model.nu, CTRL)
+        )
 
         def advance(state, _):
-            after = step(changed, data.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2]))
+            after = step(
+                changed, data.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2])
+            )
             return (after.qpos, after.qvel, after.qacc_warmstart), None
 
         state = (data.qpos, data.qvel, data.qacc_warmstart)
@@ -230,7 +235,11 @@ def small(request):
         def both(point):
             """State, slopes (n, nq + nv), and those of the weighted state: `jvp` and `grad` of one trace."""
             state, push = jax.linearize(end, point)
-            return state, jax.vmap(push)(jnp.eye(len(first))), *jax.linear_transpose(push, point)(jnp.asarray(weights))
+            return (
+                state,
+                jax.vmap(push)(jnp.eye(len(first))),
+                *jax.linear_transpose(push, point)(jnp.asarray(weights)),
+            )
 
         jit = functools.partial(jax.jit, compiler_options=compiler_options())
         state, slopes, reverse = map(np.asarray, jit(both)(first))

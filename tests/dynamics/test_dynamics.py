@@ -36,7 +36,9 @@ def test_the_room_imports_nothing_of_the_robot() -> None:
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             ours = {name for name in names if name.startswith("nermo_mjx")}
-            assert all(any(name == one or name.startswith(f"{one}.") for one in allowed) for name in ours), path
+            assert all(
+                any(name == one or name.startswith(f"{one}.") for one in allowed) for name in ours
+            ), path
 
 
 @pytest.mark.release
@@ -46,8 +48,14 @@ def test_importing_the_step_brings_nothing_of_the_robot() -> None:
         "[getattr(room, name) for name in room.__all__];"
         "print([name for name in sys.modules if name.startswith('nermo_mjx.')])"
     )
-    brought = ast.literal_eval(subprocess.run([sys.executable, "-c", code], text=True, capture_output=True).stdout)
-    top = ("nermo_mjx.lazy", "nermo_mjx.trust", "nermo_mjx.version")  # which the package itself imports
+    brought = ast.literal_eval(
+        subprocess.run([sys.executable, "-c", code], text=True, capture_output=True).stdout
+    )
+    top = (
+        "nermo_mjx.lazy",
+        "nermo_mjx.trust",
+        "nermo_mjx.version",
+    )  # which the package itself imports
     others = ("nermo_mjx.dynamics", "nermo_mjx.shapes", *top)
     assert {name for name in brought if not name.startswith(others)} == set()
 
@@ -56,13 +64,21 @@ def test_what_it_refuses_is_said_in_a_sentence() -> None:
     ball = mujoco.MjModel.from_xml_string(BALL)
     model = put_model(ball)
     data = make_data(model)
-    still = put_model(mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>'))
+    still = put_model(
+        mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
+    )
     batch = jax.vmap(lambda height: data.replace(qpos=data.qpos.at[2].set(height)))(jnp.arange(2.0))
     discrete = model.tree_replace({"opt.integrator": mjx.IntegratorType.DISCRETE})
     for given, message in (
-        ((discrete, data), r"^integrator is DISCRETE: allowed is one of EULER, RK4, IMPLICITFAST, which MJX has\.$"),
+        (
+            (discrete, data),
+            r"^integrator is DISCRETE: allowed is one of EULER, RK4, IMPLICITFAST, which MJX has\.$",
+        ),
         ((still, make_data(still)), r"^the model has no joints: allowed is one that can move"),
-        ((model, batch), r"^qpos has the shape \(2, 7\): allowed is \(7,\), that of one world; use jax\.vmap"),
+        (
+            (model, batch),
+            r"^qpos has the shape \(2, 7\): allowed is \(7,\), that of one world; use jax\.vmap",
+        ),
     ):
         for function in (nermo_mjx.dynamics.step, nermo_mjx.dynamics.forward):
             with pytest.raises(ValueError, match=message):
@@ -85,7 +101,9 @@ for given in ((ball, data), (mjx.put_model(ball), data), (model, mujoco.MjData(b
     except ValueError as error:
         print(error)
 """
-    said = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True).stdout.splitlines()
+    said = subprocess.run(
+        [sys.executable, "-c", code], text=True, capture_output=True
+    ).stdout.splitlines()
     model = "nermo_mjx.dynamics.put_model; mjx.put_model omits fields that this step reads."
     assert said[-3:] == [
         f"model is of mujoco.MjModel: allowed is a result of {model}",
@@ -121,7 +139,9 @@ def test_tendons_have_their_moment_arms_for_a_derivative() -> None:
     data.qpos[:] = 0.05, 0.02
     mujoco.mj_forward(model, data)
     arms = np.zeros((model.ntendon, model.nv))
-    mujoco.mju_sparse2dense(arms, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+    mujoco.mju_sparse2dense(
+        arms, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind
+    )
     with jax.enable_x64(True):
         device = put_model(model)
         blank = make_data(device)
@@ -132,7 +152,9 @@ def test_tendons_have_their_moment_arms_for_a_derivative() -> None:
             )
             return found.ten_length, (found.ten_length, found._impl.ten_J)
 
-        slopes, (length, moments) = jax.jit(jax.jacrev(lengths, has_aux=True))(jnp.asarray(data.qpos))
+        slopes, (length, moments) = jax.jit(jax.jacrev(lengths, has_aux=True))(
+            jnp.asarray(data.qpos)
+        )
     np.testing.assert_allclose(length, data.ten_length, rtol=1e-9)
     np.testing.assert_allclose(moments, arms, atol=1e-9)
     np.testing.assert_allclose(slopes, arms, atol=1e-9)
@@ -153,7 +175,9 @@ def test_a_cylinder_collides_with_a_derivative() -> None:
             data = tree.kinematics(device, blank.replace(qpos=blank.qpos.at[2].set(height)))
             return adapted.collision_driver.collision(device, data)._impl.contact.dist[0]
 
-        values = jax.jit(jax.vmap(jax.value_and_grad(distance)))(0.145 + 1e-6 * jnp.arange(-1.0, 2.0))
+        values = jax.jit(jax.vmap(jax.value_and_grad(distance)))(
+            0.145 + 1e-6 * jnp.arange(-1.0, 2.0)
+        )
     (low, at, high), slopes = (np.asarray(each) for each in values)
     assert at < 0.0
     np.testing.assert_allclose(slopes[1], (high - low) / 2e-6, rtol=1e-5)
@@ -164,7 +188,9 @@ def test_a_muscle_has_a_derivative_in_float32(width: float) -> None:
     """(u - a) / tau, Millard et al. (2013), with tau = 0.01 (0.5 + 1.5 a) while u is well above a."""
 
     def rate(excitation: Any, activation: Any) -> Any:
-        found: Any = adapted.support.muscle_dynamics(excitation, activation, jnp.array([0.01, 0.04, width]))
+        found: Any = adapted.support.muscle_dynamics(
+            excitation, activation, jnp.array([0.01, 0.04, width])
+        )
         return found
 
     rise, fall = jax.grad(rate, argnums=(0, 1))(jnp.float32(0.4), jnp.float32(0.1))
@@ -180,7 +206,9 @@ def test_the_check_finds_a_derivative_that_is_cut(monkeypatch: pytest.MonkeyPatc
     data.qvel[:2] = 1.0, 0.3  # it slides
     assert checking.check_gradient(model, data, steps=2, options=options).error < 1e-6
     cut = differentiable._solution
-    monkeypatch.setattr(differentiable, "_solution", lambda *given, **how: jax.lax.stop_gradient(cut(*given, **how)))
+    monkeypatch.setattr(
+        differentiable, "_solution", lambda *given, **how: jax.lax.stop_gradient(cut(*given, **how))
+    )
     found = checking.check_gradient(model, data, steps=2, options=options)
     assert found.is_finite
     assert found.error > 0.1
@@ -197,4 +225,6 @@ def test_the_differences_choose_their_width_and_the_gradient_has_no_say() -> Non
     )
     assert checking.WIDTHS[found.chosen] == 1e-5
     assert found.spread == pytest.approx(1e-3 / np.hypot(1.0, 2.0))
-    assert not np.isfinite(checking.distance(found.group, np.array([np.nan, 0.0]), found.differences[0]))
+    assert not np.isfinite(
+        checking.distance(found.group, np.array([np.nan, 0.0]), found.differences[0])
+    )

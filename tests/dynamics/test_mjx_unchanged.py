@@ -73,7 +73,9 @@ print(changes())
 def printed(*parts: str) -> list[str]:
     """Lines that a program prints in a new process, without a cache of programs, which JAX keeps in its modules."""
     environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": ""}
-    done = subprocess.run([sys.executable, "-c", "\n".join(parts)], text=True, capture_output=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(parts)], text=True, capture_output=True, env=environment
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
@@ -136,7 +138,9 @@ print(np.abs(after[0] - before[0]).max(), before[1:] == after[1:], before[1])
 
 
 @pytest.mark.release
-def test_simulators_and_steps_replace_no_attribute_of_mjx_or_jax_even_while_they_are_traced() -> None:
+def test_simulators_and_steps_replace_no_attribute_of_mjx_or_jax_even_while_they_are_traced() -> (
+    None
+):
     """Another thread that traces `mjx.step` at the same time would otherwise get other physics."""
     assert ast.literal_eval(printed(WATCH, HELD, USE)[-1]) == []
 

@@ -81,7 +81,9 @@ def test_a_tick_of_the_robot_in_mjx_has_it(simulator: Any) -> None:
     sim = simulator("mjx", spine="stride_extension")
     batch = sim.prepare({"frequency": np.full(2, 0.8)}, Run(cycles=1))
     session = sim.engine.open(batch.params, batch.qpos, batch.fields)
-    assert highest(products(sim.engine.advance, session.params, session.fields, session.carry, jnp.int32(1)))
+    assert highest(
+        products(sim.engine.advance, session.params, session.fields, session.carry, jnp.int32(1))
+    )
     one = jax.tree.map(lambda leaf: leaf[0], (session.params, session.fields, session.carry))
     assert highest(products(sim.engine.tick, *one))
 
@@ -91,7 +93,11 @@ def test_one_setup_serves_programs_in_32_and_in_64_bits():
     """Also while a program of the other kind is kept; the oracle is a setup that has only been used in one."""
 
     def servos(setup, phase):
-        return setup.make_controller().initial_servo(setup.world({"frequency": 0.8}).control, phase).hip
+        return (
+            setup.make_controller()
+            .initial_servo(setup.world({"frequency": 0.8}).control, phase)
+            .hip
+        )
 
     used = Setup()
     kept = jax.jit(lambda phase: servos(used, phase)).trace(0.1)

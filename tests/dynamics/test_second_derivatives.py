@@ -15,7 +15,15 @@ import pytest
 from mujoco.mjx._src import math
 from mujoco.mjx._src.collision_types import GeomInfo
 
-from nermo_mjx.dynamics import collision, differentiable, jacobians, make_data, put_model, solver, step
+from nermo_mjx.dynamics import (
+    collision,
+    differentiable,
+    jacobians,
+    make_data,
+    put_model,
+    solver,
+    step,
+)
 from nermo_mjx.dynamics.integration import positions
 from nermo_mjx.dynamics.own_derivative import own_derivative
 from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
@@ -38,14 +46,22 @@ WAYS: dict[str, Callable[[Callable[[Any], Any]], Callable[[Any], Any]]] = {
 
 
 def errors(
-    f: Callable[[Any], Any], at: np.ndarray, ways: tuple[str, ...] = tuple(WAYS), width: float = 1e-5
+    f: Callable[[Any], Any],
+    at: np.ndarray,
+    ways: tuple[str, ...] = tuple(WAYS),
+    width: float = 1e-5,
 ) -> dict[str, float]:
     """Of second derivatives of f in float64, against differences of its gradient, as a share of the largest; and by
     how much f curves."""
     with jax.enable_x64(True):
         slopes = jax.jit(jax.grad(f), compiler_options=compiler_options())
         wide, narrow = (
-            np.stack([np.subtract(slopes(at + h * each), slopes(at - h * each)) / (2 * h) for each in np.eye(len(at))])
+            np.stack(
+                [
+                    np.subtract(slopes(at + h * each), slopes(at - h * each)) / (2 * h)
+                    for each in np.eye(len(at))
+                ]
+            )
             for h in (width, width / 4)
         )
         expected = (16 * narrow - wide) / 15  # without the term of second order in the width
@@ -73,7 +89,10 @@ EQUALITY, DRY, PUSHES, CONES = 2, 6, 6, ((3, 4), (6, 2))
 
 def _problems() -> tuple[Layout, Callable[[Any], ConstraintProblem]]:
     """A layout, and a random problem all of whose arrays depend on some numbers."""
-    rows, random = EQUALITY + DRY + PUSHES + sum(dim * count for dim, count in CONES), np.random.default_rng(3)
+    rows, random = (
+        EQUALITY + DRY + PUSHES + sum(dim * count for dim, count in CONES),
+        np.random.default_rng(3),
+    )
     lower = random.normal(size=(SIZE, SIZE))
     among = (np.arange(rows) >= EQUALITY) & (np.arange(rows) < EQUALITY + DRY)
     first = ConstraintProblem(
@@ -91,7 +110,9 @@ def _problems() -> tuple[Layout, Callable[[Any], ConstraintProblem]]:
         changes = jax.tree.map(lambda way: jnp.tensordot(0.1 * jnp.sin(numbers), way, 1), ways)
         turned = changes.inertia @ changes.inertia.T
         changed = jax.tree.map(lambda leaf, change: leaf * jnp.exp(change), first, changes)
-        return changed._replace(inertia=first.inertia + turned, smooth=first.smooth + changes.smooth)
+        return changed._replace(
+            inertia=first.inertia + turned, smooth=first.smooth + changes.smooth
+        )
 
     return Layout(EQUALITY, DRY, CONES), problem
 
@@ -105,7 +126,9 @@ def test_second_derivatives_of_the_rows() -> None:
         given = problem(numbers)
         found = solver.minimum(layout, *jax.lax.stop_gradient((given, jnp.zeros(SIZE))))
         last = differentiable._newton(layout, found.qacc, jax.lax.stop_gradient(given))
-        return jnp.sum(jnp.sin(differentiable._solution(last.qacc, last.residual, given, static=layout)))
+        return jnp.sum(
+            jnp.sin(differentiable._solution(last.qacc, last.residual, given, static=layout))
+        )
 
     found = errors(value, np.linspace(-0.5, 0.7, NUMBERS))
     assert max(found.values()) < 1e-6, found
@@ -130,13 +153,17 @@ def _turned(numbers: Any) -> Any:
     ],
     ids=["capsule", "ellipsoid"],
 )
-def test_second_derivatives_of_an_ellipsoids_closest_point(collider: Any, sizes: list[list[float]]) -> None:
+def test_second_derivatives_of_an_ellipsoids_closest_point(
+    collider: Any, sizes: list[list[float]]
+) -> None:
     """By places, orientations and sizes: of depth, position and normal."""
 
     def value(numbers: Any) -> Any:
         def of_size(size: Any) -> Any:
             one = GeomInfo(numbers[1:4] * 0.1, _turned(numbers[1:4]), size * jnp.exp(numbers[0]))
-            other = GeomInfo(jnp.array([0.02, 0.03, 0.12]), _turned(numbers[4:]), jnp.array([0.1, 0.07, 0.05]))
+            other = GeomInfo(
+                jnp.array([0.02, 0.03, 0.12]), _turned(numbers[4:]), jnp.array([0.1, 0.07, 0.05])
+            )
             dist, pos, frame = collider.of(one, other)
             return 5.0 * dist + jnp.sum(jnp.sin(10.0 * pos)) + frame[0] @ jnp.array([0.3, 0.2, 0.5])
 
@@ -191,7 +218,9 @@ _TOUCH = """<option timestep=".002" cone="{}" impratio="3"/>
 TOUCHING = (
     _TOUCH
     + FREE.format("0 0 .0495", 'size=".05"', ".3")
-    + FREE.format("1 0 .0395", 'type="ellipsoid" size=".06 .05 .04" condim="4" euler="5 10 0"', ".2")
+    + FREE.format(
+        "1 0 .0395", 'type="ellipsoid" size=".06 .05 .04" condim="4" euler="5 10 0"', ".2"
+    )
     + FREE.format("0 1 .0495", 'type="capsule" size=".05 .1" euler="0 80 0" condim="6"', ".2")
     + "</worldbody>"
 )
@@ -208,7 +237,8 @@ MODELS = {
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "a contact" else pytest.mark.long) for name in MODELS]
+    "name",
+    [pytest.param(name, marks=() if name == "a contact" else pytest.mark.long) for name in MODELS],
 )
 def test_second_derivatives_of_a_step(name: str) -> None:
     """By positions and velocities along some directions."""
@@ -221,7 +251,9 @@ def test_second_derivatives_of_a_step(name: str) -> None:
 
         def value(numbers: Any) -> Any:
             velocity = jnp.asarray(pushed[0]) + numbers @ pushed
-            start = data.replace(qpos=positions(device, data.qpos, 1e-2 * (numbers @ moved)), qvel=velocity)
+            start = data.replace(
+                qpos=positions(device, data.qpos, 1e-2 * (numbers @ moved)), qvel=velocity
+            )
             after = step(device, start)
             return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
 
@@ -239,7 +271,9 @@ def test_second_derivatives_of_several_steps() -> None:
 
         def place(pushed: Any) -> Any:
             start = data.replace(qvel=data.qvel.at[: len(pushed)].set(pushed))
-            after = jax.lax.scan(lambda each, _: (step(device, each), None), start, None, length=5)[0]
+            after = jax.lax.scan(lambda each, _: (step(device, each), None), start, None, length=5)[
+                0
+            ]
             return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
 
         found = errors(place, np.array([0.3, -0.2]), ("jacfwd(jacrev)",))
@@ -261,10 +295,18 @@ def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: b
         def after(each: Any, _: Any) -> Any:
             return 1.0 + jax.vmap(one)(each), None
 
-        return jnp.sum(jnp.sin(jax.lax.scan(after, numbers, None, length=3)[0] if looped else after(numbers, None)[0]))
+        return jnp.sum(
+            jnp.sin(
+                jax.lax.scan(after, numbers, None, length=3)[0]
+                if looped
+                else after(numbers, None)[0]
+            )
+        )
 
     at = jnp.array([0.3, 2.0, 5.0])
-    found, expected = (jax.jit(WAYS[way](functools.partial(roots, given=given)))(at) for given in (True, False))
+    found, expected = (
+        jax.jit(WAYS[way](functools.partial(roots, given=given)))(at) for given in (True, False)
+    )
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
 
 
@@ -275,7 +317,9 @@ def test_the_second_derivative_of_a_walk() -> None:
         rollout = Rollout(Setup(spine="stride_extension"), Run(duration=0.02, warmup=0.0), "mjx")
 
         def slope(amplitude: Any) -> Any:
-            return jax.jvp(lambda each: rollout({"spine.amplitude": each})["speed"], (amplitude,), (1.0,))[1]
+            return jax.jvp(
+                lambda each: rollout({"spine.amplitude": each})["speed"], (amplitude,), (1.0,)
+            )[1]
 
         # At its usual level XLA does not end within ten minutes.
         options = compiler_options(level=0)

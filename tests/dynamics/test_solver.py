@@ -38,7 +38,9 @@ DAMPED = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.
 
 
 @functools.cache
-def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, ConstraintProblem, np.ndarray, np.ndarray]:
+def problems(
+    kind: str, worlds: int = WORLDS
+) -> tuple[Layout, ConstraintProblem, np.ndarray, np.ndarray]:
     """(layout, problems, warm starts, C's solutions) of robots that are thrown onto the ground and move their servos.
 
     Args:
@@ -46,7 +48,8 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, ConstraintProblem
         worlds: how many robots.
     """
     robot = load_robot(
-        scene="maze" if kind == "maze" else "flat", cone="pyramidal" if kind == "pyramidal" else "elliptic"
+        scene="maze" if kind == "maze" else "flat",
+        cone="pyramidal" if kind == "pyramidal" else "elliptic",
     )
     random, model = np.random.default_rng(0), robot.physical
     model.opt.tolerance, model.opt.ls_tolerance = 1e-14, 1e-6
@@ -56,7 +59,9 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, ConstraintProblem
     for world in range(worlds):
         if kind == "ends":
             values = DAMPED | {name: random.choice(ends) for name, ends in ENDS.items()}
-            for name, field in variation.batch(replace_quantities(default, values), 1, values).items():
+            for name, field in variation.batch(
+                replace_quantities(default, values), 1, values
+            ).items():
                 getattr(model, name)[...] = field[0]
         data = mujoco.MjData(model)
         data.qpos[2] += random.uniform(0.0, 0.15)
@@ -65,13 +70,18 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, ConstraintProblem
         if world % 4:
             turn = random.normal(size=4)
             data.qpos[3:7] = turn / np.linalg.norm(turn)
-        data.qvel[:] = random.normal(size=model.nv) * np.r_[0.5, 0.5, 1.0, 5.0, 5.0, 5.0, np.full(model.nv - 6, 2.0)]
+        data.qvel[:] = (
+            random.normal(size=model.nv)
+            * np.r_[0.5, 0.5, 1.0, 5.0, 5.0, 5.0, np.full(model.nv - 6, 2.0)]
+        )
         for step in range(2 * STEPS):
             if step % 40 == 0:
                 data.ctrl[:] = random.uniform(-0.8, 0.8, model.nu)
             warm = data.qacc_warmstart.copy()
             mujoco.mj_step(model, data)
-            if sum(warning.number for warning in data.warning):  # at the ends of the ranges C loses some worlds
+            if sum(
+                warning.number for warning in data.warning
+            ):  # at the ends of the ranges C loses some worlds
                 break
             limits = data.nl
             contacts = (data.nefc - limits) // edges
@@ -81,7 +91,9 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, ConstraintProblem
             mujoco.mj_fullM(model, data, inertia)
             # C has rows of what touches only: zeros stand for the others.
             rows = np.r_[np.arange(limits), LIMITS + np.arange(contacts * edges)]
-            arrays = [np.zeros((LIMITS + edges * CONTACTS, *width)) for width in ((model.nv,), (), ())]
+            arrays = [
+                np.zeros((LIMITS + edges * CONTACTS, *width)) for width in ((model.nv,), (), ())
+            ]
             arrays[2][:] = 1.0
             for array, values in zip(
                 arrays, (data.efc_J.reshape(-1, model.nv), data.efc_aref, data.efc_D), strict=True
@@ -104,7 +116,9 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, ConstraintProblem
     return Layout(0, 0, ((3, CONTACTS),) if elliptic else ()), stacked, warm, right
 
 
-def solve(layout: Layout, problem: ConstraintProblem, warm: np.ndarray, real: type) -> tuple[np.ndarray, np.ndarray]:
+def solve(
+    layout: Layout, problem: ConstraintProblem, warm: np.ndarray, real: type
+) -> tuple[np.ndarray, np.ndarray]:
     """(solutions, rounds) in a precision, with the last step of `differentiable`."""
 
     def one(problem: ConstraintProblem, warm: Any) -> Any:
@@ -119,13 +133,17 @@ def solve(layout: Layout, problem: ConstraintProblem, warm: np.ndarray, real: ty
 
 def error(found: np.ndarray, right: np.ndarray, problem: ConstraintProblem) -> np.ndarray:
     """Size of the difference as a share of the solution's, both weighed by the inertia."""
-    size = [np.einsum("ni,nij,nj->n", each, problem.inertia, each) for each in (found - right, right)]
+    size = [
+        np.einsum("ni,nij,nj->n", each, problem.inertia, each) for each in (found - right, right)
+    ]
     return np.sqrt(size[0] / size[1])
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("real", [np.float64, np.float32])
-@pytest.mark.parametrize("kind", ["elliptic", "pyramidal", "maze", pytest.param("ends", marks=pytest.mark.release)])
+@pytest.mark.parametrize(
+    "kind", ["elliptic", "pyramidal", "maze", pytest.param("ends", marks=pytest.mark.release)]
+)
 def test_solutions_are_those_of_c(kind: str, real: type) -> None:
     """In all of thousands of states: to the rounding of float32, and to C's own 1e-8 in float64.
 
@@ -145,7 +163,10 @@ def test_the_last_step_leaves_no_solution_that_rounding_put_across_a_border() ->
     """From C's solutions, off by a few roundings, which decide whether a row that is on the border slides or sticks."""
     layout, problem, _, right = problems("ends", 30)
     single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), problem)
-    last, random = jax.jit(jax.vmap(lambda each, qacc: _newton(layout, qacc, each).qacc)), np.random.default_rng(0)
+    last, random = (
+        jax.jit(jax.vmap(lambda each, qacc: _newton(layout, qacc, each).qacc)),
+        np.random.default_rng(0),
+    )
     for _ in range(8):
         qacc = np.asarray(right * (1.0 + 3e-7 * random.normal(size=right.shape)), np.float32)
         assert error(qacc, right, problem).max() < 2e-6
@@ -158,7 +179,9 @@ def test_a_small_step_out_of_a_contact_is_not_the_last() -> None:
     The first step from just below 1 is as small as rounding, because the row is stiff, and ends just above 1.
     """
     one = np.ones(1)
-    problem = ConstraintProblem(np.eye(1), 2.0 * one, np.eye(1), one, 1e12 * one, 0.0 * one, np.ones((0, 6)))
+    problem = ConstraintProblem(
+        np.eye(1), 2.0 * one, np.eye(1), one, 1e12 * one, 0.0 * one, np.ones((0, 6))
+    )
     with jax.enable_x64(True):
         found = jax.jit(lambda start: solver.minimum(Layout(0, 0, ()), problem, start))(one - 2e-13)
     assert found.converged

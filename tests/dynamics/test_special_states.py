@@ -23,7 +23,12 @@ from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
 #: Copies of MJX's modules, in which functions of this package replace some of MJX's.
-collision_sdf, constraint, math, support = adapted.collision_sdf, adapted.constraint, adapted.math, adapted.support
+collision_sdf, constraint, math, support = (
+    adapted.collision_sdf,
+    adapted.constraint,
+    adapted.math,
+    adapted.support,
+)
 #: One of each kind, those of the same options in one model; the others run with `-m long`.
 CHOSEN = {
     "Euler": (
@@ -109,26 +114,32 @@ def test_a_field_that_was_zero_has_its_derivative() -> None:
             fields = {}
             for value, (field, index, _) in zip(values, FIELDS, strict=True):
                 home = device.opt if field.startswith("opt.") else device
-                fields[field] = jnp.asarray(getattr(home, field.removeprefix("opt."))).at[index].set(value)
+                fields[field] = (
+                    jnp.asarray(getattr(home, field.removeprefix("opt."))).at[index].set(value)
+                )
             changed = device.tree_replace(fields)
 
             def advance(state: Any, _: None) -> Any:
-                after = step(changed, start.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2]))
+                after = step(
+                    changed, start.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2])
+                )
                 return (after.qpos, after.qvel, after.qacc_warmstart), None
 
             state = start.qpos, start.qvel, start.qacc_warmstart
             velocity = jax.lax.scan(advance, state, None, length=2)[0][1]
             return velocity, velocity
 
-        slopes, values = jax.jit(jax.jacrev(end, has_aux=True), compiler_options=compiler_options())(
-            jnp.zeros(len(FIELDS))
-        )
+        slopes, values = jax.jit(
+            jax.jacrev(end, has_aux=True), compiler_options=compiler_options()
+        )(jnp.zeros(len(FIELDS)))
     still = in_c("dof_frictionloss", 0, 0.0)
     np.testing.assert_allclose(values, still, atol=1e-12)
     for slope, (field, index, share) in zip(np.asarray(slopes).T, FIELDS, strict=True):
         difference = (in_c(field, index, 1e-6) - still) / 1e-6
         assert np.abs(difference).max() > 1e-5, field
-        np.testing.assert_allclose(slope, share * difference, atol=1e-5 * np.abs(difference).max(), err_msg=field)
+        np.testing.assert_allclose(
+            slope, share * difference, atol=1e-5 * np.abs(difference).max(), err_msg=field
+        )
 
 
 BOX = """<mujoco><option cone="{}"/><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .05"><freejoint/><geom
@@ -151,7 +162,10 @@ def test_the_solver_is_quick_at_rest(cone: str, double: bool) -> None:
             return (after.qpos, after.qvel, after.qacc_warmstart), rows.inner(after).solver_niter
 
         start = data.qpos, data.qvel, data.qacc_warmstart
-        run = jax.jit(lambda state: jax.lax.scan(advance, state, None, length=200), compiler_options=compiler_options())
+        run = jax.jit(
+            lambda state: jax.lax.scan(advance, state, None, length=200),
+            compiler_options=compiler_options(),
+        )
         (_, velocity, _), rounds = run(start)
     assert np.max(rounds) <= 3
     assert np.abs(velocity).max() < 1e-3
@@ -179,7 +193,11 @@ def _impedances(x: Any) -> Any:
     model = put_model(mujoco.MjModel.from_xml_string(BOX.format("elliptic")))
     return jnp.stack(
         [
-            jnp.stack(constraint._kbi(model, jnp.array([0.02, 1.0]), jnp.array([0.5, 0.9, x[1], x[2], power]), x[0]))
+            jnp.stack(
+                constraint._kbi(
+                    model, jnp.array([0.02, 1.0]), jnp.array([0.5, 0.9, x[1], x[2], power]), x[0]
+                )
+            )
             for power in (1.0, 1.5, 2.0, 3.3)
         ]
     )
@@ -194,10 +212,14 @@ SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
         lambda q: jnp.multiply(*math.quat_to_axis_angle(q)),
         [[1, 0, 0, 0], [-1, 0, 0, 0], [0.6, 0.8, 0, 0]],
     ),
-    "difference of rotations": (lambda q: math.quat_sub(q[:4], q[4:]), [[1, 0, 0, 0] * 2, [0.6, 0.8, 0, 0] * 2]),
+    "difference of rotations": (
+        lambda q: math.quat_sub(q[:4], q[4:]),
+        [[1, 0, 0, 0] * 2, [0.6, 0.8, 0, 0] * 2],
+    ),
     "impedance": (
         _impedances,
-        [[d, 0.01, 0.5] for d in (0.0, 0.005, 0.01, 0.02, -0.01)] + [[0.01, 1e-15, 0.5], [0.02, 0.01, 0.0]],
+        [[d, 0.01, 0.5] for d in (0.0, 0.005, 0.01, 0.02, -0.01)]
+        + [[0.01, 1e-15, 0.5], [0.02, 0.01, 0.0]],
     ),
     "tendon's segment": (
         lambda v: segment_length(v) * segment_direction(v, segment_length(v)),
@@ -206,19 +228,31 @@ SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
     "normal": (math.normalize, [[0, 0, 1], [1e-9, 0, 1]]),
     "frame": (math.make_frame, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0.5, 0.75**0.5]]),
     "segments": (
-        lambda x: jnp.concatenate(math.closest_segment_to_segment_points(x[:3], x[3:6], x[6:9], x[9:])),
-        [[0, 0, 0, 0, 0, 1, 1, 0, 0, 1, 0, 1], [0, 0, 0, 0, 0, 1] * 2, [0, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, 0]],
+        lambda x: jnp.concatenate(
+            math.closest_segment_to_segment_points(x[:3], x[3:6], x[6:9], x[9:])
+        ),
+        [
+            [0, 0, 0, 0, 0, 1, 1, 0, 0, 1, 0, 1],
+            [0, 0, 0, 0, 0, 1] * 2,
+            [0, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, 0],
+        ],
     ),
     "muscle": (
-        lambda x: support.muscle_gain(x[0], x[1], RANGE, x[2], MUSCLE) + support.muscle_bias(x[0], RANGE, x[2], MUSCLE),
-        [[length, rate, 1.0] for length in (0.0, 0.5, 0.8333333, 1.0) for rate in (-5.0, 0.0, 1.0)] + [[0.5, 0.0, 0.0]],
+        lambda x: (
+            support.muscle_gain(x[0], x[1], RANGE, x[2], MUSCLE)
+            + support.muscle_bias(x[0], RANGE, x[2], MUSCLE)
+        ),
+        [[length, rate, 1.0] for length in (0.0, 0.5, 0.8333333, 1.0) for rate in (-5.0, 0.0, 1.0)]
+        + [[0.5, 0.0, 0.0]],
     ),
     "activation": (
         lambda x: support.muscle_dynamics(x[0], x[1], jnp.array([0.01, 0.04, x[2]])),
         [[0, 0, 0], [0.4, 0.4, 0.0], [0.4, 0.4, 0.2], [1, 1, 0.2]],
     ),
     "arc": (
-        lambda x: jnp.concatenate([each.ravel() for each in support.wrap_circle(x[:4], x[4:6], x[6] > 0, x[6])]),
+        lambda x: jnp.concatenate(
+            [each.ravel() for each in support.wrap_circle(x[:4], x[4:6], x[6] > 0, x[6])]
+        ),
         [
             [*ends, 0, 1, radius]
             for *ends, radius in (
@@ -250,9 +284,14 @@ def test_a_singular_input_has_a_finite_derivative(name: str) -> None:
             assert np.isfinite(value).all(), point
             assert np.isfinite(ahead).all(), point
             np.testing.assert_allclose(back, ahead, rtol=1e-9, atol=1e-12, err_msg=str(point))
-            if name in ("rotation vector", "tendon's segment") and point[:3] in ([1, 0, 0], [0, 0, 0]):
+            if name in ("rotation vector", "tendon's segment") and point[:3] in (
+                [1, 0, 0],
+                [0, 0, 0],
+            ):
                 np.testing.assert_allclose(
-                    ahead[:, -3:], 2 * np.eye(3) if name == "rotation vector" else np.eye(3), atol=1e-9
+                    ahead[:, -3:],
+                    2 * np.eye(3) if name == "rotation vector" else np.eye(3),
+                    atol=1e-9,
                 )
 
 
@@ -292,10 +331,20 @@ def test_slopes_are_those_of_mjxs_rows(refsafe: str, solref: str) -> None:
     The oracle is a difference of `mjx.make_constraint` in float64.
     """
     with jax.enable_x64(True):
-        model = put_model(mujoco.MjModel.from_xml_string(BALL.format(refsafe=refsafe, solref=solref)))
-        data = at_contact(model, make_data(model).replace(qvel=jnp.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.0])))
-        found = jax.jvp(lambda largest: made(make_constraint, model, data, largest), (0.9,), (1.0,))[1]
-        above, below = (made(mjx.make_constraint, model, data, 0.9 + step) for step in (1e-6, -1e-6))
+        model = put_model(
+            mujoco.MjModel.from_xml_string(BALL.format(refsafe=refsafe, solref=solref))
+        )
+        data = at_contact(
+            model, make_data(model).replace(qvel=jnp.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.0]))
+        )
+        found = jax.jvp(
+            lambda largest: made(make_constraint, model, data, largest), (0.9,), (1.0,)
+        )[1]
+        above, below = (
+            made(mjx.make_constraint, model, data, 0.9 + step) for step in (1e-6, -1e-6)
+        )
     assert np.any(above[1] != below[1])
     for slope, high, low in zip(found, above, below, strict=True):
-        np.testing.assert_allclose(slope, (high - low) / 2e-6, rtol=1e-5, atol=1e-6 * np.abs(high).max())
+        np.testing.assert_allclose(
+            slope, (high - low) / 2e-6, rtol=1e-5, atol=1e-6 * np.abs(high).max()
+        )

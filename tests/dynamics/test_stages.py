@@ -48,9 +48,9 @@ OURS = {
     "fwd_velocity": differentiable.velocity,
     "forward": differentiable._forward,
 }
-RENAMED = {f"fwd_{name}": name for name in ("position", "velocity", "actuation", "acceleration")} | {
-    "tendon_armature": "with_tendon_inertia"
-}
+RENAMED = {
+    f"fwd_{name}": name for name in ("position", "velocity", "actuation", "acceleration")
+} | {"tendon_armature": "with_tendon_inertia"}
 UNORDERED = {"passive", "rne"}
 
 
@@ -61,7 +61,11 @@ def called(function: Callable[..., Any]) -> list[str]:
     def visit(node: ast.AST) -> None:
         for child in ast.iter_child_nodes(node):
             visit(child)
-        if isinstance(node, ast.Call) and node.args and getattr(node.args[0], "id", "") in {"m", "model"}:
+        if (
+            isinstance(node, ast.Call)
+            and node.args
+            and getattr(node.args[0], "id", "") in {"m", "model"}
+        ):
             # MJX wraps one call in the name of its scope: `named_scope(solver.solve)(m, d)`.
             at = node.func.args[0] if isinstance(node.func, ast.Call) else node.func
             names.append(at.attr if isinstance(at, ast.Attribute) else at.id)
@@ -82,4 +86,6 @@ def test_we_have_the_same_stages_in_the_same_order(name: str) -> None:
     found = [stage for stage in called(OURS[name]) if stage in ours]
     wanted = [RENAMED.get(stage, stage) for stage in STAGES[name]]
     assert sorted(found) == sorted(wanted)
-    assert [each for each in found if each not in UNORDERED] == [each for each in wanted if each not in UNORDERED]
+    assert [each for each in found if each not in UNORDERED] == [
+        each for each in wanted if each not in UNORDERED
+    ]

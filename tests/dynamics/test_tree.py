@@ -45,8 +45,14 @@ ALL_JOINTS = """
 
 def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
     """A model, C's data of a state with velocities, and ours in float64."""
-    model = mujoco.MjModel.from_xml_string(ALL_JOINTS) if kind == "all joints" else load_robot(tail=kind).physical
-    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE if sparse else mujoco.mjtJacobian.mjJAC_DENSE
+    model = (
+        mujoco.MjModel.from_xml_string(ALL_JOINTS)
+        if kind == "all joints"
+        else load_robot(tail=kind).physical
+    )
+    model.opt.jacobian = (
+        mujoco.mjtJacobian.mjJAC_SPARSE if sparse else mujoco.mjtJacobian.mjJAC_DENSE
+    )
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     random, data = np.random.default_rng(1), mujoco.MjData(model)
     change = random.normal(size=model.nv) * 0.4
@@ -69,7 +75,8 @@ def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
 
 @pytest.mark.release(cases=("rigid-False", "all joints-False", "articulated-True"))
 @pytest.mark.parametrize(
-    ("kind", "sparse"), [("all joints", False), ("all joints", True), ("rigid", False), ("articulated", True)]
+    ("kind", "sparse"),
+    [("all joints", False), ("all joints", True), ("rigid", False), ("articulated", True)],
 )
 def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
     """Places, axes, inertias and velocities; and how a point on each body moves with each velocity."""
@@ -95,7 +102,9 @@ def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
     ):
         right, ours = np.asarray(getattr(data, field)), getattr(found, field)
         scale = 1e-12 * (1.0 + np.abs(right).max())
-        np.testing.assert_allclose(ours.reshape(right.shape), right, rtol=1e-9, atol=scale, err_msg=field)
+        np.testing.assert_allclose(
+            ours.reshape(right.shape), right, rtol=1e-9, atol=scale, err_msg=field
+        )
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
     np.testing.assert_allclose(joints, inertia, rtol=1e-9, atol=1e-14)

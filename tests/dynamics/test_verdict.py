@@ -57,12 +57,18 @@ def _compared(double: bool, states: np.ndarray = STATES) -> tuple[np.ndarray, An
         blank = make_data(device)
 
         def one(state: Any) -> Any:
-            after, verdict = step_with_verdict(device, blank.replace(qpos=state[: model.nq], qvel=state[model.nq :]))
+            after, verdict = step_with_verdict(
+                device, blank.replace(qpos=state[: model.nq], qvel=state[model.nq :])
+            )
             return after.qvel, verdict
 
-        found, verdicts = jax.jit(jax.vmap(one), compiler_options=compiler_options())(jnp.asarray(states))
+        found, verdicts = jax.jit(jax.vmap(one), compiler_options=compiler_options())(
+            jnp.asarray(states)
+        )
     largest = np.abs(ends).max(axis=1)
-    return np.abs(np.asarray(found) - ends).max(axis=1) / largest, jax.tree.map(np.asarray, verdicts)
+    return np.abs(np.asarray(found) - ends).max(axis=1) / largest, jax.tree.map(
+        np.asarray, verdicts
+    )
 
 
 @pytest.mark.release
@@ -99,7 +105,12 @@ TWO = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .04
 @pytest.mark.release
 @pytest.mark.parametrize(
     ("way", "joint"),
-    [("closed over", ""), ("an argument", ""), ("randomized", ""), ("randomized", 'frictionloss=".1" range="-10 10"')],
+    [
+        ("closed over", ""),
+        ("an argument", ""),
+        ("randomized", ""),
+        ("randomized", 'frictionloss=".1" range="-10 10"'),
+    ],
 )
 def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
     """`get_data`, `put_data` of it, a further step, kinematics and a picture's scene, with contacts that are C's."""
@@ -107,10 +118,14 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
     device = put_model(model)
     start = make_data(device)
     if way == "randomized":
-        axes = jax.tree.map(lambda _: None, device).tree_replace({"dof_frictionloss": 0, "body_mass": 0})
+        axes = jax.tree.map(lambda _: None, device).tree_replace(
+            {"dof_frictionloss": 0, "body_mass": 0}
+        )
         many = device.tree_replace(
             {
-                "dof_frictionloss": jnp.stack([device.dof_frictionloss, device.dof_frictionloss + 0.1]),
+                "dof_frictionloss": jnp.stack(
+                    [device.dof_frictionloss, device.dof_frictionloss + 0.1]
+                ),
                 "body_mass": jnp.stack([device.body_mass, 1.2 * device.body_mass]),
             }
         )
@@ -120,7 +135,9 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
         got = mjx.get_data(model, after)[0]
         after = jax.tree.map(lambda leaf: leaf[0], after)
     else:
-        advance = jax.jit(step) if way == "an argument" else jax.jit(lambda _, data: step(device, data))
+        advance = (
+            jax.jit(step) if way == "an argument" else jax.jit(lambda _, data: step(device, data))
+        )
         after = advance(device, advance(device, start))
         got = mjx.get_data(model, after)
     assert jax.tree.structure(after) == jax.tree.structure(start)
@@ -129,11 +146,15 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
     assert type(after) is mjx.Data
     assert np.asarray(jax.jit(mjx.kinematics)(device, after).xpos).shape == (model.nbody, 3)
     scene = mujoco.MjvScene(model, 100)
-    mujoco.mjv_updateScene(model, got, mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL, scene)
+    mujoco.mjv_updateScene(
+        model, got, mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL, scene
+    )
     assert scene.ngeom >= model.ngeom
     other = mujoco.MjData(model)
     other.qpos[:], other.qvel[:] = got.qpos, got.qvel
     mujoco.mj_forward(model, other)
     again = put_data(model, other)
     assert _shapes(again) == _shapes(after)
-    assert np.isfinite(advance(*((many, batch) if way == "randomized" else (device, again))).qpos).all()
+    assert np.isfinite(
+        advance(*((many, batch) if way == "randomized" else (device, again))).qpos
+    ).all()

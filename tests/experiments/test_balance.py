@@ -44,7 +44,10 @@ def test_outcome_is_the_published_one(outcome, profile, leg, sbc):
 @pytest.mark.parametrize("end", ["front", "rear"])
 def test_sbc_reduces_the_resting_pitch(outcome, end):
     """Published: by 30 % (front legs) and 73 % (rear legs). The trend is tested, and the rear within a tenth."""
-    off, on = (abs(outcome.mean("pitch_rest", profile="exact", leg=f"{end}_left", sbc=sbc)) for sbc in (False, True))
+    off, on = (
+        abs(outcome.mean("pitch_rest", profile="exact", leg=f"{end}_left", sbc=sbc))
+        for sbc in (False, True)
+    )
     assert on < off
     if end == "rear":
         assert 1 - on / off == pytest.approx(0.73, abs=0.1)
@@ -55,8 +58,15 @@ def test_sbc_reduces_the_resting_pitch(outcome, end):
 @pytest.mark.parametrize("end", ["front", "rear"])
 def test_left_and_right_mirror_each_other(outcome, end, sbc):
     """The robot is symmetric; the repeats' starts are not, and a settled stance remembers them by tenths of a mm."""
-    left, right = (outcome.where(profile="exact", leg=f"{end}_{side}", sbc=sbc) for side in ("left", "right"))
-    tolerance = {"pitch_rest": 0.002, "com_margin_swing": 2e-4, "clearance": 2e-4, "contact_share": 0.02}
+    left, right = (
+        outcome.where(profile="exact", leg=f"{end}_{side}", sbc=sbc) for side in ("left", "right")
+    )
+    tolerance = {
+        "pitch_rest": 0.002,
+        "com_margin_swing": 2e-4,
+        "clearance": 2e-4,
+        "contact_share": 0.02,
+    }
     for name, allowed in tolerance.items():
         values = np.asarray(outcome.columns[name], float)
         assert values[left].mean() == pytest.approx(values[right].mean(), abs=allowed), name
@@ -87,7 +97,9 @@ def test_a_leg_that_passes_carries_nothing(outcome):
         lifted = columns["leg"][i]
         assert columns["contact_share"][i] == 0.0
         assert columns[f"force_swing_{lifted}"][i] <= balance.TOUCH
-        assert columns["clearance"][i] > 0.0018 * -(columns["profile"][i] == "exact")  # what a soft sole may give
+        assert columns["clearance"][i] > 0.0018 * -(
+            columns["profile"][i] == "exact"
+        )  # what a soft sole may give
         assert columns["com_margin_swing"][i] > 0.0
         assert all(columns[f"force_swing_{limb}"][i] > 0.02 for limb in LIMBS if limb != lifted)
     grazes = (columns["profile"] == "exact") & columns["sbc"]
@@ -108,7 +120,11 @@ def test_statics_agree_with_the_recorded_centre_of_mass(outcome, robot):
 
 def test_repeats_start_differently(robot):
     """Within a millimetre and a degree, different in each repeat and case, and the same for the same seed."""
-    poses = [balance.start_pose(robot, balance.nudge(0, case, repeat)) for case in range(8) for repeat in range(3)]
+    poses = [
+        balance.start_pose(robot, balance.nudge(0, case, repeat))
+        for case in range(8)
+        for repeat in range(3)
+    ]
     assert len(np.unique(np.round(poses, 9), axis=0)) == 24
     np.testing.assert_array_equal(poses[0], balance.start_pose(robot, balance.nudge(0, 0, 0)))
     for draw in (balance.nudge(seed, 1, 2) for seed in range(50)):
@@ -124,7 +140,10 @@ def test_start_stands_on_the_ground(robot):
         data = mujoco.MjData(robot.model)
         data.qpos[:] = balance.start_pose(robot, start)
         mujoco.mj_kinematics(robot.model, data)
-        soles = [data.geom(f"{limb}_sole").xpos[2] - robot.model.geom(f"{limb}_sole").size[0] for limb in LIMBS]
+        soles = [
+            data.geom(f"{limb}_sole").xpos[2] - robot.model.geom(f"{limb}_sole").size[0]
+            for limb in LIMBS
+        ]
         assert min(soles) == pytest.approx(start.place[2], abs=5e-5)
 
 
@@ -140,10 +159,14 @@ def commanded(robot):
 def test_commanded_path_is_continuous(commanded, limb):
     """Between two instants a millisecond apart no servo is asked to move faster than the swing's ramp allows."""
     spine = ControlParameters().spine
-    params = balance.BalanceParameters(np.eye(4)[limb], 1.0, 1.0, spine, balance.nudge(0, limb, 0).servo, 15.0)
+    params = balance.BalanceParameters(
+        np.eye(4)[limb], 1.0, 1.0, spine, balance.nudge(0, limb, 0).servo, 15.0
+    )
     times = np.arange(0.0, balance.PHASES["swing"].end + 0.1, 1e-3)
     path = np.asarray(commanded(params, times))
-    fastest = 1.4 * 1.875 / 1.0  # peak slope of the minimum-jerk polynomial, times range over duration
+    fastest = (
+        1.4 * 1.875 / 1.0
+    )  # peak slope of the minimum-jerk polynomial, times range over duration
     assert np.abs(np.diff(path, axis=0)).max() < 1.05 * fastest * 1e-3
     swing = path[times > balance.PHASES["swing"].begin, limb]
     assert swing.min() == pytest.approx(-0.7, abs=1e-3)
@@ -179,15 +202,21 @@ def test_tip_angle_puts_the_lifted_foot_down(robot):
     along = (front - rear) / np.linalg.norm(front - rear)
     arm = flat[0][:2] - rear
     lever = abs(along[0] * arm[1] - along[1] * arm[0])
-    assert balance.tip_angle() == pytest.approx(np.arctan2(flat[1][2] - flat[0][2], lever), rel=0.03)
+    assert balance.tip_angle() == pytest.approx(
+        np.arctan2(flat[1][2] - flat[0][2], lever), rel=0.03
+    )
 
 
 @pytest.mark.parametrize("limb", range(4))
 def test_inside_is_positive_towards_the_third_foot(limb):
     """On a square of 0.2 m, a centre of mass over a foot is half a diagonal from the line between its neighbours."""
     feet = np.array([[[0.1, -0.1, 0], [-0.1, -0.1, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0]]])
-    assert balance.inside(limb, feet[:, 3 - limb], feet)[0] == pytest.approx(0.1 * np.sqrt(2), rel=1e-5)
-    assert balance.inside(limb, feet[:, limb], feet)[0] == pytest.approx(-0.1 * np.sqrt(2), rel=1e-5)
+    assert balance.inside(limb, feet[:, 3 - limb], feet)[0] == pytest.approx(
+        0.1 * np.sqrt(2), rel=1e-5
+    )
+    assert balance.inside(limb, feet[:, limb], feet)[0] == pytest.approx(
+        -0.1 * np.sqrt(2), rel=1e-5
+    )
 
 
 def test_centre_of_mass_is_that_of_the_bodies(robot):
@@ -210,7 +239,11 @@ def test_recordings_tell_their_phases(outcome):
         phases = recording.metadata["phases"]
         assert list(phases) == list(balance.PHASES)
         assert phases["swing"][1] == pytest.approx(recording.time[-1])
-        assert recording.sensors["pitch"].shape == recording.sensors["com_margin"].shape == recording.time.shape
+        assert (
+            recording.sensors["pitch"].shape
+            == recording.sensors["com_margin"].shape
+            == recording.time.shape
+        )
         assert name.endswith("sbc") == bool(recording.metadata["metrics"]["sbc"])
 
 
@@ -222,7 +255,11 @@ def test_columns_are_all_explained(outcome):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("contact.frictoin", "did you mean 'contact.friction'"), ("frequency", "values is 'frequency'")]
+    ("name", "said"),
+    [
+        ("contact.frictoin", "did you mean 'contact.friction'"),
+        ("frequency", "values is 'frequency'"),
+    ],
 )
 def test_bad_arguments_are_refused(name, said):
     """Before anything runs, in a sentence that names the argument and what is allowed."""
@@ -234,7 +271,9 @@ def test_bad_arguments_are_refused(name, said):
 @pytest.mark.release
 def test_a_weak_spine_does_not_balance():
     """With the servo held at a quarter of its limit, SBC cannot carry the rear legs' case: the parameter arrives."""
-    weak = balance.run(Settings(("exact",), quick=True, values={"spine.max_servo_angle": 0.1}, engine="c"))
+    weak = balance.run(
+        Settings(("exact",), quick=True, values={"spine.max_servo_angle": 0.1}, engine="c")
+    )
     rear = weak.where(leg="rear_left", sbc=True)
     assert not weak.columns["passed"][rear].any()
     assert weak.columns["passed"][weak.where(leg="front_left")].all()
@@ -249,10 +288,15 @@ def test_bodies_do_all_cases_and_what_is_theirs_arrives():
     assert not several.recordings
     assert list(several.columns) == list(several.about)
     light, heavy = (several.only(body=body) for body in (1, 2))
-    weight = [sum(each.columns[f"force_stand_{limb}"].mean() for limb in LIMBS) / GRAVITY for each in (light, heavy)]
+    weight = [
+        sum(each.columns[f"force_stand_{limb}"].mean() for limb in LIMBS) / GRAVITY
+        for each in (light, heavy)
+    ]
     assert weight[1] - weight[0] == pytest.approx(0.0347, rel=0.1)
     margin = [each.mean("com_margin_stand", leg="rear_left", sbc=False) for each in (light, heavy)]
     assert margin[1] < margin[0] - 1e-3
     alone = balance.run(Settings(("exact",), quick=True, values={"mass.rear": 0.1053}, engine="c"))
     for column in ("pitch_rest", "com_height", "com_margin_stand"):
-        np.testing.assert_allclose(light.columns[column], alone.columns[column], atol=1e-5, err_msg=column)
+        np.testing.assert_allclose(
+            light.columns[column], alone.columns[column], atol=1e-5, err_msg=column
+        )

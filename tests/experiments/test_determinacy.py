@@ -9,14 +9,25 @@ import numpy as np
 import pytest
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Fit, LoggedSamples, Parameter, ParameterSpace, repeated
+from nermo_mjx.experiments.determinacy import (
+    Estimation,
+    Fit,
+    LoggedSamples,
+    Parameter,
+    ParameterSpace,
+    repeated,
+)
 
 
-def parameter(name: str, value: float = 1.0, low: float = 0.1, high: float = 10.0, neutral: float = 1.0) -> Parameter:
+def parameter(
+    name: str, value: float = 1.0, low: float = 0.1, high: float = 10.0, neutral: float = 1.0
+) -> Parameter:
     return Parameter(name, name, "1", value, low, high, "a test", neutral)
 
 
-def problem(function, truth: list[float], noise: np.ndarray, quantum: float = 0.0) -> SimpleNamespace:
+def problem(
+    function, truth: list[float], noise: np.ndarray, quantum: float = 0.0
+) -> SimpleNamespace:
     """Measured values of a function of time (n,) and parameters (p, 1)."""
     time = np.linspace(0.0, 10.0, len(noise))
     values = function(time, np.array(truth)[:, None])[0] if len(np.shape(truth)) else None
@@ -47,7 +58,10 @@ def test_intervals_of_white_noise_cover_as_often_as_they_say() -> None:
     for seed in range(60):
         found = estimate(line, [2.0, 0.5], [parameter("a"), parameter("b")], white(seed=seed))
         assert found.determined.all()
-        inside += [low <= true <= high for (low, high), true in zip(found.intervals, (2.0, 0.5), strict=True)]
+        inside += [
+            low <= true <= high
+            for (low, high), true in zip(found.intervals, (2.0, 0.5), strict=True)
+        ]
     assert 0.83 <= np.mean(inside) <= 0.97  # of 120, 90 % with three standard deviations
 
 
@@ -59,7 +73,10 @@ def test_intervals_of_correlated_noise_are_wider_and_cover_too() -> None:
         for i in range(1, 400):
             noise[i] = 0.9 * noise[i - 1] + random.normal(0.0, 0.01)
         found = estimate(line, [2.0, 0.5], [parameter("a"), parameter("b")], noise)
-        inside += [low <= true <= high for (low, high), true in zip(found.intervals, (2.0, 0.5), strict=True)]
+        inside += [
+            low <= true <= high
+            for (low, high), true in zip(found.intervals, (2.0, 0.5), strict=True)
+        ]
         plain = np.linalg.inv(found.jacobian.T @ found.jacobian)
         width.append(np.sqrt(plain[0, 0]) / np.std(found.draws[:, 0]))
     assert np.median(width) < 0.5  # what the residuals would give if they were white
@@ -77,8 +94,13 @@ def test_where_many_bodies_explain_the_data_the_interval_is_over_all_of_them() -
     inside, of_one = [], []
     for seed in range(40):
         truth = float(np.random.default_rng((seed, 5)).uniform(0.7, 1.5))
-        found = Estimation(ParameterSpace([parameter("a")]), problem(rugged, [truth], white(seed=seed, size=0.1)))
-        for kept, fit in ((inside, repeated([found], *found.search(np.zeros(1)), 15, 6, seed)), (of_one, found.fit())):
+        found = Estimation(
+            ParameterSpace([parameter("a")]), problem(rugged, [truth], white(seed=seed, size=0.1))
+        )
+        for kept, fit in (
+            (inside, repeated([found], *found.search(np.zeros(1)), 15, 6, seed)),
+            (of_one, found.fit()),
+        ):
             ((low, high),) = fit.intervals
             kept.append(low <= truth <= high)
     assert np.mean(of_one) < 0.5  # a single minimum's, of 90 %
@@ -86,7 +108,9 @@ def test_where_many_bodies_explain_the_data_the_interval_is_over_all_of_them() -
 
 
 def test_a_search_that_ends_at_its_result_again_ends() -> None:
-    found = Estimation(ParameterSpace([parameter("a"), parameter("b")]), problem(line, [2.0, 0.5], white()))
+    found = Estimation(
+        ParameterSpace([parameter("a"), parameter("b")]), problem(line, [2.0, 0.5], white())
+    )
     told: list[int] = []
     fit = repeated([found], *found.search(np.zeros(2)), 15, 6, report=told.append)
     assert told == [0, 1]
@@ -95,7 +119,10 @@ def test_a_search_that_ends_at_its_result_again_ends() -> None:
 
 def test_a_ratio_that_is_known_is_named_though_its_parameters_are_not() -> None:
     found = estimate(
-        lambda time, p: np.sin(time * p[0:1] / p[1:2]), [2.0, 3.0], [parameter("kp"), parameter("mass")], white()
+        lambda time, p: np.sin(time * p[0:1] / p[1:2]),
+        [2.0, 3.0],
+        [parameter("kp"), parameter("mass")],
+        white(),
     )
     assert not found.determined.any()
     ((formula, deviation, names),) = determinacy.combinations(found)
@@ -110,7 +137,10 @@ def test_a_ratio_that_is_known_is_named_though_its_parameters_are_not() -> None:
 
 def test_a_product_with_a_power_is_named() -> None:
     found = estimate(
-        lambda time, p: np.sin(time * p[0:1] * p[1:2] ** 2), [0.5, 1.2], [parameter("m"), parameter("l")], white()
+        lambda time, p: np.sin(time * p[0:1] * p[1:2] ** 2),
+        [0.5, 1.2],
+        [parameter("m"), parameter("l")],
+        white(),
     )
     ((formula, _, _),) = determinacy.combinations(found)
     assert formula in ("m * l^2", "l * m^0.5")
@@ -118,7 +148,10 @@ def test_a_product_with_a_power_is_named() -> None:
 
 def test_a_parameter_that_does_nothing_is_not_determined_and_stays_at_its_start() -> None:
     found = estimate(
-        lambda time, p: np.sin(time * p[0:1]), [1.1, 4.0], [parameter("w"), parameter("nothing", 2.0)], white()
+        lambda time, p: np.sin(time * p[0:1]),
+        [1.1, 4.0],
+        [parameter("w"), parameter("nothing", 2.0)],
+        white(),
     )
     assert found.determined.tolist() == [True, False]
     assert found.values[1] == pytest.approx(2.0)
@@ -145,14 +178,20 @@ def test_smooth_residuals_are_no_noise(error: float, right: bool) -> None:
 def test_kinds_that_the_data_do_not_ask_for_are_dispensable() -> None:
     parameters = [parameter("a"), parameter("b"), parameter("offset", 0.0, -1.0, 1.0, neutral=0.0)]
     found = estimate(
-        lambda time, p: p[0:1] * np.sin(time) + p[1:2] * time + p[2:3], [2.0, 0.5, 0.0], parameters, white()
+        lambda time, p: p[0:1] * np.sin(time) + p[1:2] * time + p[2:3],
+        [2.0, 0.5, 0.0],
+        parameters,
+        white(),
     )
     assert determinacy.dispensable(found) == ["offset"]
 
 
 def test_another_experiment_shrinks_the_direction_it_sees() -> None:
     found = estimate(
-        lambda time, p: np.sin(time * p[0:1] / p[1:2]), [2.0, 3.0], [parameter("kp"), parameter("mass")], white()
+        lambda time, p: np.sin(time * p[0:1] / p[1:2]),
+        [2.0, 3.0],
+        [parameter("kp"), parameter("mass")],
+        white(),
     )
     assert determinacy.contribution(np.zeros((5, 2)), found) == pytest.approx(1.0)
     assert determinacy.contribution(np.array([[0.0, 100.0]]), found) < 0.05
@@ -162,7 +201,9 @@ def test_a_model_that_fails_is_far_away_but_does_not_stop_the_search() -> None:
     def fails(time: np.ndarray, p: np.ndarray) -> np.ndarray:
         return np.where(p[0:1] > 5.0, np.nan, p[0:1]) + 0.0 * time
 
-    found = Estimation(ParameterSpace([parameter("a", 1.0)]), problem(fails, [4.0], white())).fit(np.array([1.7]))
+    found = Estimation(ParameterSpace([parameter("a", 1.0)]), problem(fails, [4.0], white())).fit(
+        np.array([1.7])
+    )
     assert found.values[0] == pytest.approx(4.0, rel=0.01)
 
 
@@ -174,7 +215,10 @@ def test_parts_that_do_not_act_on_each_other_share_simulations(touch: float) -> 
 
     def predict(values: np.ndarray) -> np.ndarray:
         widths.append(len(values))
-        one, other = (v[:, 0:1] * np.sin(time) + v[:, 1:2] * time + v[:, 2:3] for v in (values[:, :3], values[:, 3:]))
+        one, other = (
+            v[:, 0:1] * np.sin(time) + v[:, 1:2] * time + v[:, 2:3]
+            for v in (values[:, :3], values[:, 3:])
+        )
         return np.where(channel == 0, one + touch * other, other)
 
     def jacobian(of: list[int], seen: list[int]) -> np.ndarray:
@@ -184,7 +228,9 @@ def test_parts_that_do_not_act_on_each_other_share_simulations(touch: float) -> 
         widths.clear()
         return Estimation(space, of_two).jacobian(np.zeros(6), np.ones(2))
 
-    np.testing.assert_allclose(jacobian([4, 4, 4, 9, 9, 9], [4, 9]), jacobian([-1] * 6, [-1, -1]), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        jacobian([4, 4, 4, 9, 9, 9], [4, 9]), jacobian([-1] * 6, [-1, -1]), rtol=1e-6, atol=1e-9
+    )
     assert max(widths) == 6
     jacobian([4, 4, 4, 9, 9, 9], [4, 9])
     assert widths == ([1, 5, 5] if not touch else [1, 5, 6, 5, 6])

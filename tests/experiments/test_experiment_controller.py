@@ -47,12 +47,16 @@ def settings(where=None):
 
 
 @pytest.mark.release
-def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_another_does_not(files, monkeypatch):
+def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_another_does_not(
+    files, monkeypatch
+):
     """Every case with its own gait, frequency, stride and spine: as without a policy, where its actions are zero."""
     chosen = (walks._line("trot", 0.8, spine=True), walks._line("lateral_walk", 0.5, spine=False))
     monkeypatch.setattr(walks, "line_cases", lambda quick: chosen)
     monkeypatch.setattr(walks, "_record", lambda *_: {})
-    published, none, some = (walks.walk_line(settings(files.get(name))).columns for name in (None, "none", "some"))
+    published, none, some = (
+        walks.walk_line(settings(files.get(name))).columns for name in (None, "none", "some")
+    )
     assert not np.allclose(published["speed"][0], published["speed"][1], rtol=0.1)
     for name in MEASURED:
         np.testing.assert_allclose(none[name], published[name], rtol=1e-6, err_msg=name)
@@ -68,14 +72,19 @@ def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch
     monkeypatch.setattr(walks, "_LOCK_CYCLES", 3.0)
     monkeypatch.setattr(walks, "_IN_TIME", 2.0)
     assert walks.walk_turns(settings(files["none"])).columns["radius"].tolist() == [0.5]
-    assert walks.walk_turns(settings(files["blind"])).columns["radius"].tolist() == [0.5, walks.FULL_LOCK]
+    assert walks.walk_turns(settings(files["blind"])).columns["radius"].tolist() == [
+        0.5,
+        walks.FULL_LOCK,
+    ]
 
 
 @pytest.mark.release
 def test_another_controller_is_another_setting_and_its_copy_is_kept(files, tmp_path, monkeypatch):
     for name in ("maze", "balance"):
         walks = EXPERIMENTS[name].walks
-        monkeypatch.setitem(EXPERIMENTS, name, dataclasses.replace(Fake(name).experiment(), walks=walks))
+        monkeypatch.setitem(
+            EXPERIMENTS, name, dataclasses.replace(Fake(name).experiment(), walks=walks)
+        )
     monkeypatch.setattr(plots, "figures_of_experiment", lambda outcome, lines: [])
     asked = {"engine": "c", "profiles": ("exact",), "video": False}
     run_experiment("maze", tmp_path, controller=files["some"], **asked)
@@ -88,7 +97,9 @@ def test_another_controller_is_another_setting_and_its_copy_is_kept(files, tmp_p
     entry = json.loads((tmp_path / "results" / "maze.json").read_text())
     assert entry["settings"]["controller"].startswith("some.npz ")
     assert "some.npz" in (tmp_path / "report.md").read_text()
-    with pytest.raises(ParameterError, match=r"does not apply to balance.*straight-line, turning, maze"):
+    with pytest.raises(
+        ParameterError, match=r"does not apply to balance.*straight-line, turning, maze"
+    ):
         run_experiment("balance", tmp_path / "balance", controller=files["some"], **asked)
     assert not (tmp_path / "balance").exists()
 
@@ -96,7 +107,9 @@ def test_another_controller_is_another_setting_and_its_copy_is_kept(files, tmp_p
 def test_a_controller_with_parameters_of_its_own_is_refused_in_one_sentence(tmp_path):
     own = tmp_path / "own.py"
     own.write_text("from nermo_mjx import Setup\nOwn = Setup().make_controller()\n")
-    with pytest.raises(ParameterError, match=r"own\.py:Own', which has parameters of its own: allowed is a policy"):
+    with pytest.raises(
+        ParameterError, match=r"own\.py:Own', which has parameters of its own: allowed is a policy"
+    ):
         ReplacementPolicy.of(f"{own}:Own")
 
 
@@ -105,4 +118,7 @@ def test_a_controller_travels_to_other_machines(files):
     """Workers get it with the settings, without its file."""
     there = pickle.loads(pickle.dumps(settings(files["some"])))
     assert there.as_dict() == settings(files["some"]).as_dict()
-    assert there.setup("maze", pilot="arc").defaults() == settings(files["some"]).setup("maze", pilot="arc").defaults()
+    assert (
+        there.setup("maze", pilot="arc").defaults()
+        == settings(files["some"]).setup("maze", pilot="arc").defaults()
+    )

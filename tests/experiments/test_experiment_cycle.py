@@ -17,7 +17,12 @@ MIDDLE = (np.arange(PARTS) + 0.5) / PARTS
 def test_folding_takes_away_noise_mean_and_drift():
     random = np.random.default_rng(0)
     phase = np.arange(0.0, 40.0, 0.01)
-    walk = 0.3 + 0.002 * phase + 0.05 * np.sin(2 * np.pi * phase) + random.normal(0.0, 0.02, len(phase))
+    walk = (
+        0.3
+        + 0.002 * phase
+        + 0.05 * np.sin(2 * np.pi * phase)
+        + random.normal(0.0, 0.02, len(phase))
+    )
     np.testing.assert_allclose(folded(phase, walk), 0.05 * np.sin(2 * np.pi * MIDDLE), atol=0.01)
 
 
@@ -76,7 +81,9 @@ def test_a_walk_is_reduced_over_whole_cycles_after_the_warm_up():
         "foot_force": np.ones((len(time), 4)),
         "foot_velocity": np.zeros((len(time), 4, 3)),
     }
-    trace = types.SimpleNamespace(time=time, sensors={name: values[None] for name, values in sensors.items()})
+    trace = types.SimpleNamespace(
+        time=time, sensors={name: values[None] for name, values in sensors.items()}
+    )
     values = {"frequency": frequency, "tracking.clock_ratio": 1.0, "start.phase": 0.01, "duty": 0.5}
     values |= {f"offset.{limb}": offset for limb, offset in OFFSETS.items()}
     found = of_world(trace, 0, values, Run(cycles=10.0, warmup_cycles=warmup))
@@ -85,7 +92,9 @@ def test_a_walk_is_reduced_over_whole_cycles_after_the_warm_up():
     assert found["pitch_peak_up"] == pytest.approx(0.02, rel=0.02)
     assert found["yaw_spine_correlation"] == pytest.approx(1.0, abs=1e-3)
     still = of_world(
-        types.SimpleNamespace(time=time, sensors=trace.sensors | {"servo_angle": np.zeros((1, len(time), 10))}),
+        types.SimpleNamespace(
+            time=time, sensors=trace.sensors | {"servo_angle": np.zeros((1, len(time), 10))}
+        ),
         0,
         values,
         Run(cycles=10.0, warmup_cycles=warmup),

@@ -10,7 +10,14 @@ from fakes.experiment_fake import made_up
 
 from nermo_mjx.experiments import stands, walks
 from nermo_mjx.experiments.cases import Case, CaseRuns, clock, texts
-from nermo_mjx.experiments.measures import MEASURES, ProfileOutcome, every, falls, farthest, saturates
+from nermo_mjx.experiments.measures import (
+    MEASURES,
+    ProfileOutcome,
+    every,
+    falls,
+    farthest,
+    saturates,
+)
 from nermo_mjx.experiments.published import (
     KINDS,
     Figure,
@@ -29,7 +36,10 @@ PUBLISHED = {
     "speed of trot, 0.8 Hz, no spine": ("straight-line", 86.4),
     "speed of trot, 0.8 Hz, spine over none": ("straight-line", 1.22),
     "speed of trot over lateral walk, 0.8 Hz, no spine": ("straight-line", 1.27),
-    "roll std, spine over none, trot and walking trot at each frequency": ("straight-line", [1.25, 1.40]),
+    "roll std, spine over none, trot and walking trot at each frequency": (
+        "straight-line",
+        [1.25, 1.40],
+    ),
     "largest pitch std of all cases": ("straight-line", 2.0),
     "growth of roll std of trot with a frequency step, mean": ("straight-line", 0.20),
     "hardware: speed of trot, 0.67 Hz, no spine": ("straight-line", 67.0),
@@ -55,7 +65,9 @@ def named(name: str) -> Figure:
 # --- the file
 
 
-@pytest.mark.parametrize(("name", "value"), [(name, value) for name, (_, value) in PUBLISHED.items()])
+@pytest.mark.parametrize(
+    ("name", "value"), [(name, value) for name, (_, value) in PUBLISHED.items()]
+)
 def test_figures_are_those_of_the_thesis(name, value):
     assert named(name).published == value
 
@@ -72,14 +84,19 @@ def test_every_line_has_a_name_of_its_own_a_source_and_settings_of_the_authors_m
 
 def test_what_the_authors_model_fails_is_no_criterion():
     """Where his model and code have been run, they hold every line that is judged."""
-    judged = [figure for _, figure in ALL if figure.author is not None and figure.published is not None]
+    judged = [
+        figure for _, figure in ALL if figure.author is not None and figure.published is not None
+    ]
     assert len([figure for figure in judged if figure.rule != "none"]) > 25
     assert [figure.figure for figure in judged if figure.holds(figure.author) is False] == []
 
 
 def test_hardware_is_judged_as_built_and_simulation_as_published():
     for name, figure in ALL:
-        if name in ("straight-line", "turning", "balance", "maze") and figure.figure != "right turns as left turns":
+        if (
+            name in ("straight-line", "turning", "balance", "maze")
+            and figure.figure != "right turns as left turns"
+        ):
             hardware = figure.figure.startswith("hardware")
             assert figure.profile == ("as_built" if hardware else "as_published"), figure.figure
 
@@ -93,8 +110,13 @@ def test_a_line_that_is_not_judged_or_has_its_own_tolerance_says_why():
 def test_only_what_nothing_was_decided_by_is_predicted():
     """Balance, body and stands were seen by whoever chose masses and stiffnesses."""
     for name in ("balance", "body", "leg-stand", "spine-stand"):
-        assert all(figure.kind != "predicted" or figure.rule == "none" for figure in published_figures(name)), name
-    assert all("clock" in figure.reason for _, figure in ALL if figure.reason.startswith("The clock"))
+        assert all(
+            figure.kind != "predicted" or figure.rule == "none"
+            for figure in published_figures(name)
+        ), name
+    assert all(
+        "clock" in figure.reason for _, figure in ALL if figure.reason.startswith("The clock")
+    )
     assert {figure.kind for _, figure in ALL} <= set(KINDS)
 
 
@@ -186,7 +208,9 @@ def line_table(**measured) -> CaseRuns:
 
 
 def test_speeds_are_in_the_controllers_clock_and_angles_in_degrees():
-    outcome = line_table(speed=lambda row: 0.1 * row["frequency"] * (2 if row["spine"] else 1), roll_std=0.1)
+    outcome = line_table(
+        speed=lambda row: 0.1 * row["frequency"] * (2 if row["spine"] else 1), roll_std=0.1
+    )
     ours, exact = (ProfileOutcome(outcome, profile) for profile in ("as_published", "exact"))
     assert ours.speed("trot", 0.8) == pytest.approx(1e3 * 0.4 * 0.08)
     assert exact.speed("trot", 0.8) == pytest.approx(80.0)
@@ -217,17 +241,26 @@ def test_an_amplitude_is_half_of_the_range_and_the_largest_roll_is_to_either_sid
 )
 def test_without_a_case_or_a_number_a_figure_is_not_measured(measure, value):
     outcome = line_table(speed=lambda row: np.nan if row["gait"] == "lateral_walk" else 0.1)
-    assert Figure("name", "predicted", "number", measure, 1.0).measured(outcome, "as_published") == value
+    assert (
+        Figure("name", "predicted", "number", measure, 1.0).measured(outcome, "as_published")
+        == value
+    )
     assert published_figures("straight-line")[0].measured(outcome, "as_built") is None
 
 
 def test_every_measure_is_of_a_figure():
-    assert [(name, measure) for name in MEASURES for measure in MEASURES[name]] == [(n, f.figure) for n, f in ALL]
+    assert [(name, measure) for name in MEASURES for measure in MEASURES[name]] == [
+        (n, f.figure) for n, f in ALL
+    ]
 
 
 def test_a_spine_that_does_nothing_fails_every_line_about_its_effect():
     """All walks and angles alike, with and without it."""
-    angles = {f"{angle}_{end}": 0.05 for angle in ("roll", "pitch", "yaw") for end in ("std", "min", "max", "mean")}
+    angles = {
+        f"{angle}_{end}": 0.05
+        for angle in ("roll", "pitch", "yaw")
+        for end in ("std", "min", "max", "mean")
+    }
     outcome = line_table(
         theory_speed=0.1,
         pitch_peak_up=0.02,
@@ -239,9 +272,13 @@ def test_a_spine_that_does_nothing_fails_every_line_about_its_effect():
         slip_rear_lift_off=1.0,
         **angles,
     )
-    lines = {line.figure: line for line in published_lines(outcome) if line.judged_in == "as_published"}
+    lines = {
+        line.figure: line for line in published_lines(outcome) if line.judged_in == "as_published"
+    }
     about = [
-        name for name in lines if "spine over none" in name or "higher with the spine" in name or "faster with" in name
+        name
+        for name in lines
+        if "spine over none" in name or "higher with the spine" in name or "faster with" in name
     ]
     judged = [name for name in about if lines[name].rule != "none"]
     assert len(judged) >= 8
@@ -294,13 +331,25 @@ def test_every_figure_is_measured_where_its_columns_are():
     }
     for name, cases in designs.items():
         columns = (*(METRICS if EXPERIMENTS[name].walks else ()), *texts("columns")[name])
-        measured = {column: lambda row: random.uniform(0.9, 1.1) for column in columns if column not in cases[0].labels}
+        measured = {
+            column: lambda row: random.uniform(0.9, 1.1)
+            for column in columns
+            if column not in cases[0].labels
+        }
         measured |= {"followed": 1.0} if name == "turning" else {}
         parts = [
-            made_up(name, [dict(case.labels) for case in cases if profile in case.profiles], measured, (profile,))
+            made_up(
+                name,
+                [dict(case.labels) for case in cases if profile in case.profiles],
+                measured,
+                (profile,),
+            )
             for profile in three
         ]
-        columns = {column: np.concatenate([part.columns[column] for part in parts]) for column in parts[0].columns}
+        columns = {
+            column: np.concatenate([part.columns[column] for part in parts])
+            for column in parts[0].columns
+        }
         for line in published_lines(dataclasses.replace(parts[0], columns=columns)):
             assert getattr(line, line.judged_in) is not None, line.figure
 
@@ -320,11 +369,22 @@ def test_trends_are_what_they_say():
 def test_intervals_are_over_starts_and_bodies_and_say_whether_they_cover():
     """38 bodies of 81 to 118 mm/s and two starts of 90 and 92: 5 and 95 % of the 40."""
     own = made_up("maze", [{}], {"speed": lambda row: 90.0 + 2 * row["repeat"]})
-    bodies = made_up("maze", [{"body": i + 1} for i in range(38)], {"speed": lambda row: 80.0 + row["body"]}, repeats=1)
+    bodies = made_up(
+        "maze",
+        [{"body": i + 1} for i in range(38)],
+        {"speed": lambda row: 80.0 + row["body"]},
+        repeats=1,
+    )
     chosen = [
         Figure("speed", "predicted", "number", lambda of: of.mean("speed"), 100.0),
         Figure("far", "predicted", "number", lambda of: of.mean("speed"), 200.0),
-        Figure("word", "predicted", "outcome", lambda of: "pass" if of.mean("speed") > 90 else "fail", "pass"),
+        Figure(
+            "word",
+            "predicted",
+            "outcome",
+            lambda of: "pass" if of.mean("speed") > 90 else "fail",
+            "pass",
+        ),
     ]
     speed, far, word = published_lines(own, bodies, chosen)
     assert (speed.low, speed.high) == pytest.approx((82.05, 116.95), abs=0.5)

@@ -33,11 +33,16 @@ def recorded(duration, labels, *, roll=0.0, position=None, **sensors):
     half = 0.5 * roll * np.sin(2 * np.pi * time)
     zero = np.zeros_like(time)
     place = np.zeros((len(time), 3)) if position is None else position(time)
-    sensors |= {"orientation": np.stack([np.cos(half), zero, np.sin(half), zero], axis=-1), "position": place}
+    sensors |= {
+        "orientation": np.stack([np.cos(half), zero, np.sin(half), zero], axis=-1),
+        "position": place,
+    }
     return Recording(time, zero[:, None], zero[:, None], zero[:, None], sensors, metadata=labels)
 
 
-SWAY = {f"{angle}_{what}": 0.1 for angle in ("roll", "pitch", "yaw") for what in ("mean", "std", "max")}
+SWAY = {
+    f"{angle}_{what}": 0.1 for angle in ("roll", "pitch", "yaw") for what in ("mean", "std", "max")
+}
 SWAY |= {f"{angle}_min": -0.1 for angle in ("roll", "pitch", "yaw")}
 
 
@@ -46,7 +51,11 @@ def walked(profiles=BOTH, repeats=2, quick=False, **changed):
     for spine in (False, True):
         labels = {"profile": profiles[0], "gait": "trot", "frequency": 1.0, "spine": spine}
         runs[f"spine {spine}"] = recorded(5.02, {"labels": labels}, roll=np.radians(6.0 + spine))
-    measured = SWAY | {"speed": lambda row: 0.08 + 0.01 * row["repeat"], "theory_speed": 0.1, "status": "ok"} | changed
+    measured = (
+        SWAY
+        | {"speed": lambda row: 0.08 + 0.01 * row["repeat"], "theory_speed": 0.1, "status": "ok"}
+        | changed
+    )
     cases = [case.labels for case in walks.line_cases(quick) if "exact" in case.profiles]
     return made_up("straight-line", cases, measured, profiles, repeats, runs)
 
@@ -56,8 +65,17 @@ def turned(profiles=BOTH, repeats=2, quick=False, **changed):
         angle = time / time[-1] * 1.1 * np.pi / 2
         return np.stack([0.5 - 0.5 * np.cos(angle), -0.5 * np.sin(angle), 0 * time], axis=-1)
 
-    labels = {"profile": profiles[0], "gait": "trot", "frequency": 0.67, "radius": 0.5, "side": "left"}
-    runs = {name: recorded(10.0, {"labels": labels | {"strategy": name}}, position=arc) for name in walks.STRATEGIES}
+    labels = {
+        "profile": profiles[0],
+        "gait": "trot",
+        "frequency": 0.67,
+        "radius": 0.5,
+        "side": "left",
+    }
+    runs = {
+        name: recorded(10.0, {"labels": labels | {"strategy": name}}, position=arc)
+        for name in walks.STRATEGIES
+    }
     measured = {
         "speed": 0.05,
         "time": 12.0,
@@ -76,9 +94,15 @@ def balanced(profiles=BOTH, repeats=2, quick=False, **changed):
     for case in cases:
         data = {"metrics": {"profile": profiles[0], **case}, "phases": PHASES}
         time = np.arange(0.01, 6.0, 0.01)
-        shown = {"pitch": 0.01 * time, "com_margin": 0.005 - 0.001 * time, "foot_force": np.ones((len(time), 4))}
+        shown = {
+            "pitch": 0.01 * time,
+            "com_margin": 0.005 - 0.001 * time,
+            "foot_force": np.ones((len(time), 4)),
+        }
         runs[f"{case}"] = recorded(6.0, data, **shown)
-    measured = dict.fromkeys(texts("columns")["balance"].keys() - cases[0].keys(), 0.5) | {"passed": True}
+    measured = dict.fromkeys(texts("columns")["balance"].keys() - cases[0].keys(), 0.5) | {
+        "passed": True
+    }
     return made_up("balance", cases, measured | changed, profiles, repeats, runs)
 
 
@@ -88,7 +112,9 @@ def mazed(profiles=BOTH, repeats=2, quick=False, **changed):
 
     runs = {}
     for profile, spine in itertools.product(profiles, (False, True)):
-        runs[f"{profile} {spine}"] = recorded(30.0, {"labels": {"profile": profile, "spine": spine}}, position=ahead)
+        runs[f"{profile} {spine}"] = recorded(
+            30.0, {"labels": {"profile": profile, "spine": spine}}, position=ahead
+        )
     measured = SWAY | {"time": 25.0, "mean_speed": 0.06, "status": "ok"}
     cases = [case.labels for case in walks.maze_cases() if "exact" in case.profiles]
     return made_up("maze", cases, measured | changed, profiles, repeats, runs)
@@ -133,9 +159,13 @@ def whole(experiment):
 def marks(ax, gid):
     """(x, y) of the marks of a kind."""
     scattered = [
-        tuple(c.get_offsets()[0]) for c in ax.collections if isinstance(c, PathCollection) and c.get_gid() == gid
+        tuple(c.get_offsets()[0])
+        for c in ax.collections
+        if isinstance(c, PathCollection) and c.get_gid() == gid
     ]
-    return scattered + [(line.get_xdata()[0], line.get_ydata()[0]) for line in ax.lines if line.get_gid() == gid]
+    return scattered + [
+        (line.get_xdata()[0], line.get_ydata()[0]) for line in ax.lines if line.get_gid() == gid
+    ]
 
 
 def bars(ax):
@@ -152,7 +182,9 @@ def entries(figure):
 def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
     """Both files of each, named after the experiment, and nothing else; the PNG is not blank."""
     outcome = MADE[experiment](quick=True)
-    files = write_figures(plots.figures_of_experiment(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots")
+    files = write_figures(
+        plots.figures_of_experiment(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots"
+    )
     assert {path.suffix for path in files} == {".png", ".svg"}
     assert sorted(files) == sorted((tmp_path / "plots").iterdir())
     assert all(path.name.startswith(f"{experiment}-") for path in files)
@@ -168,7 +200,9 @@ def test_one_profile_is_enough(experiment):
     """With `exact` alone, the same pictures are drawn, and no legend speaks of profiles."""
     alone = figures_of(MADE[experiment](profiles=BOTH[1:], repeats=1))
     assert set(alone) >= set(whole(experiment)) - {"report"}
-    assert all("as published" not in entries(figure) for name, figure in alone.items() if name != "report")
+    assert all(
+        "as published" not in entries(figure) for name, figure in alone.items() if name != "report"
+    )
 
 
 @pytest.mark.release
@@ -189,7 +223,9 @@ def test_a_single_case_is_drawn():
     """One trot, and nothing else of the straight line, gives its speed and no picture over the stride."""
     only = walked()
     keep = only.where(gait="trot", frequency=0.5, spine=False)
-    drawn = figures_of(dataclasses.replace(only, columns={k: v[keep] for k, v in only.columns.items()}))
+    drawn = figures_of(
+        dataclasses.replace(only, columns={k: v[keep] for k, v in only.columns.items()})
+    )
     assert "speed" in drawn
     assert not {"speed-over-stride", "offset-compensation"} & set(drawn)
 
@@ -218,7 +254,11 @@ def test_published_numbers_come_from_the_report():
             *plots.COMPENSATION.values(),
         ],
         "turning": [*plots.TIME.values(), *plots.RADIUS.values()],
-        "maze": [f"{column.replace('_', ' ')} {which}" for column in plots._TITLES for which in plots.WITH.values()],
+        "maze": [
+            f"{column.replace('_', ' ')} {which}"
+            for column in plots._TITLES
+            for which in plots.WITH.values()
+        ],
     }
     for experiment, names in used.items():
         assert set(names) <= {figure.figure for figure in published_figures(experiment)}
@@ -257,7 +297,9 @@ def test_bars_show_the_mean_and_the_spread_in_shown_units():
     figure = whole("straight-line")["speed"]
     heights = [height for _, height in bars(figure.axes[0])]
     assert heights == pytest.approx([34.0, 85.0] * (len(heights) // 2))
-    assert len([c for c in figure.axes[0].containers if type(c).__name__ == "ErrorbarContainer"]) == len(heights)
+    assert len(
+        [c for c in figure.axes[0].containers if type(c).__name__ == "ErrorbarContainer"]
+    ) == len(heights)
     theory = [line for line in figure.axes[0].lines if line.get_gid() == "theory"]
     assert {round(line.get_ydata()[0], 6) for line in theory} == {100.0, 40.0}
 
@@ -271,7 +313,11 @@ def test_failed_repeats_are_marked_and_do_not_count():
         return "fell" if fails and row["gait"] == "walking_trot" else "ok"
 
     def speed(row):
-        return np.nan if row["gait"] == "walking_trot" and row["frequency"] == 0.67 else 0.08 + 0.1 * row["repeat"]
+        return (
+            np.nan
+            if row["gait"] == "walking_trot" and row["frequency"] == 0.67
+            else 0.08 + 0.1 * row["repeat"]
+        )
 
     figure = figures_of(walked(profiles=("exact",), status=status, speed=speed))["speed"]
     trot, walking, _ = figure.axes
@@ -294,7 +340,10 @@ def test_paths_turn_left_on_the_page():
     """A left turn goes up and then left; the mean over a cycle stays on the circle."""
     (ax,) = whole("turning")["paths"].axes
     assert ax.get_aspect() == 1.0
-    mean = max((line for line in ax.lines if line.get_linewidth() > 2), key=lambda line: line.get_linewidth())
+    mean = max(
+        (line for line in ax.lines if line.get_linewidth() > 2),
+        key=lambda line: line.get_linewidth(),
+    )
     x, y = mean.get_xdata(), mean.get_ydata()
     assert np.all(np.diff(x) < 0)
     assert np.all(np.diff(y) > 0)
@@ -309,7 +358,10 @@ def test_orientation_spans_two_cycles_in_degrees():
     curve = roll.lines[0]
     assert np.ptp(curve.get_xdata()) == pytest.approx(2.0, abs=0.02)
     assert np.max(curve.get_ydata()) == pytest.approx(6.0, abs=0.02)
-    assert sorted(line.get_ydata()[0] for line in roll.lines if line.get_gid() == "published") == [-8.0, 8.0]
+    assert sorted(line.get_ydata()[0] for line in roll.lines if line.get_gid() == "published") == [
+        -8.0,
+        8.0,
+    ]
 
 
 def test_the_maze_is_seen_from_above():
@@ -330,10 +382,17 @@ def test_the_maze_is_seen_from_above():
 @pytest.mark.release
 def test_verdicts_say_what_was_published_and_what_differs():
     """A tile a source; where ours is not as published, it is framed."""
-    outcome = balanced(passed=lambda row: row["sbc"] or (row["leg"] != "front_left" and row["repeat"] == 0))
+    outcome = balanced(
+        passed=lambda row: row["sbc"] or (row["leg"] != "front_left" and row["repeat"] == 0)
+    )
     without, with_it = figures_of(outcome)["verdicts"].axes
     texts = [text.get_text() for text in without.texts]
-    assert texts[:4] == ["pass", "fail", "fail", "fail"]  # front left: published, exact, as published, hardware
+    assert texts[:4] == [
+        "pass",
+        "fail",
+        "fail",
+        "fail",
+    ]  # front left: published, exact, as published, hardware
     assert texts[4:8] == ["pass", "1 of 2", "1 of 2", "fail"]
     assert [text.get_text() for text in with_it.texts] == ["pass"] * 16
     assert sum(patch.get_gid() == "differs" for patch in without.patches) == 8

@@ -47,7 +47,8 @@ def pictures_of(monkeypatch, *names):
 
     def figures(outcome, lines):
         yield from (
-            (f"{outcome.experiment}-{name}", f"{name}, {outcome.recordings[RUN].duration}".encode()) for name in names
+            (f"{outcome.experiment}-{name}", f"{name}, {outcome.recordings[RUN].duration}".encode())
+            for name in names
         )
 
     monkeypatch.setattr(plots, "figures_of_experiment", figures)
@@ -91,7 +92,10 @@ def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
             "run.json",
         ]
     )
-    assert (result.table, *result.recordings) == (tmp_path / "results" / "turning.parquet", tmp_path / WALK)
+    assert (result.table, *result.recordings) == (
+        tmp_path / "results" / "turning.parquet",
+        tmp_path / WALK,
+    )
     assert [path.suffix for path in result.plots] == [".png", ".svg"]
     table = pq.read_table(result.table)
     about = {field.name: field.metadata for field in table.schema}
@@ -144,17 +148,29 @@ def test_a_line_has_the_promised_keys_and_what_is_not_a_number_is_null(fakes, tm
     }
     assert [set(line) for line in report["lines"]] == [keys] * 5
     speed, ratio, trend, word, interval = report["lines"]
-    assert [speed[name] for name in ("experiment", "published", "author", "author_holds", "judged_in")] == [
+    assert [
+        speed[name] for name in ("experiment", "published", "author", "author_holds", "judged_in")
+    ] == [
         "turning",
         80.0,
         84.9,
         True,
         "as_published",
     ]
-    assert [speed[name] for name in ("exact", "as_published", "as_built")] == pytest.approx([81.0, 71.0, 61.0])
-    assert [line["holds"] for line in (speed, ratio, trend, word, interval)] == [True, False, True, False, None]
+    assert [speed[name] for name in ("exact", "as_published", "as_built")] == pytest.approx(
+        [81.0, 71.0, 61.0]
+    )
+    assert [line["holds"] for line in (speed, ratio, trend, word, interval)] == [
+        True,
+        False,
+        True,
+        False,
+        None,
+    ]
     assert (trend["ratio"], interval["exact"], interval["published"]) == (None, None, [0.25, 0.30])
-    assert {(line["ensemble"], line["low"], line["covered"]) for line in report["lines"]} == {(None, None, None)}
+    assert {(line["ensemble"], line["low"], line["covered"]) for line in report["lines"]} == {
+        (None, None, None)
+    }
     kinds = {
         "predicted": {"lines": 2, "hold": 1, "do_not_hold": 1, "not_measured": 0},
         "chosen": {"lines": 1, "hold": 1, "do_not_hold": 0, "not_measured": 0},
@@ -162,13 +178,22 @@ def test_a_line_has_the_promised_keys_and_what_is_not_a_number_is_null(fakes, tm
         "theory": {"lines": 1, "hold": 0, "do_not_hold": 0, "not_measured": 1},
     }
     kinds = {kind: counted | NOT_COVERED for kind, counted in kinds.items()}
-    all_of_them = {"lines": 5, "hold": 2, "do_not_hold": 2, "not_measured": 1, "by_kind": kinds, **NOT_COVERED}
+    all_of_them = {
+        "lines": 5,
+        "hold": 2,
+        "do_not_hold": 2,
+        "not_measured": 1,
+        "by_kind": kinds,
+        **NOT_COVERED,
+    }
     assert report["summary"] == {**all_of_them, "by_experiment": {"turning": all_of_them}}
     assert {"versions", "machine", "command", "wall_seconds", "started"} <= set(report)
 
 
 def test_the_report_reads_well(fakes, tmp_path):
-    run_experiments(["straight-line", "maze"], tmp_path, values={"contact.friction": 0.8}, video=False)
+    run_experiments(
+        ["straight-line", "maze"], tmp_path, values={"contact.friction": 0.8}, video=False
+    )
     text = (tmp_path / "report.md").read_text()
     for part in (
         "**2 of 4 predicted figures hold.** In all, 4 of 8 figures hold. Only predicted lines",
@@ -193,7 +218,10 @@ def test_the_report_reads_well(fakes, tmp_path):
 
 
 def test_numbers_have_sensible_digits():
-    assert [rounded(x) for x in (0.0, 83.14159, 0.1740, 1234.5, -0.04999, 2.0, float("nan"), 8.097e-4, -6e-6)] == [
+    assert [
+        rounded(x)
+        for x in (0.0, 83.14159, 0.1740, 1234.5, -0.04999, 2.0, float("nan"), 8.097e-4, -6e-6)
+    ] == [
         "0",
         "83.1",
         "0.174",
@@ -204,7 +232,9 @@ def test_numbers_have_sensible_digits():
         "0.000810",
         "0",
     ]
-    assert [published_text(x) for x in (96.0, 0.9, [1.15, 1.3], [1.4, 1.2, 1.3], True, "pass", 11, None)] == [
+    assert [
+        published_text(x) for x in (96.0, 0.9, [1.15, 1.3], [1.4, 1.2, 1.3], True, "pass", 11, None)
+    ] == [
         "96",
         "0.9",
         "1.15 to 1.30",
@@ -230,7 +260,9 @@ def test_what_is_done_is_not_run_again_and_other_experiments_keep_it(fakes, tmp_
     assert re.match(r"turning: kept as run on .*--again", said[0])
     ran(tmp_path, "straight-line")
     report = report_of(tmp_path)
-    assert [line["experiment"] for line in report["lines"]] == ["straight-line"] * 5 + ["turning"] * 5
+    assert [line["experiment"] for line in report["lines"]] == ["straight-line"] * 5 + [
+        "turning"
+    ] * 5
     assert list(report["experiments"]) == ["straight-line", "turning"]
     assert report["summary"]["by_experiment"]["turning"]["hold"] == 2
     assert report["differences"] == []
@@ -243,7 +275,9 @@ def test_an_experiment_with_other_settings_keeps_its_own_and_the_report_says_so(
     assert report["experiments"]["straight-line"]["settings"]["seed"] == 3
     assert report["experiments"]["turning"]["settings"]["repeats"] == 3
     (sentence,) = report["differences"]
-    assert sentence.startswith("turning was run otherwise than straight-line: repeats: 3 instead of 1; seed: 0 instead")
+    assert sentence.startswith(
+        "turning was run otherwise than straight-line: repeats: 3 instead of 1; seed: 0 instead"
+    )
     text = (tmp_path / "report.md").read_text()
     assert f"> **Run in different ways.** {sentence}" in text
     assert "> **A quick run** of The straight-line:" in text
@@ -252,7 +286,9 @@ def test_an_experiment_with_other_settings_keeps_its_own_and_the_report_says_so(
 def test_the_same_experiment_with_other_settings_is_refused_before_anything_runs(fakes, tmp_path):
     ran(tmp_path, seed=3, engine="c")
     before = snapshot(tmp_path)
-    with pytest.raises(ParameterError, match=r"holds turning .*\(seed: 3 instead of 0\): choose another .*--again"):
+    with pytest.raises(
+        ParameterError, match=r"holds turning .*\(seed: 3 instead of 0\): choose another .*--again"
+    ):
         run_experiments(NAMES, tmp_path, video=False)
     assert not fakes["straight-line"].asked
     assert snapshot(tmp_path) == before
@@ -271,7 +307,9 @@ def test_a_damaged_table_is_kept_aside_and_it_or_a_lost_recording_is_run_again(f
 
 def test_a_failure_half_way_keeps_what_is_done(fakes, tmp_path):
     fakes["balance"].error = RecordingError("the feet came off.")
-    with pytest.raises(JobFailed, match=r"^balance failed: the feet came off\. What was done before is kept in"):
+    with pytest.raises(
+        JobFailed, match=r"^balance failed: the feet came off\. What was done before is kept in"
+    ):
         run_experiments(NAMES, tmp_path, video=False)
     assert list(report_of(tmp_path)["experiments"]) == ["straight-line", "turning"]
     assert not fakes["maze"].asked
@@ -279,7 +317,9 @@ def test_a_failure_half_way_keeps_what_is_done(fakes, tmp_path):
     with pytest.raises(ValueError, match="index 3 is out of bounds"):
         run_experiments(NAMES, tmp_path, video=False)
     fakes["balance"].error = KeyboardInterrupt()
-    with pytest.raises(Interrupted, match=r"stopped; what is finished is kept in .*run the same command again"):
+    with pytest.raises(
+        Interrupted, match=r"stopped; what is finished is kept in .*run the same command again"
+    ):
         run_experiments(NAMES, tmp_path, video=False)
     fakes["balance"].error = None
     result = run_experiments(NAMES, tmp_path, video=False)
@@ -303,12 +343,17 @@ def test_only_the_programs_own_files_are_replaced_or_removed(fakes, tmp_path, mo
     pictures_of(monkeypatch, "speed", "old")
     ran(tmp_path)
     pictures_of(monkeypatch, "speed")
-    mine = [tmp_path / name for name in ("plots/turning-mine.png", "recordings/turning-mine.npz", "videos/a.mp4")]
+    mine = [
+        tmp_path / name
+        for name in ("plots/turning-mine.png", "recordings/turning-mine.npz", "videos/a.mp4")
+    ]
     for path in mine:
         path.parent.mkdir(exist_ok=True)
         path.write_text("a user's")
     for folder in ("", "results", "plots", "recordings", "videos"):
-        (tmp_path / folder / f".turning.17{TEMPORARY}{'.mp4' * (folder == 'videos')}").write_text("half")
+        (tmp_path / folder / f".turning.17{TEMPORARY}{'.mp4' * (folder == 'videos')}").write_text(
+            "half"
+        )
     picture, walk = tmp_path / "plots" / "turning-speed.png", tmp_path / WALK
     picture.write_text("painted over")
     walk.write_text("another walk")
@@ -370,7 +415,9 @@ def test_a_directory_may_be_named_from_here_and_moved(fakes, tmp_path, monkeypat
     Path("here").rename("there")
     Path("there/plots/turning-speed.png").write_text("painted over")
     assert ran("there").kept
-    assert [path.as_posix() for path in Path("there").rglob("*aside*")] == ["there/plots/turning-speed.png.aside-1"]
+    assert [path.as_posix() for path in Path("there").rglob("*aside*")] == [
+        "there/plots/turning-speed.png.aside-1"
+    ]
     assert not ran("there", again=True).kept
     assert len(list(Path("there").rglob("*aside*"))) == 1
 
@@ -383,19 +430,25 @@ def code_of(out, name):
     return set(pq.read_table(out / "results" / f"{name}.parquet").column("code").to_pylist())
 
 
-def test_other_code_is_refused_until_it_is_accepted_and_the_report_tells_the_rows_apart(fakes, tmp_path, monkeypatch):
+def test_other_code_is_refused_until_it_is_accepted_and_the_report_tells_the_rows_apart(
+    fakes, tmp_path, monkeypatch
+):
     said = []
     ran(tmp_path)
     before = snapshot(tmp_path)
     monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
-    with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
+    with pytest.raises(
+        OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"
+    ):
         run_experiments(NAMES, tmp_path, video=False)
     assert snapshot(tmp_path) == before
     assert not fakes["straight-line"].asked
     options = {"video": False, "accept_new_code": True, "watch": Watch(warn=said.append)}
     result = run_experiments(["turning", "maze"], tmp_path, **options)
     assert [each.kept for each in result.results] == [True, False]
-    assert re.match(r"turning: kept as run on .* by other code \(nermo-mjx .*, not 9\.9\.9\); --again", said[0])
+    assert re.match(
+        r"turning: kept as run on .* by other code \(nermo-mjx .*, not 9\.9\.9\); --again", said[0]
+    )
     former, new = codes_of(tmp_path)
     assert (code_of(tmp_path, "turning"), code_of(tmp_path, "maze")) == ({former}, {new})
     (sentence,) = report_of(tmp_path)["differences"]
@@ -406,12 +459,19 @@ def test_other_code_is_refused_until_it_is_accepted_and_the_report_tells_the_row
     assert new in (tmp_path / "report.md").read_text()
 
 
-def test_a_directory_that_lost_its_history_is_refused_until_it_is_accepted(fakes, tmp_path, monkeypatch):
+def test_a_directory_that_lost_its_history_is_refused_until_it_is_accepted(
+    fakes, tmp_path, monkeypatch
+):
     """No kind, no codes, no note of the files written: what is not drawn alike is moved aside then."""
     ran(tmp_path)
-    for text, aside in (("speed, 0.48", []), ("other", ["turning-speed.png.aside-1", "turning-speed.svg.aside-1"])):
+    for text, aside in (
+        ("speed, 0.48", []),
+        ("other", ["turning-speed.png.aside-1", "turning-speed.svg.aside-1"]),
+    ):
         (tmp_path / "run.json").unlink()
-        monkeypatch.setattr(plots, "figures_of_experiment", lambda *_, text=text: [("turning-speed", text.encode())])
+        monkeypatch.setattr(
+            plots, "figures_of_experiment", lambda *_, text=text: [("turning-speed", text.encode())]
+        )
         with pytest.raises(OtherCode, match="does not say which code made it"):
             ran(tmp_path)
         assert ran(tmp_path, accept_new_code=True).kept
@@ -444,9 +504,13 @@ def test_settings_reach_the_experiment(fakes, tmp_path):
         watch=Watch(lambda done: heard.append((done.what, done.fraction))),
     )
     (asked,) = fakes["maze"].asked
-    assert asked.but(progress=None) == Settings(("as_published",), 2, 5, False, {"contact.friction": 0.8}, engine="c")
+    assert asked.but(progress=None) == Settings(
+        ("as_published",), 2, 5, False, {"contact.friction": 0.8}, engine="c"
+    )
     assert ("maze", 0.5) in heard
-    assert {(line["exact"], line["as_built"]) for line in report_of(tmp_path)["lines"]} == {(None, None)}
+    assert {(line["exact"], line["as_built"]) for line in report_of(tmp_path)["lines"]} == {
+        (None, None)
+    }
 
 
 @pytest.mark.parametrize(
@@ -467,7 +531,10 @@ def test_settings_reach_the_experiment(fakes, tmp_path):
         ({"values": {"frequency": 0.5}}, "frequency cannot be set for turning"),
         ({"out": "file"}, "file is a file: a directory is needed."),
         ({"out": "file/out"}, "cannot write in "),
-        ({"out": "sweep"}, "sweep holds a sweep, and not published experiments: choose another directory."),
+        (
+            {"out": "sweep"},
+            "sweep holds a sweep, and not published experiments: choose another directory.",
+        ),
     ],
 )
 def test_wrong_settings_are_refused_before_anything_runs(fakes, tmp_path, options, sentence):
@@ -518,7 +585,10 @@ def test_a_machine_that_cannot_draw_makes_no_video_and_says_so(fakes, tmp_path, 
 def test_a_video_is_made_once_and_linked(fakes, tmp_path):
     result = run_experiment("maze", tmp_path)
     assert result.videos == (tmp_path / "videos" / "maze.mp4",)
-    assert f"[videos/maze.mp4](videos/maze.mp4), {RUN}, in real time." in (tmp_path / "report.md").read_text()
+    assert (
+        f"[videos/maze.mp4](videos/maze.mp4), {RUN}, in real time."
+        in (tmp_path / "report.md").read_text()
+    )
     made = result.videos[0].stat().st_mtime_ns
     assert ran(tmp_path, "maze").videos == result.videos
     assert result.videos[0].stat().st_mtime_ns == made
@@ -586,7 +656,9 @@ class Workers:
             raise WorkersLost("no node came within 300 s.")
 
 
-def test_a_line_has_the_interval_of_its_bodies_and_starts_and_says_whether_it_covers(bodies, tmp_path):
+def test_a_line_has_the_interval_of_its_bodies_and_starts_and_says_whether_it_covers(
+    bodies, tmp_path
+):
     result = ran(tmp_path, bodies=4, seed=4)
     speed = line_of(result)
     assert (speed.low, speed.high) == pytest.approx((49.0, 105.0))
@@ -598,15 +670,23 @@ def test_a_line_has_the_interval_of_its_bodies_and_starts_and_says_whether_it_co
     text = (tmp_path / "report.md").read_text()
     assert "| 80 | 84.9 | 71.0 | 81.0 | 61.0 | 49.0 to 105 | yes | yes | 6.2 |" in text
     assert "4 identified bodies, a start each" in text
-    assert "**1 of 2 predicted figures hold; 1 of 1 published values lie in the 90 % interval.**" in text
+    assert (
+        "**1 of 2 predicted figures hold; 1 of 1 published values lie in the 90 % interval.**"
+        in text
+    )
     report = report_of(tmp_path)
     assert (report["experiments"]["turning"]["bodies"], report["summary"]["covered"]) == (4, 1)
 
 
-def test_bodies_walk_once_where_they_are_judged_without_what_is_set_for_all(bodies, tmp_path, monkeypatch):
+def test_bodies_walk_once_where_they_are_judged_without_what_is_set_for_all(
+    bodies, tmp_path, monkeypatch
+):
     """Simulation is judged as published, the hardware as built."""
     chosen = EXPERIMENTS["maze"]
-    figures = (chosen.figures[0], dataclasses.replace(chosen.figures[0], figure="hardware", profile="as_built"))
+    figures = (
+        chosen.figures[0],
+        dataclasses.replace(chosen.figures[0], figure="hardware", profile="as_built"),
+    )
     monkeypatch.setitem(EXPERIMENTS, "maze", dataclasses.replace(chosen, own_figures=figures))
     monkeypatch.setattr(run, "draw", lambda n, seed: drawn(n, **{"servo.kp": np.full(4, 5.0)}))
     result = ran(tmp_path, "maze", bodies=4, values={"servo.kp": 9.0})
@@ -661,14 +741,18 @@ def test_parts_are_stored_in_the_order_in_which_they_come(bodies, tmp_path, monk
         for column in ours:
             np.testing.assert_array_equal(ours[column], theirs[column])
     # What is run again replaces the bodies, also where they come before what they belong to.
-    again = run_experiments(names, tmp_path / "other", bodies=4, again=True, video=False, workers=Workers())
+    again = run_experiments(
+        names, tmp_path / "other", bodies=4, again=True, video=False, workers=Workers()
+    )
     assert {line_of(each).ensemble for each in again.results} == {HOLD}
 
 
 def test_workers_that_are_lost_leave_the_experiments_that_are_done(bodies, tmp_path):
     former = ran(tmp_path, "maze", bodies=4, seed=4)
     former.table.write_text("damaged")
-    with pytest.raises(JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same"):
+    with pytest.raises(
+        JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same"
+    ):
         run_experiments(("maze", "turning"), tmp_path, bodies=4, video=False, workers=Workers(1))
     assert Directory(tmp_path).load("maze") is not None
     assert stored(tmp_path) is None, "those of other settings are none of these results"

@@ -47,7 +47,9 @@ def slopes(pair: str, routing: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @jax.jit
     def found(servo, foot):
-        knee = jax.jacfwd(lambda servo: kinematics.forward_kinematics(numbers, servo, routing).knee_angle)(servo)
+        knee = jax.jacfwd(
+            lambda servo: kinematics.forward_kinematics(numbers, servo, routing).knee_angle
+        )(servo)
         angle = kinematics.inverse_kinematics(numbers, foot, routing).knee_angle
         return kinematics.jacobian(numbers, servo, routing), knee, angle
 
@@ -63,7 +65,9 @@ def test_speed_and_coupling_are_those_of_the_kinematics(of_leg, pair, routing):
     case = {"pair": pair, "routing": routing, "hinges": 1}
     foot, knee, _ = slopes(pair, routing)
     assert of_leg.mean("speed", **case) == pytest.approx(15.0 * abs(foot[1, 1]), rel=0.03)
-    assert of_leg.mean("coupling", **case) == pytest.approx(LEGS[pair].knee_direction * knee[0], abs=0.02)
+    assert of_leg.mean("coupling", **case) == pytest.approx(
+        LEGS[pair].knee_direction * knee[0], abs=0.02
+    )
 
 
 @pytest.mark.parametrize("routing", ROUTINGS)
@@ -73,14 +77,20 @@ def test_force_is_that_of_virtual_work(pair, routing):
     stiff = replace_quantities(ModelParameters(), {"stiffness.ankle": np.asarray(2.0)})
     limb, foot = f"{pair}_left", np.array(LEGS[pair].neutral_foot)
     servo = stands.servo_angles(pair, foot, routing)
-    measured = Stand(assemble_leg(limb, routing, stiff)).settle(servo).held(f"{limb}_foot", (0.0, 0.0, -1.0), 20.0)
+    measured = (
+        Stand(assemble_leg(limb, routing, stiff))
+        .settle(servo)
+        .held(f"{limb}_foot", (0.0, 0.0, -1.0), 20.0)
+    )
     jacobian, knee, angle = slopes(pair, routing)
     spring = float(getattr(ModelParameters().stiffness, f"{pair}_knee")) * (angle - KNEE_REST[pair])
     rise, limit = jacobian[1], float(ModelParameters().servo.torque_limit)
     # The knee's servo drives it in the sense in which the foot rises, and the hip's servo carries the rest.
     knee_servo = (limit - spring * knee[1] * np.sign(rise[1])) / abs(rise[1])
     hip_servo = [(side * limit - spring * knee[0]) / rise[0] for side in (1.0, -1.0)]
-    assert measured == pytest.approx(min(knee_servo, *(each for each in hip_servo if each > 0)), rel=0.05)
+    assert measured == pytest.approx(
+        min(knee_servo, *(each for each in hip_servo if each > 0)), rel=0.05
+    )
 
 
 @pytest.mark.release
@@ -96,12 +106,16 @@ def test_work_of_a_bend_is_the_energy_of_the_springs(of_spine):
 def test_both_planes_move_the_hip_as_each_does(of_spine):
     """Sideways and up are at right angles: range and speed add in squares within 3 %."""
     for column in ("range", "speed"):
-        lateral, vertical, both = (of_spine.mean(column, robot="nermo_41", plane=plane) for plane in stands.PLANES)
+        lateral, vertical, both = (
+            of_spine.mean(column, robot="nermo_41", plane=plane) for plane in stands.PLANES
+        )
         assert both == pytest.approx(np.hypot(lateral, vertical), rel=0.03)
 
 
 @pytest.mark.release
-def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(body, of_leg, of_spine):
+def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(
+    body, of_leg, of_spine
+):
     """A.1 with chains of hinges; Table 5.2 in words, but for the lever arm of type 2, whose guide was chosen."""
     for outcome in (body, of_leg, of_spine):
         lines = published_lines(outcome)
@@ -121,7 +135,11 @@ def test_both_stands_are_drawn(of_leg, of_spine):
 
 @pytest.mark.parametrize(
     ("measure", "name"),
-    [(stands.run_body, "frequency"), (stands.run_leg, "frequency"), (stands.run_leg, "servo.back_emf")],
+    [
+        (stands.run_body, "frequency"),
+        (stands.run_leg, "frequency"),
+        (stands.run_leg, "servo.back_emf"),
+    ],
 )
 def test_what_does_not_apply_is_refused(measure, name):
     """What is no parameter of the body, and a motor's back-EMF, which the stand's servos do not have."""
@@ -142,7 +160,11 @@ def test_a_row_a_profile_and_the_same_in_both(body):
 @pytest.mark.release
 @pytest.mark.parametrize(
     ("column", "angle"),
-    [("bend_front_knee", 0.125 / 0.135), ("bend_rear_knee", 0.125 / 0.19), ("bend_spine", 4 * 0.125 / 1.2)],
+    [
+        ("bend_front_knee", 0.125 / 0.135),
+        ("bend_rear_knee", 0.125 / 0.19),
+        ("bend_spine", 4 * 0.125 / 1.2),
+    ],
 )
 def test_springs_bend_by_torque_over_stiffness(body, column, angle):
     """Table A.1: 0.135, 0.19 and four times 1.2 N m/rad in series."""

@@ -47,8 +47,16 @@ def turned(*chosen: tuple[float, float]) -> CaseRuns:
         return locked or (frequency, radius) in chosen
 
     sides = itertools.chain(
-        itertools.product(walks.GAITS, walks.FREQUENCIES, (*walks.RADII, walks.FULL_LOCK), walks.STRATEGIES, ["left"]),
-        itertools.product(TROTS, [0.67], (*walks.RADII, walks.FULL_LOCK), walks.STRATEGIES, ["right"]),
+        itertools.product(
+            walks.GAITS,
+            walks.FREQUENCIES,
+            (*walks.RADII, walks.FULL_LOCK),
+            walks.STRATEGIES,
+            ["left"],
+        ),
+        itertools.product(
+            TROTS, [0.67], (*walks.RADII, walks.FULL_LOCK), walks.STRATEGIES, ["right"]
+        ),
     )
     every = [walks._turn(*case, STRIDE) for case in sides]
     with pytest.MonkeyPatch.context() as patch:
@@ -80,8 +88,16 @@ def value(outcome: CaseRuns, column: str, **case) -> float:
     return float(found[0])
 
 
-def walk(line: CaseRuns, column: str, gait: str, frequency: float, spine: bool = False, **more) -> float:
-    case = {"gait": gait, "frequency": frequency, "spine": spine, "stride": 1.0, "compensated": False}
+def walk(
+    line: CaseRuns, column: str, gait: str, frequency: float, spine: bool = False, **more
+) -> float:
+    case = {
+        "gait": gait,
+        "frequency": frequency,
+        "spine": spine,
+        "stride": 1.0,
+        "compensated": False,
+    }
     return value(line, column, **{**case, **more})
 
 
@@ -135,8 +151,17 @@ def test_the_best_phase_of_the_spine_is_12_percent_faster_than_none_and_the_wors
     """Trot at 0.8 Hz, 0.1 rad a joint, 12 phases; published: 22 % faster at the published phase."""
     phases = np.linspace(-np.pi, np.pi, 12, endpoint=False)
     amplitude = np.append(np.full(12, 0.4), 0.0)
-    values = {"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": np.append(phases, 0.0), **DAMPED}
-    *speeds, none = Simulator(Setup(spine="stride_extension"), engine="c").run(values, Run(cycles=12)).metrics["speed"]
+    values = {
+        "frequency": 0.8,
+        "spine.amplitude": amplitude,
+        "spine.phase": np.append(phases, 0.0),
+        **DAMPED,
+    }
+    *speeds, none = (
+        Simulator(Setup(spine="stride_extension"), engine="c")
+        .run(values, Run(cycles=12))
+        .metrics["speed"]
+    )
     assert max(speeds) >= 1.12 * none
     assert min(speeds) < none
 
@@ -151,7 +176,10 @@ def test_the_spine_makes_both_trots_faster_and_roll_and_yaw_noisier(line, gait, 
 def test_offset_compensation_lowers_the_roll(line):
     """To 0.95 of its std and 0.79 of its amplitude (published: 0.85 and 0.875, see the report's reasons)."""
     bare, compensated = (
-        [walk(line, f"roll_{end}", "trot", 0.67, True, compensated=on) for end in ("std", "min", "max")]
+        [
+            walk(line, f"roll_{end}", "trot", 0.67, True, compensated=on)
+            for end in ("std", "min", "max")
+        ]
         for on in (False, True)
     )
     assert compensated[0] <= 0.97 * bare[0]
@@ -165,7 +193,9 @@ def test_speed_is_linear_in_the_stride(line):
 # --- turning
 
 
-def quarter(turns: CaseRuns, column: str, gait: str, frequency: float, radius: float, strategy: str) -> float:
+def quarter(
+    turns: CaseRuns, column: str, gait: str, frequency: float, radius: float, strategy: str
+) -> float:
     case = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy}
     return value(turns, column, side="left", stride=STRIDE, **case)
 
@@ -180,7 +210,9 @@ def test_spine_based_turning_is_fastest_and_mix_based_between(turns, gait, frequ
 @pytest.mark.long
 @pytest.mark.parametrize(("frequency", "radius"), LONG_TURNS)
 @pytest.mark.parametrize("gait", walks.GAITS)
-def test_spine_based_turning_is_fastest_and_mix_based_between_on_long_ways(long_turns, gait, frequency, radius):
+def test_spine_based_turning_is_fastest_and_mix_based_between_on_long_ways(
+    long_turns, gait, frequency, radius
+):
     """At half a hertz, and on circles of 1 m."""
     check_speeds(long_turns, gait, frequency, radius)
 
@@ -188,7 +220,9 @@ def test_spine_based_turning_is_fastest_and_mix_based_between_on_long_ways(long_
 def check_speeds(turns: CaseRuns, gait: str, frequency: float, radius: float) -> None:
     if not quarter(turns, "followed", gait, frequency, radius, "spine"):
         pytest.skip("not followed with the spine alone")
-    leg, mix, spine = (quarter(turns, "speed", gait, frequency, radius, name) for name in ("leg", "mix", "spine"))
+    leg, mix, spine = (
+        quarter(turns, "speed", gait, frequency, radius, name) for name in ("leg", "mix", "spine")
+    )
     assert leg < mix < spine
 
 
@@ -201,7 +235,9 @@ def test_the_paths_that_are_followed_are_the_published_ones(turns):
     cases, followed, error = circles(turns)
     published = ("lateral_walk", 0.8, "spine", 0.5)
     assert [case for case in cases if not followed[case] and case != published] == []
-    assert max((case for case in cases if case[3] == 0.5), key=error.__getitem__)[:2] == published[:2]
+    assert (
+        max((case for case in cases if case[3] == 0.5), key=error.__getitem__)[:2] == published[:2]
+    )
 
 
 @pytest.mark.long
@@ -219,14 +255,23 @@ def circles(turns: CaseRuns) -> tuple[list[tuple], dict[tuple, bool], dict[tuple
     names = ("gait", "frequency", "strategy", "radius")
     cases = list(zip(*(turns.columns[name][chosen].tolist() for name in names), strict=True))
     followed, error = (
-        dict(zip(cases, turns.columns[name][chosen].tolist(), strict=True)) for name in ("followed", "cross_track_peak")
+        dict(zip(cases, turns.columns[name][chosen].tolist(), strict=True))
+        for name in ("followed", "cross_track_peak")
     )
     return cases, followed, error
 
 
 def test_full_lock_by_the_spine_has_both_theories_beside_it(turns):
-    case = {"gait": "trot", "frequency": 0.67, "radius": walks.FULL_LOCK, "side": "left", "stride": STRIDE}
-    assert value(turns, "theory_equal_strides", strategy="spine", **case) == pytest.approx(0.441, abs=1e-3)
+    case = {
+        "gait": "trot",
+        "frequency": 0.67,
+        "radius": walks.FULL_LOCK,
+        "side": "left",
+        "stride": STRIDE,
+    }
+    assert value(turns, "theory_equal_strides", strategy="spine", **case) == pytest.approx(
+        0.441, abs=1e-3
+    )
     assert value(turns, "theory_radius", strategy="spine", **case) == pytest.approx(0.295, abs=2e-3)
     assert np.isnan(value(turns, "theory_equal_strides", strategy="leg", **case))
 
@@ -235,7 +280,8 @@ def test_full_lock_by_the_spine_has_both_theories_beside_it(turns):
 def test_the_smallest_circle_is_the_mix_based_robots(turns, gait):
     """15 % or more below leg-based, 50 % or more below spine-based."""
     leg, mix, spine = (
-        quarter(turns, "turning_radius", gait, 0.67, walks.FULL_LOCK, name) for name in ("leg", "mix", "spine")
+        quarter(turns, "turning_radius", gait, 0.67, walks.FULL_LOCK, name)
+        for name in ("leg", "mix", "spine")
     )
     assert mix <= 0.85 * leg
     assert mix <= 0.5 * spine
@@ -257,7 +303,13 @@ def test_right_is_as_left_on_long_ways(long_turns, gait, strategy):
 
 def check_sides(turns: CaseRuns, gait: str, radius: float, strategy: str) -> None:
     """Within 0.2 %, less than the spread of repeats (0.1 to 1.2 %): the mirrored command from the mirrored start."""
-    case = {"gait": gait, "frequency": 0.67, "radius": radius, "strategy": strategy, "stride": STRIDE}
+    case = {
+        "gait": gait,
+        "frequency": 0.67,
+        "radius": radius,
+        "strategy": strategy,
+        "stride": STRIDE,
+    }
     column = "speed" if radius else "turning_radius"
     left, right = (value(turns, column, side=side, **case) for side in ("left", "right"))
     assert right == pytest.approx(left, rel=0.002)
@@ -274,7 +326,9 @@ def test_both_robots_leave_the_maze_untouched(labyrinth):
 def test_the_spine_saves_a_fifth_of_the_time_or_more_and_sways_more(labyrinth):
     assert value(labyrinth, "time", spine=True) <= 0.8 * value(labyrinth, "time", spine=False)
     for angle in ("roll", "pitch"):
-        assert value(labyrinth, f"{angle}_std", spine=True) > value(labyrinth, f"{angle}_std", spine=False), angle
+        assert value(labyrinth, f"{angle}_std", spine=True) > value(
+            labyrinth, f"{angle}_std", spine=False
+        ), angle
 
 
 def test_a_robot_that_walks_into_a_box_is_seen_to_touch_it(labyrinth):
@@ -299,7 +353,17 @@ def test_a_robot_that_walks_into_a_box_is_seen_to_touch_it(labyrinth):
 @pytest.mark.parametrize("profiles", [("--profile", "exact"), ()], ids=str)
 def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path, profiles):
     """`experiment all --quick`; the figures that a quick run can measure are there."""
-    words = ["experiment", "all", "--quick", *profiles, "--engine", "c", "--out", str(tmp_path), "--json"]
+    words = [
+        "experiment",
+        "all",
+        "--quick",
+        *profiles,
+        "--engine",
+        "c",
+        "--out",
+        str(tmp_path),
+        "--json",
+    ]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout)
@@ -307,7 +371,9 @@ def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path, profile
     measured = [line for line in report["lines"] if line["exact"] is not None]
     assert len(measured) > 60
     balance = [
-        line for line in measured if line["experiment"] == "balance" and "balance compensation" in line["figure"]
+        line
+        for line in measured
+        if line["experiment"] == "balance" and "balance compensation" in line["figure"]
     ]
     assert len(balance) == 8
     assert all(line["exact"] == line["published"] for line in balance)
@@ -325,11 +391,20 @@ def test_profiles_with_other_robots_are_simulated_apart_and_come_back_in_order()
         seen.append((settings.profiles, settings.robot))
         settings.progress(1.0)
         labels = np.repeat(settings.profiles, 2)
-        columns = {"profile": labels, "repeat": np.tile([0, 1], len(settings.profiles)), "time": np.arange(len(labels))}
-        return CaseRuns.of("maze", columns, {settings.profiles[0]: object(), "first": settings.profiles})
+        columns = {
+            "profile": labels,
+            "repeat": np.tile([0, 1], len(settings.profiles)),
+            "time": np.arange(len(labels)),
+        }
+        return CaseRuns.of(
+            "maze", columns, {settings.profiles[0]: object(), "first": settings.profiles}
+        )
 
     outcome = in_each_robot(run, Settings(progress=told.append))
-    rigid, author = {"tail": "rigid", "feet": "spheres"}, {"tail": "articulated", "feet": "capsules"}
+    rigid, author = (
+        {"tail": "rigid", "feet": "spheres"},
+        {"tail": "articulated", "feet": "capsules"},
+    )
     assert seen == [(("exact", "as_built"), rigid), (("as_published",), author)]
     assert outcome.columns["profile"].tolist() == [name for name in PROFILES for _ in range(2)]
     assert outcome.columns["time"].tolist() == [0, 1, 0, 1, 2, 3]

@@ -50,7 +50,11 @@ def arm(values: dict[str, float], free: str = "", actuator: str = "position") ->
 
 
 def logged(
-    seconds: float = 4.0, seed: int = 0, bias: float = 0.0, steps_late: int = 0, actuator: str = "position"
+    seconds: float = 4.0,
+    seed: int = 0,
+    bias: float = 0.0,
+    steps_late: int = 0,
+    actuator: str = "position",
 ) -> Log:
     """The arm under a chirp that is held for 10 ms, by `mj_step`."""
     model = mujoco.MjModel.from_xml_string(arm(TRUTH, actuator=actuator))
@@ -65,7 +69,11 @@ def logged(
         mujoco.mj_step(model, data)
     seen = np.array(angles)[::5] + random.normal(0.0, NOISE, len(time))
     return Log(
-        (Channel("command", "command", "servo", time, command), Channel("angle", "angle", "j", time, seen)), "log"
+        (
+            Channel("command", "command", "servo", time, command),
+            Channel("angle", "angle", "j", time, seen),
+        ),
+        "log",
     )
 
 
@@ -81,7 +89,10 @@ def identified_arm(path: Path, free: tuple[str, ...], *logs: Log, **more: object
 
 
 def values_of(found: Identification) -> dict[str, float]:
-    return {each.name: value for each, value in zip(found.fit.space.parameters, found.fit.values, strict=True)}
+    return {
+        each.name: value
+        for each, value in zip(found.fit.space.parameters, found.fit.values, strict=True)
+    }
 
 
 def test_the_prediction_at_the_truth_is_the_log_to_its_noise(path: Path) -> None:
@@ -109,10 +120,18 @@ def test_an_arm_whose_scale_no_angle_shows_is_known_in_ratios_only(path: Path) -
 
 
 def test_what_is_determined_is_found_and_covered(path: Path) -> None:
-    found = identified_arm(path, ("damping", "kp", "armature", "bias", "delay"), logged(bias=0.05, steps_late=6))
+    found = identified_arm(
+        path, ("damping", "kp", "armature", "bias", "delay"), logged(bias=0.05, steps_late=6)
+    )
     body = MjcfBody(path, [logged()], ())
     assert body.parameters == {}
-    truth = {"damping.j": 0.01, "kp.servo": 1.0, "armature.j": 0.001, "bias.servo": 0.05, "delay": 0.012}  # at its mass
+    truth = {
+        "damping.j": 0.01,
+        "kp.servo": 1.0,
+        "armature.j": 0.001,
+        "bias.servo": 0.05,
+        "delay": 0.012,
+    }  # at its mass
     assert found.right
     assert found.fit.determined.all()
     for (name, value), (low, high) in zip(values_of(found).items(), found.intervals, strict=True):
@@ -127,7 +146,8 @@ def test_a_wrong_class_is_named_and_what_it_lacks(path: Path) -> None:
     assert not found.right
     assert "This class of models is wrong" in said
     assert re.search(
-        r"On what was not fitted they are [\d.]+ % of the channels' signals, with the default body [\d.]+ %\.", said
+        r"On what was not fitted they are [\d.]+ % of the channels' signals, with the default body [\d.]+ %\.",
+        said,
     )
     cause = next(each for each in found.sentences() if each.startswith("What was left out"))
     assert found.missing["kp"] > 0.5
@@ -143,7 +163,9 @@ def test_the_simplest_class_leaves_out_what_is_not_there(path: Path) -> None:
     names = [each.name for each in found.fit.space.parameters]
     own = [names.index(each.name) for each in found.simplest.space.parameters]
     better, worse = (
-        dataclasses.replace(found, errors=found.errors | {"simplest class": share * found.errors["identified"]})
+        dataclasses.replace(
+            found, errors=found.errors | {"simplest class": share * found.errors["identified"]}
+        )
         for share in (0.6, 1.01)
     )
     np.testing.assert_array_equal(better.values[own], found.simplest.values)
@@ -156,7 +178,10 @@ def test_the_simplest_class_leaves_out_what_is_not_there(path: Path) -> None:
 def test_every_body_of_the_posterior_explains_the_log(path: Path) -> None:
     """Those of the simplest class have what it leaves out at its neutral value, not as another class draws it."""
     found, both = identified_arm(path, SCALES, logged()), list[float]()
-    twin, left = found.fitted.twin, [each.kind in found.left_out for each in found.fit.space.parameters]
+    twin, left = (
+        found.fitted.twin,
+        [each.kind in found.left_out for each in found.fit.space.parameters],
+    )
     assert any(left)
     for away in twin.predict(found.bodies[:: len(found.bodies) // 20]) - twin.measured.values:
         both.append(float(np.sqrt(np.mean(away[twin.measured.time > 1.0] ** 2))) / NOISE)
@@ -211,8 +236,12 @@ def test_a_base_that_no_channel_sees_is_held(tmp_path: Path) -> None:
     assert "held" in body.notes[0]
     data = mujoco.MjData(body.model)
     mujoco.mj_forward(body.model, data)
-    assert data.ncon == 0, "a base that moves does not touch its own limbs, and one that hangs is above ground"
-    other = mujoco.MjModel.from_xml_string(body.written(["damping.j", "frictionloss.j"], np.array([0.3, 0.1])))
+    assert data.ncon == 0, (
+        "a base that moves does not touch its own limbs, and one that hangs is above ground"
+    )
+    other = mujoco.MjModel.from_xml_string(
+        body.written(["damping.j", "frictionloss.j"], np.array([0.3, 0.1]))
+    )
     assert other.dof_damping.tolist() == [0.0] * 6 + [0.3]
     assert other.dof_frictionloss.tolist() == [0.0] * 6 + [0.1]
 
@@ -226,7 +255,9 @@ def test_a_base_that_no_channel_sees_is_held(tmp_path: Path) -> None:
         ({"quantity": "current"}, "no channel of the log is one that a model predicts"),
     ],
 )
-def test_channels_that_the_model_lacks_are_refused(path: Path, change: dict[str, object], sentence: str) -> None:
+def test_channels_that_the_model_lacks_are_refused(
+    path: Path, change: dict[str, object], sentence: str
+) -> None:
     commands, angle = logged().channels
     log = Log((commands, dataclasses.replace(angle, **change)), "log")
     with pytest.raises(ParameterError, match=sentence):
@@ -251,8 +282,14 @@ def test_wrong_wishes_are_refused(path: Path, wanted: dict[str, object], sentenc
 @pytest.mark.parametrize(
     ("channels", "sentence"),
     [
-        (lambda commands, angle: (angle,), r"^log: no channel is a command, by which the model could be driven\.$"),
-        (lambda *both: until(Log(both, "log"), 0.03).channels, r"^channel 'angle' has 1 numbers in what is fitted: "),
+        (
+            lambda commands, angle: (angle,),
+            r"^log: no channel is a command, by which the model could be driven\.$",
+        ),
+        (
+            lambda *both: until(Log(both, "log"), 0.03).channels,
+            r"^channel 'angle' has 1 numbers in what is fitted: ",
+        ),
         (
             lambda commands, angle: (commands, *until(Log((angle,), "log"), 1.0).channels),
             "has 0 numbers in what is not",
@@ -287,7 +324,13 @@ def written(tmp_path: Path, log: Log) -> list[str]:
         "time: {column: t, unit: s}\nchannels:\n  command: {quantity: command, of: servo, unit: rad}\n"
         "  angle: {quantity: angle, of: j, unit: deg}\n"
     )
-    return ["identify", "--log", str(tmp_path / "log.csv"), "--channels", str(tmp_path / "log.yaml")]
+    return [
+        "identify",
+        "--log",
+        str(tmp_path / "log.csv"),
+        "--channels",
+        str(tmp_path / "log.yaml"),
+    ]
 
 
 def test_replay_drives_any_model_by_the_commands(
@@ -302,11 +345,18 @@ def test_replay_drives_any_model_by_the_commands(
         assert main(["replay", "--commands", log, *arguments, "--model", str(model), "--json"]) == 0
         content = json.loads(capsys.readouterr().out)
         (found[name],) = content["channels"]
-        assert (content["model"], content["not_simulated"], found[name]["name"]) == (str(model), [], "angle")
+        assert (content["model"], content["not_simulated"], found[name]["name"]) == (
+            str(model),
+            [],
+            "angle",
+        )
     assert found["true"]["rms"] == pytest.approx(NOISE, rel=0.15)
     assert found["true"]["correlation"] > 0.999
     assert found["other"]["rms"] > 20 * NOISE
-    assert main(["replay", "--commands", log, *arguments, "--model", str(path), "--scene", "stairs"]) == 2
+    assert (
+        main(["replay", "--commands", log, *arguments, "--model", str(path), "--scene", "stairs"])
+        == 2
+    )
     assert "--scene is for Nermo: it has no effect with --model" in capsys.readouterr().err
     lines = (tmp_path / "log.yaml").read_text().splitlines(keepends=True)
     (tmp_path / "silent.yaml").write_text("".join(line for line in lines if "command" not in line))
@@ -347,8 +397,12 @@ def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     assert "To make it again" in (out / "report.html").read_text()
     assert 'src="http' not in (out / "report.html").read_text()
     model = mujoco.MjModel.from_xml_path(str(out / "identified.xml"))
-    assert model.actuator_gainprm[0, 0] == pytest.approx(content["parameters"]["kp.servo"]["value"], rel=1e-4)
-    assert model.dof_damping[0] == pytest.approx(content["parameters"]["damping.j"]["value"], rel=1e-4)
+    assert model.actuator_gainprm[0, 0] == pytest.approx(
+        content["parameters"]["kp.servo"]["value"], rel=1e-4
+    )
+    assert model.dof_damping[0] == pytest.approx(
+        content["parameters"]["damping.j"]["value"], rel=1e-4
+    )
     assert not main(["status", str(out)])
     assert re.search(r"an identification from a log, \d+ steps, complete", capsys.readouterr().out)
     assert main(["plot", str(out)])
@@ -408,7 +462,9 @@ def test_wrong_options_end_in_a_sentence(
 
 
 def test_nermo_is_driven_and_its_bodies_differ() -> None:
-    body = NermoBody("nermo_lite", ("kp", "damping", "mass", "friction", "delay", "bias", "backlash"))
+    body = NermoBody(
+        "nermo_lite", ("kp", "damping", "mass", "friction", "delay", "bias", "backlash")
+    )
     time = np.arange(100) / 100
     channels = [Channel(f"c_{s}", "command", s, time, 0.2 * np.sin(12 * time)) for s in SERVOS[:8]]
     channels += [Channel("hip", "angle", "front_left_hip", time, np.zeros(100))]
@@ -417,20 +473,30 @@ def test_nermo_is_driven_and_its_bodies_differ() -> None:
     log = Log(tuple(channels), "log")
     names = ["servo.kp", "mass.front", "delay", "bias.front_left_hip"]
     twin = LoggedTwin(body, [log], names)
-    found = twin.predict(np.array([[19.11, 0.12, 0.0, 0.0], [19.11, 0.12, 0.0, 0.05], [6.0, 0.2, 0.03, 0.0]]))
+    found = twin.predict(
+        np.array([[19.11, 0.12, 0.0, 0.0], [19.11, 0.12, 0.0, 0.05], [6.0, 0.2, 0.03, 0.0]])
+    )
     hip = found[:, twin.measured.channel == twin.labels.index("hip")]
     assert np.isfinite(found).all()
     assert np.mean(hip[1] - hip[0]) == pytest.approx(0.05, abs=0.01)
     assert np.argmax(hip[2]) > np.argmax(hip[0])  # later
     address = body.model.jnt_qposadr[body.joint("front_left_knee")]
-    assert body.model.joint("front_left_pulley").qposadr[0] == address  # what the servo turns, not the leg's own knee
+    assert (
+        body.model.joint("front_left_pulley").qposadr[0] == address
+    )  # what the servo turns, not the leg's own knee
 
 
 @pytest.mark.parametrize("kind", [Search, Tuning, Training])
-def test_the_best_body_stands_in_a_job_s_file(kind: type[Search | Tuning | Training], tmp_path: Path) -> None:
-    (tmp_path / "ensemble.csv").write_text("servo.kp,mass.front,mass.rear,objective,weight\n12,0.15,0.1,1,1\n")
+def test_the_best_body_stands_in_a_job_s_file(
+    kind: type[Search | Tuning | Training], tmp_path: Path
+) -> None:
+    (tmp_path / "ensemble.csv").write_text(
+        "servo.kp,mass.front,mass.rear,objective,weight\n12,0.15,0.1,1,1\n"
+    )
     section = {Search: "vary: {servo.kp: {uniform: [9, 15]}}\nobjective: {maximize: speed}\n"}
-    section[Tuning] = "tune: {servo.kp: {start: 12, bounds: [9, 15]}}\nobjective:\n- {maximize: speed, scale: 0.1}\n"
+    section[Tuning] = (
+        "tune: {servo.kp: {start: 12, bounds: [9, 15]}}\nobjective:\n- {maximize: speed, scale: 0.1}\n"
+    )
     text = section.get(kind, "randomize: {servo.kp: [9, 15]}\n") + "set: {mass.rear: 0.12}\n"
     (tmp_path / "job.yaml").write_text(text)
     made = kind.from_file(tmp_path / "job.yaml", str(tmp_path))
@@ -445,14 +511,19 @@ def test_the_best_body_stands_in_a_job_s_file(kind: type[Search | Tuning | Train
 def test_a_training_draws_from_a_directory_as_a_sweep_does(tmp_path: Path) -> None:
     (tmp_path / "ensemble.csv").write_text("servo.kp,objective,weight\n12,1,1\n")
     training = Training.from_dict({"randomize": {"from": str(tmp_path), "start.yaw": [0.0, 0.1]}})
-    assert (training.task.bodies, dict(training.task.randomize)) == (str(tmp_path), {"start.yaw": (0.0, 0.1)})
+    assert (training.task.bodies, dict(training.task.randomize)) == (
+        str(tmp_path),
+        {"start.yaw": (0.0, 0.1)},
+    )
     assert Training.from_dict(training.resolved()) == training
     with pytest.raises(ParameterError, match=r"'randomize\.from' stands beside 'task\.bodies'"):
         Training.from_dict({"randomize": {"from": str(tmp_path)}, "task": {"bodies": True}})
 
 
 @pytest.mark.release
-def test_bodies_of_an_identification_are_drawn_and_walked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bodies_of_an_identification_are_drawn_and_walked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "ensemble.csv").write_text(
         "# made\nservo.kp,mass.front,objective,weight\n12,0.15,1,0.5\n14,0.16,1,0.5\n"
     )
@@ -476,7 +547,9 @@ def test_bodies_of_an_identification_are_drawn_and_walked(tmp_path: Path, capsys
     assert "no directory of an identification" in capsys.readouterr().err
     file, out = tmp_path / "sweep.yaml", tmp_path / "swept"
     file.write_text("run: {duration: 0.1}\nvary: {mass.*: [0.17]}\nset: {frequency: 1.0}\n")
-    assert not main(["sweep", str(file), "--engine", "c", "--body", str(tmp_path), "--out", str(out)])
+    assert not main(
+        ["sweep", str(file), "--engine", "c", "--body", str(tmp_path), "--out", str(out)]
+    )
     assert Sweep.from_directory(out).fixed == {"frequency": 1.0, "servo.kp": 12.0}
     (tmp_path / "ensemble.csv").write_text("nothing\n")
     identified.bodies.cache_clear()

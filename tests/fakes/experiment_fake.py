@@ -48,7 +48,15 @@ FIGURES = (
         author=84.9,
         settings="tests",
     ),
-    Figure("ratio of speeds", "fitted", "effect", lambda of: 1.6, 1.2, section="6.2", sentence="faster by 20 %"),
+    Figure(
+        "ratio of speeds",
+        "fitted",
+        "effect",
+        lambda of: 1.6,
+        1.2,
+        section="6.2",
+        sentence="faster by 20 %",
+    ),
     Figure("faster | at 0.8 Hz", "chosen", "outcome", lambda of: True, True),
     Figure("word", "predicted", "outcome", lambda of: "fail", "pass", reason="the feet are round."),
     Figure("interval", "theory", "range", lambda of: of.mean("nothing"), [0.25, 0.30]),
@@ -84,12 +92,17 @@ class Fake:
                 "ok",
             )
             for profile in asked.profiles
-            for body, factor in enumerate([1.0] if bodies is None else bodies["contact.friction"], start=1)
+            for body, factor in enumerate(
+                [1.0] if bodies is None else bodies["contact.friction"], start=1
+            )
             for frequency, speed in zip((0.5, 0.8), SPEEDS[profile], strict=True)
             for repeat in range(asked.repeats)
         ]
         names = ["profile", BODY, *list(ABOUT)[1:]]
-        columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+        columns = {
+            name: np.array(column)
+            for name, column in zip(names, zip(*rows, strict=True), strict=True)
+        }
         if bodies is None:
             del columns[BODY]
         columns["theory_speed"][0] = np.nan
@@ -101,7 +114,9 @@ class Fake:
         """As the catalogue has one."""
         metrics = ("speed", "theory_speed", "followed")
         about = {"quick": "little", "metrics": metrics, "own_figures": FIGURES}
-        return Experiment(self.name, self.run, SETTABLE, f"The {self.name}", "What is done.", **about)
+        return Experiment(
+            self.name, self.run, SETTABLE, f"The {self.name}", "What is done.", **about
+        )
 
 
 def pretend(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
@@ -130,7 +145,12 @@ def made_up(
         row |= {name: value(row) if callable(value) else value for name, value in measured.items()}
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     about = columns_about(experiment)
-    return CaseRuns(experiment, columns, {name: about.get(name, Column("1", "")) for name in columns}, recordings or {})
+    return CaseRuns(
+        experiment,
+        columns,
+        {name: about.get(name, Column("1", "")) for name in columns},
+        recordings or {},
+    )
 
 
 def recording() -> Recording:

@@ -43,7 +43,9 @@ def falling(seconds: float = 0.5) -> Recording:
         mujoco.mj_step(model, data, round(0.01 / model.opt.timestep))
         rows.append((data.time, data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()))
     time, qpos, qvel, ctrl = (np.array(each) for each in zip(*rows, strict=True))
-    return Recording(time, qpos, qvel, ctrl, model_hash=model_hash(model), metadata={"case": "dropped"})
+    return Recording(
+        time, qpos, qvel, ctrl, model_hash=model_hash(model), metadata={"case": "dropped"}
+    )
 
 
 def posed(recording: Recording, sample: int) -> mujoco.MjData:
@@ -59,7 +61,9 @@ def posed(recording: Recording, sample: int) -> mujoco.MjData:
 def table(columns: dict[str, tuple[object, dict[str, str]]], **about: str) -> pa.Table:
     """A table of columns with metadata; name -> (values, metadata)."""
     arrays = {name: pa.array(values) for name, (values, _) in columns.items()}
-    fields = [pa.field(name, arrays[name].type, metadata=about) for name, (_, about) in columns.items()]
+    fields = [
+        pa.field(name, arrays[name].type, metadata=about) for name, (_, about) in columns.items()
+    ]
     return pa.table(arrays, schema=pa.schema(fields, metadata=about))
 
 
@@ -79,10 +83,20 @@ def atlas(out: Path) -> tuple[Path, dict[str, np.ndarray]]:
     about = {
         "row": {"role": "index", "unit": "1"},
         "cell": {"role": "index", "unit": "1"},
-        "frequency": {"role": "varied", "unit": "Hz", "description": "gait cycles a second", "scale": "linear"},
+        "frequency": {
+            "role": "varied",
+            "unit": "Hz",
+            "description": "gait cycles a second",
+            "scale": "linear",
+        },
         "speed": {"role": "metric", "unit": "m/s"},
         "price": {"role": "metric", "unit": "J"},
-        "shake": {"role": "metric", "unit": "rad/s", "better": "low", "description": "a custom metric"},
+        "shake": {
+            "role": "metric",
+            "unit": "rad/s",
+            "better": "low",
+            "description": "a custom metric",
+        },
     }
     objective = {"metric": "price", "direction": "minimize"}
     columns = {name: (values[name], about[name]) for name in values}
@@ -99,19 +113,33 @@ def atlas(out: Path) -> tuple[Path, dict[str, np.ndarray]]:
 def many(out: Path, rows: int) -> Path:
     """A sampled sweep of so many rows, with a structure of three names and thirty metrics."""
     random = np.random.default_rng(1)
-    numbers = {f"metric_{i}": (random.normal(size=rows), {"role": "metric", "unit": "N"}) for i in range(30)}
+    numbers = {
+        f"metric_{i}": (random.normal(size=rows), {"role": "metric", "unit": "N"})
+        for i in range(30)
+    }
     columns = {
         "row": (np.arange(rows), {"role": "index", "unit": "1"}),
         "seed": (random.integers(0, 2**60, rows), {"role": "index", "unit": "1"}),
         "gait": (random.choice(NAMES, rows), {"role": "varied", "unit": "1", "scale": "structure"}),
-        "frequency": (random.uniform(0.4, 1.2, rows), {"role": "varied", "unit": "Hz", "scale": "linear"}),
-        "spine.phase": (random.uniform(-np.pi, np.pi, rows), {"role": "varied", "unit": "rad", "scale": "linear"}),
+        "frequency": (
+            random.uniform(0.4, 1.2, rows),
+            {"role": "varied", "unit": "Hz", "scale": "linear"},
+        ),
+        "spine.phase": (
+            random.uniform(-np.pi, np.pi, rows),
+            {"role": "varied", "unit": "rad", "scale": "linear"},
+        ),
         "speed": (random.normal(0.1, 0.02, rows), {"role": "metric", "unit": "m/s"}),
         "radius": (np.exp(random.normal(0, 3, rows)), {"role": "metric", "unit": "m"}),
         **numbers,
-        "status": (np.where(random.random(rows) < 0.05, "fell", "ok"), {"role": "status", "unit": "1"}),
+        "status": (
+            np.where(random.random(rows) < 0.05, "fell", "ok"),
+            {"role": "status", "unit": "1"},
+        ),
     }
     (out / "results").mkdir(parents=True)
-    pq.write_table(table(columns, sampler="sobol"), out / "results" / "part-0-0123456789abcdef.parquet")
+    pq.write_table(
+        table(columns, sampler="sobol"), out / "results" / "part-0-0123456789abcdef.parquet"
+    )
     (out / "run.json").write_text(json.dumps({"kind": "sweep"}))
     return out

@@ -40,20 +40,42 @@ class PointMass:
         self.on_host = jax.jit(self._reset), jax.jit(self._step)
 
     def reset(self, key: Any) -> State:
-        return self._reset(key) if self.pure else jax.tree.map(np.asarray, self.on_host[0](jax.random.key_data(key)))
+        return (
+            self._reset(key)
+            if self.pure
+            else jax.tree.map(np.asarray, self.on_host[0](jax.random.key_data(key)))
+        )
 
     def step(self, state: State, action: Any) -> State:
-        return self._step(state, action) if self.pure else jax.tree.map(np.asarray, self.on_host[1](state, action))
+        return (
+            self._step(state, action)
+            if self.pure
+            else jax.tree.map(np.asarray, self.on_host[1](state, action))
+        )
 
     def _reset(self, key: Any) -> State:
-        key = key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
+        key = (
+            key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
+        )
         drawn, left = jax.random.split(key)
         body = self._drawn(drawn)
         seen, known = self._sensed(body)
         zero, no = jnp.zeros(self.worlds), jnp.zeros(self.worlds, bool)
-        tick = jax.random.randint(left, (self.worlds,), 0, EPISODE)  # episodes do not end all at once
+        tick = jax.random.randint(
+            left, (self.worlds,), 0, EPISODE
+        )  # episodes do not end all at once
         return State(
-            seen, known, zero, {"near": zero, "push": zero}, no, no, seen, known, body, tick, jax.random.key_data(left)
+            seen,
+            known,
+            zero,
+            {"near": zero, "push": zero},
+            no,
+            no,
+            seen,
+            known,
+            body,
+            tick,
+            jax.random.key_data(left),
         )
 
     def _step(self, state: State, action: Any) -> State:
@@ -85,7 +107,9 @@ class PointMass:
         )
 
     def _drawn(self, key: Any) -> Any:
-        return jax.random.uniform(key, (self.worlds, 4), minval=-1.5, maxval=1.5) * jnp.array([1.0, 1.0, 0.5, 0.5])
+        return jax.random.uniform(key, (self.worlds, 4), minval=-1.5, maxval=1.5) * jnp.array(
+            [1.0, 1.0, 0.5, 0.5]
+        )
 
     def _sensed(self, body: Any) -> tuple[Any, Any]:
         return body.astype(jnp.float32), body[:, 2:].astype(jnp.float32)

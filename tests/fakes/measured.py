@@ -48,7 +48,9 @@ def write_log(
     torso = model.body("torso").id
     names = [model.actuator(i).name.removesuffix("_servo") for i in range(model.nu)]
     joints = [int(model.jnt_qposadr[model.actuator_trnid[i, 0]]) for i in range(model.nu)]
-    places = {each: int(model.sensor_adr[model.sensor(each).id]) for each in ("gyro", "accelerometer")}
+    places = {
+        each: int(model.sensor_adr[model.sensor(each).id]) for each in ("gyro", "accelerometer")
+    }
     every, rows = round(1 / rate / model.opt.timestep), []
     history = {each: [] for each in names}
     data.ctrl[:] = commanded(0.0, model)
@@ -72,15 +74,26 @@ def write_log(
                 *np.degrees(gyro + 0.01 * random.standard_normal(3)),
                 *(felt + 0.05 * random.standard_normal(3)) / 9.80665,
             ]
-            marker = [*1e3 * (data.xpos[torso, :2] + 2e-4 * random.standard_normal(2)), np.degrees(yaw)]
-            row = [1e3 * now, *np.degrees(commanded(now, model)), *np.degrees(angles), *imu, *marker]
+            marker = [
+                *1e3 * (data.xpos[torso, :2] + 2e-4 * random.standard_normal(2)),
+                np.degrees(yaw),
+            ]
+            row = [
+                1e3 * now,
+                *np.degrees(commanded(now, model)),
+                *np.degrees(angles),
+                *imu,
+                *marker,
+            ]
             if random.random() >= lost:
                 rows.append(row)
         mujoco.mj_step(model, data)
     columns = ["t_ms", *(f"cmd_{each}" for each in names), *(f"pos_{each}" for each in names)]
     columns += ["gx", "gy", "gz", "ax", "ay", "az", "x", "y", "heading"]
     csv = folder / f"{name}.csv"
-    csv.write_text("\n".join([",".join(columns), *(",".join(f"{v:.5g}" for v in row) for row in rows)]) + "\n")
+    csv.write_text(
+        "\n".join([",".join(columns), *(",".join(f"{v:.5g}" for v in row) for row in rows)]) + "\n"
+    )
     lines = ["time: {column: t_ms, unit: ms}", "channels:"]
     for each in names:
         lines.append(f"  cmd_{each}: {{quantity: command, of: {each}, unit: deg}}")

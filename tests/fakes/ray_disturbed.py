@@ -43,7 +43,11 @@ class Walks:
         from nermo_mjx.rollout import Setup, Simulator
 
         self._simulator = self._simulator or Simulator(Setup(**WALK), self.engine)
-        about = ray.get_runtime_context().get_node_id(), os.getpid(), float(values["spine.phase"][0])
+        about = (
+            ray.get_runtime_context().get_node_id(),
+            os.getpid(),
+            float(values["spine.phase"][0]),
+        )
         told(self.log, "begun", *about)
         result = self._simulator.run(values, run, **more)
         told(self.log, "ended", *about)
@@ -59,8 +63,17 @@ def drive(asked, out):
     sweep |= {"vary": vary, "sample": {"sobol": asked.rows}}
     if asked.drive == "alone":
         return run_sweep(sweep, out, engine="c", chunk=asked.chunk)
-    with ray_workers.RayWorkers(asked.drive, lambda sentence: print(sentence, file=sys.stderr, flush=True)) as workers:
-        return run_sweep(sweep, out, engine="c", chunk=asked.chunk, workers=workers, simulator=Walks(f"{out}.log"))
+    with ray_workers.RayWorkers(
+        asked.drive, lambda sentence: print(sentence, file=sys.stderr, flush=True)
+    ) as workers:
+        return run_sweep(
+            sweep,
+            out,
+            engine="c",
+            chunk=asked.chunk,
+            workers=workers,
+            simulator=Walks(f"{out}.log"),
+        )
 
 
 def started(asked, address):
@@ -81,7 +94,10 @@ def disturbed(asked, out, log):
     os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)  # before Ray is imported
     from ray.cluster_utils import Cluster
 
-    cluster, others = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}), []
+    cluster, others = (
+        Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}),
+        [],
+    )
     told(log, "driver")
     driver, looked, draw = started(asked, cluster.address), time.monotonic(), random.Random(0)
     kill_driver = asked.kill_driver
@@ -90,7 +106,9 @@ def disturbed(asked, out, log):
             while len(others) < 2:
                 try:
                     others.append(cluster.add_node(num_cpus=1))
-                except Exception as error:  # a busy machine takes more than the 30 s that Ray gives a node
+                except (
+                    Exception
+                ) as error:  # a busy machine takes more than the 30 s that Ray gives a node
                     print(f"a node did not start: {error}", file=sys.stderr)
             time.sleep(0.2)
             chunks = len(list(out.glob("results/*.parquet")))

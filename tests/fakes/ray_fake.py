@@ -48,7 +48,9 @@ def cluster_of(others):
     os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)  # before Ray is imported
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
     try:
         yield cluster, [cluster.add_node(num_cpus=1) for _ in range(others)]
     finally:
@@ -82,12 +84,25 @@ def nodes(out):
         said = []
         with ray_workers.RayWorkers(cluster.address, said.append) as workers:
             simulator = LoggingSimulator(delay=0.3, log=f"{out}/sweep.log")
-            result = run_sweep(SPEC, f"{out}/sweep", chunk=1, workers=workers, simulator=simulator, watch=Watch(swept))
-        ended["sweep"] = {"complete": result.complete, "said": said, "chunks_run": result.chunks_run}
+            result = run_sweep(
+                SPEC,
+                f"{out}/sweep",
+                chunk=1,
+                workers=workers,
+                simulator=simulator,
+                watch=Watch(swept),
+            )
+        ended["sweep"] = {
+            "complete": result.complete,
+            "said": said,
+            "chunks_run": result.chunks_run,
+        }
         said = []
         with ray_workers.RayWorkers(cluster.address, said.append) as workers:
             problem = FakeProblem(tuning, delay=0.5, log=f"{out}/tuning.log")
-            result = run_tuning(tuning, f"{out}/tuning", problem=problem, workers=workers, watch=Watch(tuned))
+            result = run_tuning(
+                tuning, f"{out}/tuning", problem=problem, workers=workers, watch=Watch(tuned)
+            )
         ended["tuning"] = {"said": said, "iterations": result.iterations_run}
         command = f"sweep {out}/sweep.yaml --out {out}/command --engine c --workers ray --json --ray-address"
         result = CliRunner().invoke(main, [*command.split(), cluster.address])
@@ -114,7 +129,9 @@ def driver(out, log):
     from nermo_mjx.sweep import run_sweep
 
     with ray_workers.RayWorkers() as workers:
-        result = run_sweep(SPEC, out, chunk=1, workers=workers, simulator=LoggingSimulator(delay=0.3, log=log))
+        result = run_sweep(
+            SPEC, out, chunk=1, workers=workers, simulator=LoggingSimulator(delay=0.3, log=log)
+        )
     print(json.dumps({"complete": result.complete, "chunks_run": result.chunks_run}))
 
 
@@ -126,7 +143,11 @@ class Doubling:
 
     def stamp(self):
         here = stamp("numbers", "c")
-        return dataclasses.replace(here, package="9.9.9") if self.flaw == "code" and os.getpid() != self.home else here
+        return (
+            dataclasses.replace(here, package="9.9.9")
+            if self.flaw == "code" and os.getpid() != self.home
+            else here
+        )
 
     def warm(self):
         if self.flaw == "cold":
@@ -147,7 +168,11 @@ def listening():
     found, own = set(), psutil.Process()
     for process in (own, *own.children(recursive=True)):
         with contextlib.suppress(psutil.NoSuchProcess):
-            found |= {each.laddr.ip for each in process.net_connections("tcp") if each.status == psutil.CONN_LISTEN}
+            found |= {
+                each.laddr.ip
+                for each in process.net_connections("tcp")
+                if each.status == psutil.CONN_LISTEN
+            }
     return found
 
 

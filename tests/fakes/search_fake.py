@@ -23,7 +23,11 @@ WALK = {
     },
 }
 SPEED = WALK | {"objective": {"maximize": "speed"}, "budget": 120, "batch": 12}
-FRONT = WALK | {"pareto": [{"maximize": "speed"}, {"minimize": "cost_of_transport"}], "budget": 120, "batch": 20}
+FRONT = WALK | {
+    "pareto": [{"maximize": "speed"}, {"minimize": "cost_of_transport"}],
+    "budget": 120,
+    "batch": 20,
+}
 ATLAS = WALK | {
     "objective": {"minimize": "cost_of_transport"},
     "atlas": {"speed": [0.0, 0.16, 8], "roll_std": [0.0, 0.1, 6]},
@@ -34,8 +38,16 @@ ATLAS = WALK | {
 
 def walk(frequency, amplitude, phase):
     """Speed [m/s], roll [rad] and cost of transport of the fake robot."""
-    speed = 0.1 * frequency * (1.2 - 2.0 * (amplitude - BEST[0]) ** 2 - 0.1 * (1 - np.cos(phase - BEST[1])))
-    return speed, 0.02 + 0.1 * amplitude**2 + 0.03 * frequency, 1.0 + (frequency - 0.6) ** 2 + amplitude
+    speed = (
+        0.1
+        * frequency
+        * (1.2 - 2.0 * (amplitude - BEST[0]) ** 2 - 0.1 * (1 - np.cos(phase - BEST[1])))
+    )
+    return (
+        speed,
+        0.02 + 0.1 * amplitude**2 + 0.03 * frequency,
+        1.0 + (frequency - 0.6) ** 2 + amplitude,
+    )
 
 
 class FakeSimulator:
@@ -63,10 +75,17 @@ class FakeSimulator:
                 file.write(f"{n}\n")
         time.sleep(self.delay)
         frequency = values["frequency"]
-        speed, roll, cost = walk(frequency, values.get("spine.amplitude", 0.0), values.get("spine.phase", 0.0))
+        speed, roll, cost = walk(
+            frequency, values.get("spine.amplitude", 0.0), values.get("spine.phase", 0.0)
+        )
         fell = frequency > FALLS
         speed = speed + values.get("start.x", 0.0)
-        metrics = {"speed": speed, "roll_std": roll, "cost_of_transport": cost, "fell": fell.astype(float)}
+        metrics = {
+            "speed": speed,
+            "roll_std": roll,
+            "cost_of_transport": cost,
+            "fell": fell.astype(float),
+        }
         status = np.where(fell, "fell", "ok")
         return types.SimpleNamespace(metrics=metrics, status=status, engine=self.engine, steps=100)
 

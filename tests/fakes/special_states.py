@@ -108,18 +108,23 @@ CASES: dict[str, Case] = {
     # Rotations at the identity.
     "ball spring": Case(_BALL.format('stiffness="5" damping=".1"', "")),
     "ball spring, polynomial": Case(_BALL.format('stiffness="5 3 2" damping=".1 .2 .1"', "")),
-    "ball spring, half a turn": Case(_BALL.format('stiffness="5"', ""), qpos=[0.001, 1.0, 0.0, 0.0]),
+    "ball spring, half a turn": Case(
+        _BALL.format('stiffness="5"', ""), qpos=[0.001, 1.0, 0.0, 0.0]
+    ),
     "free joint with a spring": Case(
         '<body pos="0 0 1"><joint type="free" stiffness="5 1 2"/><geom type="box" size=".1 .05 .02" '
         'mass="1"/></body></worldbody>'
     ),
     "ball servo in the parent's frame": Case(
-        _BALL.format("", "") + '<actuator><general joint="j" gear="1 0 0" gainprm="5" biastype="affine" biasprm="0 '
+        _BALL.format("", "")
+        + '<actuator><general joint="j" gear="1 0 0" gainprm="5" biastype="affine" biasprm="0 '
         '-5 -.1"/>'
         '<position jointinparent="j" gear="0 1 0" kp="5"/></actuator>'
     ),
     "ball at its limit": Case(
-        _BALL.format('range="0 30"', ""), qpos=[np.cos(np.pi / 12), np.sin(np.pi / 12), 0, 0], qvel=[0.5, 0.1, 0.0]
+        _BALL.format('range="0 30"', ""),
+        qpos=[np.cos(np.pi / 12), np.sin(np.pi / 12), 0, 0],
+        qvel=[0.5, 0.1, 0.0],
     ),
     "site servo about another site": Case(
         '<site name="o"/><body><joint type="ball"/><geom size=".05" pos="0 0 -.2" mass="1"/><site '
@@ -130,34 +135,57 @@ CASES: dict[str, Case] = {
     # Limits.
     "hinge exactly at its limit": Case(_hinge('range="-30 0"'), qvel=[0.1]),
     "hinge at its limit, leaving": Case(_hinge('range="-30 0"'), qvel=[-0.1]),
-    "limit, depth = width, power 1": Case(_hinge('range="-30 0" solimplimit=".5 .9 .01 .5 1"'), qpos=[0.01]),
-    "limit, deeper than width, power 1.5": Case(_hinge('range="-30 0" solimplimit=".5 .9 .01 .5 1.5"'), qpos=[0.02]),
-    "limit, at the midpoint, power 3": Case(_hinge('range="-30 0" solimplimit=".5 .9 .01 .5 3"'), qpos=[0.005]),
-    "limit, constant impedance without width": Case(_hinge('range="-30 0" solimplimit=".5 .9 0 .5 2"'), qpos=[0.02]),
+    "limit, depth = width, power 1": Case(
+        _hinge('range="-30 0" solimplimit=".5 .9 .01 .5 1"'), qpos=[0.01]
+    ),
+    "limit, deeper than width, power 1.5": Case(
+        _hinge('range="-30 0" solimplimit=".5 .9 .01 .5 1.5"'), qpos=[0.02]
+    ),
+    "limit, at the midpoint, power 3": Case(
+        _hinge('range="-30 0" solimplimit=".5 .9 .01 .5 3"'), qpos=[0.005]
+    ),
+    "limit, constant impedance without width": Case(
+        _hinge('range="-30 0" solimplimit=".5 .9 0 .5 2"'), qpos=[0.02]
+    ),
     "tendon exactly at its limit": Case(
         _ARM.format(o="0 0 .1") + _SPATIAL.format(f'range="0 {0.02**0.5}"'), qvel=[0.5]
     ),
     # Contacts.
     "sphere touches": Case(PLANE + _slide()),
-    "contact, depth = width": Case(PLANE + _slide(geom='size=".05" solimp=".5 .9 .01 .5 2.5"'), qpos=[-0.01]),
-    "contact, deeper, power 1": Case(PLANE + _slide(geom='size=".05" solimp=".5 .9 .01 .2 1"'), qpos=[-0.02]),
-    "contact, at its margin": Case(PLANE + _slide(geom='size=".05" margin=".01" gap=".002"'), qpos=[0.01], qvel=[-0.1]),
+    "contact, depth = width": Case(
+        PLANE + _slide(geom='size=".05" solimp=".5 .9 .01 .5 2.5"'), qpos=[-0.01]
+    ),
+    "contact, deeper, power 1": Case(
+        PLANE + _slide(geom='size=".05" solimp=".5 .9 .01 .2 1"'), qpos=[-0.02]
+    ),
+    "contact, at its margin": Case(
+        PLANE + _slide(geom='size=".05" margin=".01" gap=".002"'), qpos=[0.01], qvel=[-0.1]
+    ),
     "box at rest": Case(PLANE + _free('type="box" size=".05 .05 .05"', "0 0 .0499")),
-    "box at rest, elliptic": Case(PLANE + _free('type="box" size=".05 .05 .05"', "0 0 .0499"), 'cone="elliptic"'),
+    "box at rest, elliptic": Case(
+        PLANE + _free('type="box" size=".05 .05 .05"', "0 0 .0499"), 'cone="elliptic"'
+    ),
     "box at rest, six dimensions": Case(
         PLANE + _free('type="box" size=".05 .05 .05" condim="6"', "0 0 .0499"), 'cone="elliptic"'
     ),
-    "sphere at rest, torsion": Case(PLANE + _free('size=".05" condim="4"', "0 0 .0499"), 'cone="elliptic"'),
+    "sphere at rest, torsion": Case(
+        PLANE + _free('size=".05" condim="4"', "0 0 .0499"), 'cone="elliptic"'
+    ),
     "sphere without friction": Case(PLANE + _free('size=".05" condim="1"', "0 0 .0499")),
     "capsule lies": Case(PLANE + _free('type="capsule" size=".05 .1" euler="0 90 0"', "0 0 .0499")),
     "capsule stands": Case(PLANE + _free('type="capsule" size=".05 .1"', "0 0 .1499")),
     "cylinder stands": Case(PLANE + _free('type="cylinder" size=".05 .1"', "0 0 .0999")),
-    "cylinder lies": Case(PLANE + _free('type="cylinder" size=".05 .1" euler="0 90 0"', "0 0 .0499")),
+    "cylinder lies": Case(
+        PLANE + _free('type="cylinder" size=".05 .1" euler="0 90 0"', "0 0 .0499")
+    ),
     "ellipsoid": Case(PLANE + _free('type="ellipsoid" size=".05 .04 .03"', "0 0 .0299")),
     "spheres aligned": Case(_free('size=".05"', "0 0 0") + _free('size=".05"', "0 0 .0999")),
-    "spheres coincide": Case(_free('size=".05"', "0 0 0") + _free('size=".05"', "0 0 0"), qvel=[0.1] * 12, steps=1),
+    "spheres coincide": Case(
+        _free('size=".05"', "0 0 0") + _free('size=".05"', "0 0 0"), qvel=[0.1] * 12, steps=1
+    ),
     "capsules parallel": Case(
-        _free('type="capsule" size=".05 .1"', "0 0 0") + _free('type="capsule" size=".05 .1"', ".0999 0 0.03")
+        _free('type="capsule" size=".05 .1"', "0 0 0")
+        + _free('type="capsule" size=".05 .1"', ".0999 0 0.03")
     ),
     "capsules cross": Case(
         _free('type="capsule" size=".05 .1"', "0 0 0")
@@ -168,7 +196,9 @@ CASES: dict[str, Case] = {
         + _free('type="capsule" size=".03 .04" euler="180 0 0"', ".0799 0 .1")
     ),
     "sphere in a capsule": Case(
-        _free('type="capsule" size=".05 .1"', "0 0 0") + _free('size=".05" euler="90 0 0"', "0 0 .03"), steps=1
+        _free('type="capsule" size=".05 .1"', "0 0 0")
+        + _free('size=".05" euler="90 0 0"', "0 0 .03"),
+        steps=1,
     ),
     "sphere on the end of a cylinder": Case(
         _free('type="cylinder" size=".05 .1"', "0 0 0") + _free('size=".05"', "0 0 .1499")
@@ -179,17 +209,30 @@ CASES: dict[str, Case] = {
     "sphere on an ellipsoid": Case(
         _free('type="ellipsoid" size=".05 .04 .03"', "0 0 0") + _free('size=".05"', "0 0 .0799")
     ),
-    "box on its edge": Case(PLANE + _free('type="box" size=".05 .05 .05" euler="45 0 0"', "0 0 .0706")),
-    "box on its edge, deep": Case(PLANE + _free('type="box" size=".05 .05 .05" euler="30 5 0"', "0 0 .05")),
-    "sphere on a box": Case(_free('type="box" size=".05 .05 .05"', "0 0 0") + _free('size=".05"', "0 0 .0999")),
-    "capsule on a box": Case(
-        '<geom type="box" size=".2 .2 .05"/>' + _free('type="capsule" size=".05 .1" euler="0 90 0"', "0 0 .0999")
+    "box on its edge": Case(
+        PLANE + _free('type="box" size=".05 .05 .05" euler="45 0 0"', "0 0 .0706")
     ),
-    "box on a box": Case('<geom type="box" size=".2 .2 .05"/>' + _free('type="box" size=".05 .05 .05"', "0 0 .0999")),
+    "box on its edge, deep": Case(
+        PLANE + _free('type="box" size=".05 .05 .05" euler="30 5 0"', "0 0 .05")
+    ),
+    "sphere on a box": Case(
+        _free('type="box" size=".05 .05 .05"', "0 0 0") + _free('size=".05"', "0 0 .0999")
+    ),
+    "capsule on a box": Case(
+        '<geom type="box" size=".2 .2 .05"/>'
+        + _free('type="capsule" size=".05 .1" euler="0 90 0"', "0 0 .0999")
+    ),
+    "box on a box": Case(
+        '<geom type="box" size=".2 .2 .05"/>' + _free('type="box" size=".05 .05 .05"', "0 0 .0999")
+    ),
     # Tendons.
-    "tendon of length zero": Case(_ARM.format(o=".1 0 0") + _SPATIAL.format('stiffness="10" damping=".1"')),
+    "tendon of length zero": Case(
+        _ARM.format(o=".1 0 0") + _SPATIAL.format('stiffness="10" damping=".1"')
+    ),
     "tendon straight, at its slack length": Case(
-        _ARM.format(o="-.1 0 0") + _SPATIAL.format('stiffness="10 5 3" springlength="0 .2"'), qpos=[0.3], qvel=[0.0]
+        _ARM.format(o="-.1 0 0") + _SPATIAL.format('stiffness="10 5 3" springlength="0 .2"'),
+        qpos=[0.3],
+        qvel=[0.0],
     ),
     "tendon tangent to its cylinder": Case(
         '<geom name="g" type="cylinder" size=".05 .1" euler="90 0 0" contype="0" conaffinity="0"/><site name="o" '
@@ -202,7 +245,9 @@ CASES: dict[str, Case] = {
     ),
     "tendon with dry friction at rest": Case(_TWO + _COUPLED.format('frictionloss=".1"')),
     "tendon with polynomials, implicitfast": Case(
-        _TWO + _COUPLED.format('stiffness="1 20 3" damping=".1 1 .5" springlength="0"'), FAST, qvel=[0.5, 1.0]
+        _TWO + _COUPLED.format('stiffness="1 20 3" damping=".1 1 .5" springlength="0"'),
+        FAST,
+        qvel=[0.5, 1.0],
     ),
     "tendon's force at its range": Case(
         _TWO
@@ -224,17 +269,24 @@ CASES: dict[str, Case] = {
         _hinge() + '<actuator><motor joint="j" ctrlrange="0 1" ctrllimited="true"/></actuator>'
     ),
     "servo beyond its force, implicitfast": Case(
-        _hinge('armature=".01"') + '<actuator><position joint="j" kp="100" kv="10" forcerange="-2 2"/></actuator>',
+        _hinge('armature=".01"')
+        + '<actuator><position joint="j" kp="100" kv="10" forcerange="-2 2"/></actuator>',
         FAST,
         qvel=[1.0],
         ctrl=[1.0],
     ),
     "damper that follows its control, implicitfast": Case(
-        _hinge() + '<actuator><damper joint="j" kv="3" ctrlrange="0 1"/></actuator>', FAST, qvel=[1.0], ctrl=[0.5]
+        _hinge() + '<actuator><damper joint="j" kv="3" ctrlrange="0 1"/></actuator>',
+        FAST,
+        qvel=[1.0],
+        ctrl=[0.5],
     ),
-    "muscle at rest": Case(_hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" force="10"/></actuator>'),
+    "muscle at rest": Case(
+        _hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" force="10"/></actuator>'
+    ),
     "muscle, activation = control, implicitfast": Case(
-        _hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" force="10" tausmooth=".2"/></actuator>',
+        _hinge()
+        + '<actuator><muscle joint="j" lengthrange="-1 1" force="10" tausmooth=".2"/></actuator>',
         FAST,
         qvel=[0.0],
         act=[0.4],
@@ -248,7 +300,8 @@ CASES: dict[str, Case] = {
         ctrl=[0.9],
     ),
     "early filter, implicitfast": Case(
-        _hinge() + '<actuator><general joint="j" dyntype="filterexact" dynprm=".05" gaintype="affine" gainprm="10 '
+        _hinge()
+        + '<actuator><general joint="j" dyntype="filterexact" dynprm=".05" gaintype="affine" gainprm="10 '
         '0 -3" '
         'biastype="affine" biasprm="0 -10 -1" actearly="true"/><intvelocity joint="j" kp="5" actrange="-.1 '
         '.1"/></actuator>',
@@ -258,7 +311,9 @@ CASES: dict[str, Case] = {
         ctrl=[1.0, 0.5],
     ),
     "actuators' inertia and damping": Case(
-        _TWO + _COUPLED.format("") + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 '
+        _TWO
+        + _COUPLED.format("")
+        + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 '
         '.1"/><motor joint="j" '
         'armature=".02"/><motor tendon="t" gear="2" armature=".03" damping=".05 '
         '.1"/></actuator>',
@@ -266,7 +321,9 @@ CASES: dict[str, Case] = {
         ctrl=[1, 0, 1],
     ),
     "the same, implicitfast": Case(
-        _TWO + _COUPLED.format("") + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 '
+        _TWO
+        + _COUPLED.format("")
+        + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 '
         '.1"/><motor tendon="t" '
         'gear="2" armature=".03" damping=".05 .1"/></actuator>',
         FAST,
@@ -278,8 +335,12 @@ CASES: dict[str, Case] = {
     "polynomial damper, RK4": Case(
         _hinge('stiffness="1 5 3" damping=".1 1 2"'), 'integrator="RK4"', qpos=[-0.5], qvel=[2.0]
     ),
-    "no springs": Case(_hinge('stiffness="3" damping=".5 .1"'), '><flag spring="disable"/', qpos=[0.5], qvel=[2.0]),
-    "no dampers": Case(_hinge('stiffness="3" damping=".5 .1"'), '><flag damper="disable"/', qpos=[0.5], qvel=[2.0]),
+    "no springs": Case(
+        _hinge('stiffness="3" damping=".5 .1"'), '><flag spring="disable"/', qpos=[0.5], qvel=[2.0]
+    ),
+    "no dampers": Case(
+        _hinge('stiffness="3" damping=".5 .1"'), '><flag damper="disable"/', qpos=[0.5], qvel=[2.0]
+    ),
     "no dampers, implicitfast": Case(
         _hinge('stiffness="3" damping=".5"') + _FIXED.format('damping="1"'),
         f'{FAST}><flag damper="disable"/',
@@ -290,16 +351,27 @@ CASES: dict[str, Case] = {
         'size=".05" '
         'pos=".1 0 -.3" mass="1"/></body></worldbody><actuator><motor joint="j"/></actuator>'
     ),
-    "drag at rest": Case(_free('type="box" size=".1 .05 .02"'), 'density="1000" viscosity=".1" wind="0 0 0"'),
-    "wind": Case(_free('type="box" size=".1 .05 .02"'), 'density="100" viscosity=".1" wind="1 0 0"'),
+    "drag at rest": Case(
+        _free('type="box" size=".1 .05 .02"'), 'density="1000" viscosity=".1" wind="0 0 0"'
+    ),
+    "wind": Case(
+        _free('type="box" size=".1 .05 .02"'), 'density="100" viscosity=".1" wind="1 0 0"'
+    ),
     "dry friction at rest": Case(_hinge('frictionloss="5"'), qpos=[0.2]),
     "dry friction that slides": Case(_hinge('frictionloss=".1"'), qvel=[1.0]),
     # Free bodies and implicitfast.
-    "box that spins, implicitfast": Case(_free('type="box" size=".1 .05 .02"'), FAST, qvel=_SPIN, steps=10),
-    "spinning, off its centre, implicitfast": Case(
-        _free('type="box" size=".1 .05 .02" pos=".1 .05 0" euler="10 20 30"'), FAST, qvel=_SPIN, steps=10
+    "box that spins, implicitfast": Case(
+        _free('type="box" size=".1 .05 .02"'), FAST, qvel=_SPIN, steps=10
     ),
-    "box at rest, implicitfast": Case(PLANE + _free('type="box" size=".05 .05 .05"', "0 0 .0499"), FAST),
+    "spinning, off its centre, implicitfast": Case(
+        _free('type="box" size=".1 .05 .02" pos=".1 .05 0" euler="10 20 30"'),
+        FAST,
+        qvel=_SPIN,
+        steps=10,
+    ),
+    "box at rest, implicitfast": Case(
+        PLANE + _free('type="box" size=".05 .05 .05"', "0 0 .0499"), FAST
+    ),
     "body with a child, implicitfast": Case(
         '<body><freejoint/><geom type="box" size=".1 .05 .02" mass="1"/><body pos=".1 0 0"><joint axis="0 1 0" '
         'damping=".1"/><geom '
@@ -311,19 +383,26 @@ CASES: dict[str, Case] = {
     "connect at rest": Case(_LINKS + _CONNECT),
     "connect in motion": Case(_LINKS + _CONNECT, qpos=[0.05, -0.03, 0.02], qvel=[1.0, 0.5, -0.3]),
     "weld of a spinning body": Case(
-        _PAIR + '<equality><weld body1="a" body2="c" torquescale=".7"/></equality>', qvel=[*_SPIN, 0.3, 0.2, 0.1]
+        _PAIR + '<equality><weld body1="a" body2="c" torquescale=".7"/></equality>',
+        qvel=[*_SPIN, 0.3, 0.2, 0.1],
     ),
-    "weld of sites": Case(_PAIR + '<equality><weld site1="sa" site2="sc"/></equality>', qvel=[*_SPIN, 0.3, 0.2, 0.1]),
+    "weld of sites": Case(
+        _PAIR + '<equality><weld site1="sa" site2="sc"/></equality>', qvel=[*_SPIN, 0.3, 0.2, 0.1]
+    ),
     "connect of sites, and inactive": Case(
-        _PAIR + '<equality><connect site1="sa" site2="sc"/><weld body1="a" active="false"/></equality>',
+        _PAIR
+        + '<equality><connect site1="sa" site2="sc"/><weld body1="a" active="false"/></equality>',
         qvel=[*_SPIN, 0.3, 0.2, 0.1],
     ),
     "connect, deeper than width, power 1.5": Case(
-        _PAIR + '<equality><connect body1="a" body2="c" anchor=".1 0 0" solimp=".5 .9 .01 .5 1.5"/></equality>',
+        _PAIR
+        + '<equality><connect body1="a" body2="c" anchor=".1 0 0" solimp=".5 .9 .01 .5 1.5"/></equality>',
         qpos=[0.05, 0, 0.5, 1, 0, 0, 0, 1, 0, 0, 0],
     ),
     "joint and tendon equalities at zero": Case(
-        _TWO + _COUPLED.format("") + '<equality><joint joint1="j" joint2="k" polycoef="0 1 .5 .2 .1"/><tendon '
+        _TWO
+        + _COUPLED.format("")
+        + '<equality><joint joint1="j" joint2="k" polycoef="0 1 .5 .2 .1"/><tendon '
         'tendon1="t" '
         'polycoef="0 .5 .2 0 0"/></equality>',
         qvel=[0.5, 0.2],
@@ -333,7 +412,10 @@ CASES: dict[str, Case] = {
 
 
 def _xml(option: str, body: str = "") -> str:
-    end, close = "" if "</worldbody>" in body else "</worldbody>", "></option>" if ">" in option else "/>"
+    end, close = (
+        "" if "</worldbody>" in body else "</worldbody>",
+        "></option>" if ">" in option else "/>",
+    )
     return f"<mujoco><option {option}{close}<worldbody>{body}{end}</mujoco>"
 
 
@@ -371,14 +453,20 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
         starts.append(
             [
                 np.array(getattr(data, name) if given is None else given, float)
-                for name, given in (("qpos", case.qpos), ("qvel", case.qvel), ("act", case.act), ("ctrl", case.ctrl))
+                for name, given in (
+                    ("qpos", case.qpos),
+                    ("qvel", case.qvel),
+                    ("act", case.act),
+                    ("ctrl", case.ctrl),
+                )
             ]
         )
         owners.append([np.full(n, place) for n in (alone.nv, alone.nv, alone.na, alone.nu)])
         state_owners.append([np.full(n, place) for n in (alone.nq, alone.nv, alone.na)])
     start = [np.concatenate(each) for each in zip(*starts, strict=True)]
     owner, state_owner = (
-        np.concatenate([np.concatenate(each) for each in zip(*each, strict=True)]) for each in (owners, state_owners)
+        np.concatenate([np.concatenate(each) for each in zip(*each, strict=True)])
+        for each in (owners, state_owners)
     )
     cuts = np.cumsum([model.nv, model.nv, model.na])
     size = cuts[-1] + model.nu
@@ -402,7 +490,10 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
             dq, dv, da, du = jnp.split(point, cuts)
 
             def advance(state: Any, _: None) -> Any:
-                after = step(device, blank.replace(qpos=state[0], qvel=state[1], act=state[2], ctrl=start[3] + du))
+                after = step(
+                    device,
+                    blank.replace(qpos=state[0], qvel=state[1], act=state[2], ctrl=start[3] + du),
+                )
                 return (after.qpos, after.qvel, after.act), None
 
             first = positions(device, jnp.asarray(start[0]), dq), start[1] + dv, start[2] + da
@@ -436,11 +527,15 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
     # At a kink: the derivative of one side, or between both.
     beyond = np.maximum(np.minimum(*sides[:, 0]) - slopes, slopes - np.maximum(*sides[:, 0]))
     apart = np.where(converged, np.abs(slopes - sides[:, 0]), np.inf).min(axis=0)
-    settled = np.minimum(apart, np.where(converged.all(axis=0), np.maximum(beyond, 0.0), np.inf)) / scale
+    settled = (
+        np.minimum(apart, np.where(converged.all(axis=0), np.maximum(beyond, 0.0), np.inf)) / scale
+    )
     kink = ~jump & (error > 1e-4) & (settled < 1e-4)
     error = np.where(jump, 0.0, np.where(kink, settled, error))
     finite = bool(np.isfinite(end).all() and np.isfinite(slopes).all())
-    return Found(float(value), float(error.max(initial=0.0)), int(kink.sum()), int(jump.sum()), finite)
+    return Found(
+        float(value), float(error.max(initial=0.0)), int(kink.sum()), int(jump.sum()), finite
+    )
 
 
 if __name__ == "__main__":

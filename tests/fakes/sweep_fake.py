@@ -16,7 +16,11 @@ SPEC = {
     "spine": "stride_extension",
     "run": {"cycles": 4, "warmup_cycles": 1},
     "plots": False,
-    "vary": {"frequency": list(FREQUENCIES), "spine.amplitude": list(AMPLITUDES), "spine.phase": list(PHASES)},
+    "vary": {
+        "frequency": list(FREQUENCIES),
+        "spine.amplitude": list(AMPLITUDES),
+        "spine.phase": list(PHASES),
+    },
 }
 #: Seconds that nobody waits: the process is ended by then.
 HELD = 120.0
@@ -67,8 +71,12 @@ class FakeSimulator:
                 file.write(f"{n}\n")
         time.sleep(HELD if len(self.batches) - 1 == self.hold_at else self.delay)
         frequency = values.get("frequency", np.full(n, 0.67))
-        result = speed(frequency, values.get("spine.amplitude", 0.0), values.get("spine.phase", 0.0))
-        result = result + values.get("start.x", 0.0) + 0.01 * (values.get("contact.friction", 1.0) - 1.0)
+        result = speed(
+            frequency, values.get("spine.amplitude", 0.0), values.get("spine.phase", 0.0)
+        )
+        result = (
+            result + values.get("start.x", 0.0) + 0.01 * (values.get("contact.friction", 1.0) - 1.0)
+        )
         result = np.broadcast_to(result, n).astype(np.float32)
         fell = result > self.falls_above
         if progress:
@@ -82,13 +90,20 @@ class FakeSimulator:
 
 def contents(*folders):
     """Content of every file below the folders."""
-    return {path: path.read_bytes() for folder in folders for path in folder.rglob("*") if path.is_file()}
+    return {
+        path: path.read_bytes()
+        for folder in folders
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def part_of(out, row):
     """The file of a directory that holds a row."""
     files = sorted(Path(out).glob("results/*.parquet"))
-    return next(path for path in files if row in pq.read_table(path, columns=["row"])["row"].to_pylist())
+    return next(
+        path for path in files if row in pq.read_table(path, columns=["row"])["row"].to_pylist()
+    )
 
 
 def work(out, log="", chunk=4, delay=0.0, hold_at=None):
@@ -146,10 +161,18 @@ class Noisy(FakeSimulator):
     """Adds noise that depends on the run alone: 0.02 at the phases 0 and 1, which are alike."""
 
     def run(self, values, run, **more):
-        alike = {"spine.phase": np.minimum(values["spine.phase"], 0.0)} if "spine.phase" in values else {}
+        alike = (
+            {"spine.phase": np.minimum(values["spine.phase"], 0.0)}
+            if "spine.phase" in values
+            else {}
+        )
         result = super().run({**values, **alike}, run)
-        parts = [values[name] for name in ("spine.amplitude", "spine.phase", "start.x") if name in values]
-        speed = result.metrics["speed"] + 2e-4 * np.sin(1e4 * sum(parts) + 1e5 * values.get("contact.friction", 1.0))
+        parts = [
+            values[name] for name in ("spine.amplitude", "spine.phase", "start.x") if name in values
+        ]
+        speed = result.metrics["speed"] + 2e-4 * np.sin(
+            1e4 * sum(parts) + 1e5 * values.get("contact.friction", 1.0)
+        )
         costs = {"cost_of_transport": 1.0 - speed, "electrical_cost_of_transport": 8.0 + speed}
         result.metrics.update(speed=speed, **costs)
         return result

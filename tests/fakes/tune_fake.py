@@ -25,7 +25,10 @@ SPEC = {
         "spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.05},
         "spine.phase": {"bounds": [-3.14159, 3.14159], "start": 2.5, "periodic": True},
     },
-    "objective": [{"maximize": "speed", "scale": 0.1}, {"minimize": "roll_std", "weight": 0.1, "scale": 0.05}],
+    "objective": [
+        {"maximize": "speed", "scale": 0.1},
+        {"minimize": "roll_std", "weight": 0.1, "scale": 0.05},
+    ],
     "optimizer": {"name": "adam", "learning_rate": 0.2},
     "iterations": 6,
     "plots": False,
@@ -84,7 +87,9 @@ class FakeProblem:
             fell = falls(points)
             (values, found), slope = jax.vmap(jax.value_and_grad(value, has_aux=True))(points)
             bad = lambda leaf: jnp.where(fell.reshape(-1, *[1] * (leaf.ndim - 1)), jnp.nan, leaf)  # noqa: E731
-            return Evaluation(bad(values), bad(slope) if gradient else None, jax.tree.map(bad, found), ~fell)
+            return Evaluation(
+                bad(values), bad(slope) if gradient else None, jax.tree.map(bad, found), ~fell
+            )
 
         self._program = jax.jit(program, static_argnums=1)
 
@@ -132,7 +137,9 @@ class FakeWalker:
         pace = np.asarray(speed(amplitude, phase))
         metrics = {"speed": np.where(fell, np.nan, pace), "roll_std": 0.1 + 0.1 * amplitude**2}
         trace = _glide(pace, run.duration) if record else None
-        return types.SimpleNamespace(metrics=metrics, status=np.where(fell, "fell", "ok"), engine="c", trace=trace)
+        return types.SimpleNamespace(
+            metrics=metrics, status=np.where(fell, "fell", "ok"), engine="c", trace=trace
+        )
 
 
 def _glide(pace, seconds):
@@ -142,7 +149,9 @@ def _glide(pace, seconds):
     qpos = np.tile(model.qpos0, (len(pace), len(time), 1))
     qpos[:, :, 1] -= pace[:, None] * time
     still = (np.zeros((len(pace), len(time), size)) for size in (model.nv, model.nu))
-    return types.SimpleNamespace(time=time, qpos=qpos, qvel=next(still), ctrl=next(still), sensors={})
+    return types.SimpleNamespace(
+        time=time, qpos=qpos, qvel=next(still), ctrl=next(still), sensors={}
+    )
 
 
 if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG
@@ -151,7 +160,11 @@ if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG
 
     Path(sys.argv[2]).write_text("")
     try:
-        run_tuning(SPEC, sys.argv[1], problem=FakeProblem(Tuning.from_dict(SPEC), log=sys.argv[2], hold_at=3))
+        run_tuning(
+            SPEC,
+            sys.argv[1],
+            problem=FakeProblem(Tuning.from_dict(SPEC), log=sys.argv[2], hold_at=3),
+        )
     except Interrupted as stopped:
         print(stopped, flush=True)
         os._exit(3)

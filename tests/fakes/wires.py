@@ -62,7 +62,9 @@ class Together:
         self.body = SimulatedRobot(driving.setup, values or {}, channels, delay, loss, self.clock)
         self.measured = Measured(self.body.robot, channels, clock=self.clock)
         self.commands: list[np.ndarray] = []
-        self.body.outward.put(-1.0, sensor_message(self.body.robot, channels, self.body._readings[0, -1], 0.0))
+        self.body.outward.put(
+            -1.0, sensor_message(self.body.robot, channels, self.body._readings[0, -1], 0.0)
+        )
         self.tell()
         self.driving = driving
         driving._period = 1.0 / (rate or 100.0)

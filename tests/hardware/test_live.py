@@ -42,7 +42,9 @@ def test_the_published_order_is_that_of_the_authors_software(published) -> None:
     )
     signs = {"tail": -1.0}
     for name, column in zip(published.names, published.angles.T, strict=True):
-        wanted = 0.0 if name == "head" else signs.get(name, 1.0) * ours.angles[:, ours.names.index(name)]
+        wanted = (
+            0.0 if name == "head" else signs.get(name, 1.0) * ours.angles[:, ours.names.index(name)]
+        )
         np.testing.assert_allclose(column, wanted, atol=1e-4)
     np.testing.assert_array_equal(published.given, published.angles.astype(int))
     assert np.abs(published.given - published.angles).max() > 0.9, "cut, and not rounded"
@@ -65,11 +67,17 @@ def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
     """Three cycles: each row at its time, and after the last one the first."""
     clock, seen = wires.Clock(), []
     sent = send_table(
-        published, lambda angles, given: seen.append((clock.now - 100.0, given)), 3 / 0.8, clock=clock, wait=clock.wait
+        published,
+        lambda angles, given: seen.append((clock.now - 100.0, given)),
+        3 / 0.8,
+        clock=clock,
+        wait=clock.wait,
     )
     rows = len(published.time)
     assert (sent.messages, sent.skipped, len(seen)) == (3 * rows, 0, 3 * rows)
-    np.testing.assert_allclose([at for at, _ in seen], np.arange(3 * rows) / published.rate, atol=1e-9)
+    np.testing.assert_allclose(
+        [at for at, _ in seen], np.arange(3 * rows) / published.rate, atol=1e-9
+    )
     np.testing.assert_array_equal([given for _, given in seen], np.tile(published.given, (3, 1)))
 
 
@@ -77,7 +85,11 @@ def test_what_is_late_is_left_out(published) -> None:
     """After half a second in which nothing could be sent the gait is where it would be without."""
     clock, seen = wires.Clock(jump_at=0.5, jump=0.5), []
     sent = send_table(
-        published, lambda angles, given: seen.append((clock.now - 100.0, given)), 2.0, clock=clock, wait=clock.wait
+        published,
+        lambda angles, given: seen.append((clock.now - 100.0, given)),
+        2.0,
+        clock=clock,
+        wait=clock.wait,
     )
     assert sent.skipped == pytest.approx(0.5 * published.rate, abs=1)
     for at, given in seen:
@@ -113,7 +125,9 @@ def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
     assert sent.messages + sent.skipped == int(np.ceil(0.5 * published.rate))
     assert len(seen) == sent.messages
     if not sent.skipped:
-        assert [json.loads(each) for each in seen] == published.given[: sent.messages].astype(int).tolist()
+        assert [json.loads(each) for each in seen] == published.given[: sent.messages].astype(
+            int
+        ).tolist()
     assert seen[0] == json.dumps(published.given[0].astype(int).tolist()).encode()
 
 
@@ -122,10 +136,14 @@ def test_a_bridge_gets_radians(published) -> None:
     from websockets.sync.server import serve
 
     seen: list[dict] = []
-    with serve(lambda peer: seen.extend(json.loads(each) for each in peer), "127.0.0.1", 0) as server:
+    with serve(
+        lambda peer: seen.extend(json.loads(each) for each in peer), "127.0.0.1", 0
+    ) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
-        with connected(f"ws://127.0.0.1:{server.socket.getsockname()[1]}", "nermo/q_values") as send:
+        with connected(
+            f"ws://127.0.0.1:{server.socket.getsockname()[1]}", "nermo/q_values"
+        ) as send:
             send_table(published, send, 0.2)
         server.shutdown()
         thread.join(10)
@@ -186,7 +204,12 @@ def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
     url = f"mqtt://us%40er:p%2Fss@127.0.0.1:{broker.port}"
     done = run_command(["servos", "--channels", "published", "--seconds", "2", "--send", url])
     assert done.returncode == 1, done.stderr
-    sent, lost = map(int, re.search(r"broker is gone: (\d+) messages were sent, (\d+) were not", done.stderr).groups())
+    sent, lost = map(
+        int,
+        re.search(
+            r"broker is gone: (\d+) messages were sent, (\d+) were not", done.stderr
+        ).groups(),
+    )
     assert sent > 3
     assert lost > 20
     assert b"us@er\x00\x04p/ss" in broker.got
@@ -204,7 +227,9 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
         thread.start()
         address = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
         with (
-            pytest.raises(ParameterError, match=r"server is gone: \d+ messages were sent, \d+ were not"),
+            pytest.raises(
+                ParameterError, match=r"server is gone: \d+ messages were sent, \d+ were not"
+            ),
             connected(address) as send,
         ):
             send_table(servo_table(channels="published"), send, 2.0)

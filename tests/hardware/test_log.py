@@ -27,11 +27,19 @@ def written(folder, rows, header="t,a"):
 
 
 def test_values_are_in_si_units_by_sign_and_zero(tmp_path):
-    path = written(tmp_path, [(1000 + 10 * i, 90 + i, i, 2 * i, 512 + i) for i in range(5)], "t,a,x,y,n")
+    path = written(
+        tmp_path, [(1000 + 10 * i, 90 + i, i, 2 * i, 512 + i) for i in range(5)], "t,a,x,y,n"
+    )
     servo = {"quantity": "command", "of": "spine", "unit": "deg", "sign": -1, "zero": 90}
     track = {"quantity": "position", "columns": ["x", "y"], "unit": "mm"}
     count = {"quantity": "angle", "of": "spine", "unit": 0.005, "zero": 512}
-    log = read_log(path, {"time": {"column": "t", "unit": "ms"}, "channels": {"a": servo, "track": track, "n": count}})
+    log = read_log(
+        path,
+        {
+            "time": {"column": "t", "unit": "ms"},
+            "channels": {"a": servo, "track": track, "n": count},
+        },
+    )
     spine, marker, counted = log.channels
     assert (spine.quantity, spine.of, spine.unit) == ("command", "spine", "rad")
     np.testing.assert_allclose(spine.times, 0.01 * np.arange(5), atol=1e-12)
@@ -78,14 +86,18 @@ def test_a_second_clock(tmp_path):
     path = written(tmp_path, rows, "t,a,frame")
     clock = {"column": "frame", "unit": 0.001, "scale": 1.002, "offset": 1.7e9 + 0.25 - 60.0}
     log = read_log(path, told(a=ANGLE, b={**ANGLE, "of": "neck", "column": "a", "time": clock}))
-    np.testing.assert_allclose(log.channels[1].times, 0.25 + 1.002 * 0.03 * np.arange(100), atol=1e-6)
+    np.testing.assert_allclose(
+        log.channels[1].times, 0.25 + 1.002 * 0.03 * np.arange(100), atol=1e-6
+    )
     np.testing.assert_allclose(log.channels[0].times, 0.01 * np.arange(100), atol=1e-6)
 
 
 def test_forms_of_csv_and_parquet(tmp_path):
     """Comments, blank lines, semicolons with decimal commas, and a column of texts that nobody asked for."""
     path = tmp_path / "log.csv"
-    path.write_text("# made by hand\n\nt; a; note\n0,0;1,5;begin\n0,1;2,5;\n# half\n0,2;;end\n0,3;4,5;\n")
+    path.write_text(
+        "# made by hand\n\nt; a; note\n0,0;1,5;begin\n0,1;2,5;\n# half\n0,2;;end\n0,3;4,5;\n"
+    )
     log = read_log(path, told(a=ANGLE))
     np.testing.assert_allclose(log.channels[0].values, [1.5, 2.5, 4.5])
     table = tmp_path / "log.parquet"
@@ -99,15 +111,43 @@ ROWS = [(0.01 * i, 0.1 * (i % 7)) for i in range(60)]
 BACK = ROWS[:40] + [(t - 0.3, a) for t, a in ROWS[40:]]
 GYRO = {"quantity": "gyro", "columns": ["a", "b"], "unit": "deg/s"}
 WRONG = {
-    "no such column": (ROWS, told(b=ANGLE), "'channels.b' asks for the column 'b', but .*log.csv has t, a"),
-    "unit": (ROWS, told(a={**ANGLE, "unit": "degs"}), "'channels.a.unit' is the text 'degs': allowed is rad, deg"),
-    "unit of another quantity": (ROWS, told(a={**ANGLE, "unit": "g"}), "allowed is rad, deg, m, cm, mm, or how many"),
-    "unit is no number": (ROWS, told(a={**ANGLE, "unit": -2}), "'channels.a.unit' is the number -2: allowed"),
+    "no such column": (
+        ROWS,
+        told(b=ANGLE),
+        "'channels.b' asks for the column 'b', but .*log.csv has t, a",
+    ),
+    "unit": (
+        ROWS,
+        told(a={**ANGLE, "unit": "degs"}),
+        "'channels.a.unit' is the text 'degs': allowed is rad, deg",
+    ),
+    "unit of another quantity": (
+        ROWS,
+        told(a={**ANGLE, "unit": "g"}),
+        "allowed is rad, deg, m, cm, mm, or how many",
+    ),
+    "unit is no number": (
+        ROWS,
+        told(a={**ANGLE, "unit": -2}),
+        "'channels.a.unit' is the number -2: allowed",
+    ),
     "no unit": (ROWS, told(a={"quantity": "angle", "of": "x"}), "field 'channels.a' has no 'unit'"),
     "sign": (ROWS, told(a={**ANGLE, "sign": 2.0}), "'channels.a.sign' is 2: allowed is 1 or -1"),
-    "quantity": (ROWS, told(a={**ANGLE, "quantity": "angel"}), "is the text 'angel': allowed are .*'angle'"),
-    "field": (ROWS, told(a={**ANGLE, "zeros": 1}), "'channels.a.zeros' is not a field of a channel; .*'zero'"),
-    "of": (ROWS, told(a={"quantity": "angle", "unit": "rad"}), "'channels.a' has no 'of': expected the name of"),
+    "quantity": (
+        ROWS,
+        told(a={**ANGLE, "quantity": "angel"}),
+        "is the text 'angel': allowed are .*'angle'",
+    ),
+    "field": (
+        ROWS,
+        told(a={**ANGLE, "zeros": 1}),
+        "'channels.a.zeros' is not a field of a channel; .*'zero'",
+    ),
+    "of": (
+        ROWS,
+        told(a={"quantity": "angle", "unit": "rad"}),
+        "'channels.a' has no 'of': expected the name of",
+    ),
     "same twice": (
         ROWS,
         told(a=ANGLE, b={**ANGLE, "column": "a"}),
@@ -120,17 +160,41 @@ WRONG = {
     ),
     "axes": (ROWS, told(a=GYRO), "'channels.a' has 2 columns: allowed for its quantity is 3"),
     "no channels": (ROWS, told(), "'channels' names no channel"),
-    "clock": (ROWS, {"time": {"unit": "s"}, "channels": {"a": ANGLE}}, "field 'time' has no 'column'"),
-    "unit of the clock": (ROWS, {"time": {"column": "t", "unit": "m"}, "channels": {"a": ANGLE}}, "'m': allowed is s"),
-    "time runs backward": (BACK, told(a=ANGLE), r"log.csv:42: the time runs backward, from 0.39 to 0.1 s, for 20 rows"),
-    "time stands": ([(1, i) for i in range(9)], told(a=ANGLE), "the time of channel 'a' is 1 s in all rows"),
-    "text": ([*ROWS[:3], (0.5, "off"), *ROWS[3:]], told(a=ANGLE), "log.csv:5: column 'a' is the text 'off': expected"),
+    "clock": (
+        ROWS,
+        {"time": {"unit": "s"}, "channels": {"a": ANGLE}},
+        "field 'time' has no 'column'",
+    ),
+    "unit of the clock": (
+        ROWS,
+        {"time": {"column": "t", "unit": "m"}, "channels": {"a": ANGLE}},
+        "'m': allowed is s",
+    ),
+    "time runs backward": (
+        BACK,
+        told(a=ANGLE),
+        r"log.csv:42: the time runs backward, from 0.39 to 0.1 s, for 20 rows",
+    ),
+    "time stands": (
+        [(1, i) for i in range(9)],
+        told(a=ANGLE),
+        "the time of channel 'a' is 1 s in all rows",
+    ),
+    "text": (
+        [*ROWS[:3], (0.5, "off"), *ROWS[3:]],
+        told(a=ANGLE),
+        "log.csv:5: column 'a' is the text 'off': expected",
+    ),
     "infinite": (
         [*ROWS[:3], (0.5, "inf")],
         told(a=ANGLE),
         "log.csv:5: column 'a' is .*inf.*: expected a finite number",
     ),
-    "cells": ([*ROWS[:3], (0.5,)], told(a=ANGLE), "log.csv:5: it has 1 cells, but there are 2 columns"),
+    "cells": (
+        [*ROWS[:3], (0.5,)],
+        told(a=ANGLE),
+        "log.csv:5: it has 1 cells, but there are 2 columns",
+    ),
     "empty": ([], told(a=ANGLE), "log.csv: it is empty"),
     "one sample": (ROWS[:1], told(a=ANGLE), "has 1 samples .*: expected two at least"),
     "constant": (
@@ -165,7 +229,11 @@ def test_files_that_are_none(name, tmp_path):
 
 def test_file_of_channels_names_its_line(tmp_path):
     path = tmp_path / "channels.yaml"
-    path.write_text("time: {column: t, unit: s}\nchannels:\n  a: {quantity: angle, of: spine, unit: turns}\n")
-    with pytest.raises(ParameterError, match=r"channels\.yaml:3: field 'channels.a.unit' is the text 'turns'"):
+    path.write_text(
+        "time: {column: t, unit: s}\nchannels:\n  a: {quantity: angle, of: spine, unit: turns}\n"
+    )
+    with pytest.raises(
+        ParameterError, match=r"channels\.yaml:3: field 'channels.a.unit' is the text 'turns'"
+    ):
         read_log(written(tmp_path, ROWS), path)
     assert set(schema_of(LogFields)["properties"]) == {"time", "channels"}

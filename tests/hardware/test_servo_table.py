@@ -81,7 +81,9 @@ def test_a_servo_is_where_the_leg_needs_it_at_the_end_of_stance() -> None:
     # The stance of front left begins at phase 0.5: its foot is half a stride ahead of its neutral place.
     place = np.array([-0.005 - 0.03, -0.045])
     leg = four_legs(ROBOT)
-    servo = np.degrees(np.asarray(inverse_kinematics(leg, np.broadcast_to(place, (4, 2)), "type3").servo))[0]
+    servo = np.degrees(
+        np.asarray(inverse_kinematics(leg, np.broadcast_to(place, (4, 2)), "type3").servo)
+    )[0]
     assert table.angles[50, 0] == pytest.approx(servo[0], abs=0.05)
     assert half[SERVOS.index("front_left_knee")] == pytest.approx(servo[1], abs=0.05)
 
@@ -105,7 +107,11 @@ def test_whole_cycles_are_whole_rows(frequency: float, rate: float) -> None:
 def test_left_and_right_turns_mirror_each_other() -> None:
     """A trot's turn to the left is that to the right, half a cycle later on the other side."""
     tables = [
-        servo_table(Setup(gait="trot", steering="mix"), {"frequency": 1.0, "pilot.turn_rate": turn}, rate=100.0)
+        servo_table(
+            Setup(gait="trot", steering="mix"),
+            {"frequency": 1.0, "pilot.turn_rate": turn},
+            rate=100.0,
+        )
         for turn in (0.6, -0.6)
     ]
     left, right = (table.angles for table in tables)
@@ -122,7 +128,9 @@ def test_left_and_right_turns_mirror_each_other() -> None:
 def test_columns_are_the_robots_servos_in_the_order_of_ctrl() -> None:
     model = load_robot().model
     table = servo_table(rate=30.0)
-    assert [f"{name}_servo" for name in table.names] == [model.actuator(i).name for i in range(model.nu)]
+    assert [f"{name}_servo" for name in table.names] == [
+        model.actuator(i).name for i in range(model.nu)
+    ]
     limits = np.radians([[channel.low, channel.high] for channel in table.channels])
     np.testing.assert_allclose(limits, model.actuator_ctrlrange)
     assert [channel.number for channel in table.channels] == list(range(model.nu))
@@ -141,7 +149,9 @@ def test_channels_order_turn_and_shift_the_columns(tmp_path: Path) -> None:
     setup = Setup(spine="stride_extension")
     plain = servo_table(setup, rate=30.0)
     file = tmp_path / "channels.yaml"
-    file.write_text("".join(f"{name}: {fields}\n".replace("'", "") for name, fields in CHANNELS.items()))
+    file.write_text(
+        "".join(f"{name}: {fields}\n".replace("'", "") for name, fields in CHANNELS.items())
+    )
     for source in (CHANNELS, file):
         table = servo_table(setup, rate=30.0, channels=source)
         assert table.names == ("spine", "front_left_hip", "front_right_hip")
@@ -179,17 +189,25 @@ def test_the_command_writes_the_table(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "nermo_mjx", *words.split()]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     report = json.loads(done.stdout)
-    table = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5, "pilot.turn_rate": 0.3}, rate=40.0, cycles=2)
+    table = servo_table(
+        Setup(gait="lateral_walk"), {"frequency": 0.5, "pilot.turn_rate": 0.3}, rate=40.0, cycles=2
+    )
     assert report["rows"] == len(table.time) == 160
     assert [servo["servo"] for servo in report["servos"]] == list(table.names)
-    np.testing.assert_allclose(pd.read_csv(out, comment="#").to_numpy()[:, 1:], table.angles, atol=5.1e-4)
+    np.testing.assert_allclose(
+        pd.read_csv(out, comment="#").to_numpy()[:, 1:], table.angles, atol=5.1e-4
+    )
 
 
 @pytest.mark.release
 def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
     """By a controller that answers to its sensors: at each tick the angle of the recording, in between on a line."""
     setup = Setup(spine="stride_extension", pilot="straight")
-    recording = Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=0.5, warmup=0.0), record=True).recording()
+    recording = (
+        Simulator(setup, "c")
+        .run({"frequency": 0.8}, Run(duration=0.5, warmup=0.0), record=True)
+        .recording()
+    )
     ticks = recorded_table(recording, setup.load(), rate=100.0)
     np.testing.assert_allclose(ticks.angles, np.degrees(recording.ctrl), atol=1e-4)
     assert ticks.names == SERVOS[:10]
@@ -198,17 +216,27 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
     middle = 0.5 * (ticks.angles[:-1] + ticks.angles[1:])
     np.testing.assert_allclose(between.angles[1::2], middle, atol=1e-4)
     sent, clock = [], iter(np.arange(10_000) * 0.001)
-    send_table(ticks, lambda angles, given: sent.append(angles), clock=lambda: next(clock), wait=lambda seconds: None)
+    send_table(
+        ticks,
+        lambda angles, given: sent.append(angles),
+        clock=lambda: next(clock),
+        wait=lambda seconds: None,
+    )
     assert len(sent) == len(ticks.time)  # once, and not in a loop
 
     path, out = tmp_path / "walk.npz", tmp_path / "walk.csv"
     recording.save(path)
     assert json_of("servos", "--recording", path, "--out", out)["cycles"] is None
     table = pd.read_csv(out, comment="#")
-    np.testing.assert_allclose(table["spine [deg]"], recorded_table(recording, setup.load()).angles[:, 8], atol=6e-4)
+    np.testing.assert_allclose(
+        table["spine [deg]"], recorded_table(recording, setup.load()).angles[:, 8], atol=6e-4
+    )
     assert "not periodic, to be played once" in out.read_text()
     refused = call("servos", "--recording", path, "--gait", "lateral_walk", "--out", out)
-    assert (refused.exit_code, "--gait has no effect with --recording" in refused.stderr) == (2, True)
+    assert (refused.exit_code, "--gait has no effect with --recording" in refused.stderr) == (
+        2,
+        True,
+    )
     with pytest.raises(ParameterError, match="has one row then"):
         recorded_table(recording, setup.load(), rate=1.0)
 
@@ -218,14 +246,26 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
 def test_parts_that_would_touch_are_named_with_the_time(side: int, tmp_path: Path) -> None:
     """A front foot far back meets the rear foot far forward where the spine bends to their side, and only there."""
     setup = Setup(pilot="open_loop")
-    walk = Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=2.0, warmup=0.0), record=True).recording()
+    walk = (
+        Simulator(setup, "c")
+        .run({"frequency": 0.8}, Run(duration=2.0, warmup=0.0), record=True)
+        .recording()
+    )
     ctrl, share = np.zeros_like(walk.ctrl), np.clip(walk.time - 0.2, 0.0, 1.0)
     towards, name = (0.6, "left") if side == 0 else (-0.6, "right")
-    for servo, angle in ((side, 1.6), (2 + side, -1.6), (4 + side, 1.25), (6 + side, -0.8), (8, towards)):
+    for servo, angle in (
+        (side, 1.6),
+        (2 + side, -1.6),
+        (4 + side, 1.25),
+        (6 + side, -0.8),
+        (8, towards),
+    ):
         ctrl[:, servo] = share * angle
     bent = dataclasses.replace(walk, ctrl=ctrl)
     bent.save(tmp_path / "bent.npz")
-    with pytest.raises(ParameterError, match=f"^rear_{name}_foot and front_{name}_foot would touch at ") as refused:
+    with pytest.raises(
+        ParameterError, match=f"^rear_{name}_foot and front_{name}_foot would touch at "
+    ) as refused:
         recorded_table(bent, setup.load())
     time = float(str(refused.value).partition(" at ")[2].partition(" s")[0])
     assert 0.8 < time <= 1.3  # on the way there, the last part of it
@@ -250,7 +290,9 @@ def test_two_arms_touch_when_their_closed_form_says() -> None:
     """Tips of 10 mm radius meet at arcsin(0.09 / 0.15) = 0.64 rad each; servos follow 1 rad/s with a lag of 20 ms."""
     model = mujoco.MjModel.from_xml_string(ARMS.format(group=VISUAL_GROUP))
     inward = np.repeat(np.linspace(0.0, 1.0, 101)[:, None], 2, axis=1)
-    with pytest.raises(ParameterError, match=r"^(left and right|right and left) would touch at ") as refused:
+    with pytest.raises(
+        ParameterError, match=r"^(left and right|right and left) would touch at "
+    ) as refused:
         check_clearance(model, inward, 100.0)
     time = float(str(refused.value).partition(" at ")[2].partition(" s")[0])
     assert time == pytest.approx(np.arcsin(0.6) + 0.02, abs=0.01)

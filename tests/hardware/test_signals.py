@@ -17,7 +17,10 @@ SERVOS = ("hip_1", "hip_2", "hip_3", "front_knee", "spine")
 
 def sines(times, k=0):
     """A signal of three sines whose periods have no common multiple within the log."""
-    return sum(0.2 / (i + 1) * np.sin(2 * np.pi * (0.6 + 0.83 * i + 0.11 * k) * times + i * k) for i in range(3))
+    return sum(
+        0.2 / (i + 1) * np.sin(2 * np.pi * (0.6 + 0.83 * i + 0.11 * k) * times + i * k)
+        for i in range(3)
+    )
 
 
 def log_with(lag=0.012, seed=0, noise=0.003, quantum=0.0175, rate=100.0, **faults):
@@ -29,12 +32,18 @@ def log_with(lag=0.012, seed=0, noise=0.003, quantum=0.0175, rate=100.0, **fault
         angles = faults.get(of, lambda values: values)(np.round(angles / quantum) * quantum)
         made.append(Channel(f"cmd_{of}", "command", of, times, sines(times, k), "rad"))
         made.append(Channel(f"pos_{of}", "angle", of, times, angles, "rad"))
-    turning = np.stack([sines(times, k + 7) for k in range(3)], axis=-1) + 0.01 * random.standard_normal(
-        (len(times), 3)
-    )
+    turning = np.stack(
+        [sines(times, k + 7) for k in range(3)], axis=-1
+    ) + 0.01 * random.standard_normal((len(times), 3))
     weight = np.array([0.0, 0.0, 9.81]) + 0.3 * random.standard_normal((len(times), 3))
-    made.append(Channel("gyro", "gyro", "imu", times, faults.get("gyro", lambda v: v)(turning), "rad/s"))
-    made.append(Channel("acc", "accelerometer", "imu", times, faults.get("acc", lambda v: v)(weight), "m/s^2"))
+    made.append(
+        Channel("gyro", "gyro", "imu", times, faults.get("gyro", lambda v: v)(turning), "rad/s")
+    )
+    made.append(
+        Channel(
+            "acc", "accelerometer", "imu", times, faults.get("acc", lambda v: v)(weight), "m/s^2"
+        )
+    )
     return Log(tuple(made), "log")
 
 
@@ -46,7 +55,13 @@ def test_a_log_in_order_has_no_findings(seed):
 
 @pytest.mark.parametrize(
     "faults",
-    [{}, {"lost": 0.0, "quantum": np.radians(1.0)}, {"rate": 50.0, "noise": 0.01}, {"gain": 0.7}, {"delay": 0.04}],
+    [
+        {},
+        {"lost": 0.0, "quantum": np.radians(1.0)},
+        {"rate": 50.0, "noise": 0.01},
+        {"gain": 0.7},
+        {"delay": 0.04},
+    ],
 )
 def test_a_simulated_robot_in_order_has_no_findings(faults, tmp_path):
     """On its feet, so that loads make its servos late by 1 to 30 ms."""
@@ -55,7 +70,10 @@ def test_a_simulated_robot_in_order_has_no_findings(faults, tmp_path):
 
 CASES = {
     "mirrored": ({"hip_3": np.negative}, r"hip 3 seems mirrored \(-(0\.99|1\.00)\)\."),
-    "late": ({"late_front_knee": 0.034}, r"front knee lags by 4\d ms behind its command, the other servos by 1\d ms"),
+    "late": (
+        {"late_front_knee": 0.034},
+        r"front knee lags by 4\d ms behind its command, the other servos by 1\d ms",
+    ),
     "ahead": ({"lag": -0.03}, r"hip 1 is 30 ms ahead of its command"),
     "unit": ({"spine": np.degrees}, r"spine moves 57\.\d times as far as its command"),
     "zero": ({"spine": lambda values: values + 0.5}, r"spine stands 0\.5 rad off its command"),
@@ -63,12 +81,18 @@ CASES = {
         {"hip_1": lambda values: np.random.default_rng(9).permutation(values)},
         r"hip 1 does not follow its command",
     ),
-    "saturated": ({"hip_2": lambda values: np.minimum(values, 0.175)}, r"pos_hip_2 stays at its upper end, 0\.175 rad"),
+    "saturated": (
+        {"hip_2": lambda values: np.minimum(values, 0.175)},
+        r"pos_hip_2 stays at its upper end, 0\.175 rad",
+    ),
     "saturated below": (
         {"gyro": lambda values: np.maximum(values, -0.1)},
         r"gyro [xyz] stays at its lower end, -0\.1 r",
     ),
-    "gyro in degrees": ({"gyro": lambda values: 300 * values}, r"gyro reaches \d+ rad/s: is its unit deg/s\?"),
+    "gyro in degrees": (
+        {"gyro": lambda values: 300 * values},
+        r"gyro reaches \d+ rad/s: is its unit deg/s\?",
+    ),
     "weight in g": (
         {"acc": lambda values: values / 9.81},
         r"acc has a median of (1|0\.99\d|1\.0\d) m",
@@ -93,7 +117,9 @@ def test_a_fault_is_named(case, seed):
 def test_a_lag_is_found_between_samples(lag, quantum):
     """Samples are 10 ms apart, and noise and quantization are those of a servo; another rate is found, too."""
     log = log_with(lag=lag, quantum=quantum)
-    found = [lag_of(log.of_quantity("angle")[of], log.of_quantity("command")[of])[0] for of in SERVOS]
+    found = [
+        lag_of(log.of_quantity("angle")[of], log.of_quantity("command")[of])[0] for of in SERVOS
+    ]
     np.testing.assert_allclose(found, lag, atol=1.5e-3)
     fast = np.arange(0.0, 12.0, 1 / 150)
     command = Channel("cmd", "command", "spine", fast, sines(fast, 4), "rad")
@@ -104,13 +130,19 @@ def test_names_and_times_in_doubt_are_named():
     log = log_with()
     spine = log.channel("command", "spine")
     log = dataclasses.replace(
-        log, channels=tuple(dataclasses.replace(e, of="spin") if e is spine else e for e in log.channels)
+        log,
+        channels=tuple(
+            dataclasses.replace(e, of="spin") if e is spine else e for e in log.channels
+        ),
     )
-    assert findings_of(log) == ("cmd_spine is of 'spin', and pos_spine of 'spine': are both of one servo?",)
+    assert findings_of(log) == (
+        "cmd_spine is of 'spin', and pos_spine of 'spine': are both of one servo?",
+    )
     slow = tuple(dataclasses.replace(each, times=1e3 * each.times) for each in log_with().channels)
     (found,) = findings_of(Log(slow, "log"))
     assert (
-        found == "cmd_hip_1, pos_hip_1, cmd_hip_2 and 9 others: a sample comes every 10 s: has the time another unit?"
+        found
+        == "cmd_hip_1, pos_hip_1, cmd_hip_2 and 9 others: a sample comes every 10 s: has the time another unit?"
     )
 
 
@@ -118,7 +150,9 @@ def test_an_end_that_is_reached_only_before_the_command_begins_is_not_saturated(
     """A robot that rests at its end until it is lagging behind the first command."""
     times = np.arange(0.0, 12.0, 0.005)
     command = Channel("cmd", "command", "hip", times[20:], sines(times[20:]) - 1.0, "rad")
-    angle = Channel("pos", "angle", "hip", times, np.where(times < 0.1, 0.0, sines(times - 0.02) - 1.0), "rad")
+    angle = Channel(
+        "pos", "angle", "hip", times, np.where(times < 0.1, 0.0, sines(times - 0.02) - 1.0), "rad"
+    )
     assert not any("saturated" in each for each in findings_of(Log((command, angle), "log")))
 
 
@@ -128,16 +162,29 @@ def test_a_clock_that_drifts_is_found(drift):
     log, end = log_with(lag=0.02), 12.0
     turning = log.channel("gyro", "imu")
     yaw = np.cumsum(turning.values[:, 2]) * turning.interval
-    log = dataclasses.replace(log, channels=(*log.channels, Channel("yaw", "yaw", "torso", turning.times, yaw, "rad")))
+    log = dataclasses.replace(
+        log, channels=(*log.channels, Channel("yaw", "yaw", "torso", turning.times, yaw, "rad"))
+    )
     own = ("angle", "yaw")
-    moved = [dataclasses.replace(each, times=each.times * (1 + drift) + 1e-4) for each in log.channels]
-    both = [new if each.quantity in own else each for each, new in zip(log.channels, moved, strict=True)]
-    found = [each for each in findings_of(dataclasses.replace(log, channels=tuple(both))) if "clock" in each]
+    moved = [
+        dataclasses.replace(each, times=each.times * (1 + drift) + 1e-4) for each in log.channels
+    ]
+    both = [
+        new if each.quantity in own else each for each, new in zip(log.channels, moved, strict=True)
+    ]
+    found = [
+        each
+        for each in findings_of(dataclasses.replace(log, channels=tuple(both)))
+        if "clock" in each
+    ]
     if not drift:
         assert found == []
         return
     scales = [float(re.search(r"scale: ([\d.]+)", each).group(1)) for each in found]
-    assert [each.split(":")[0] for each in found] == ["pos_hip_1, pos_hip_2, pos_hip_3 and 2 others", "yaw"]
+    assert [each.split(":")[0] for each in found] == [
+        "pos_hip_1, pos_hip_2, pos_hip_3 and 2 others",
+        "yaw",
+    ]
     assert scales == pytest.approx([1 / (1 + drift)] * 2, abs=0.004 / end)
     late = [dataclasses.replace(each, times=each.times * (1 + drift)) for each in log.channels]
     assert findings_of(dataclasses.replace(log, channels=tuple(late))) == ()
@@ -151,7 +198,10 @@ def test_a_track_is_compared_in_its_own_frame():
     noise = 1e-3 * np.random.default_rng(0).standard_normal((len(times), 2))
     seen = track[:, :2] @ turn.T + [0.4, -0.7] + noise
     twin = Log(
-        (Channel("p", "position", "torso", times, track, "m"), Channel("y", "yaw", "torso", times, track[:, 0], "rad")),
+        (
+            Channel("p", "position", "torso", times, track, "m"),
+            Channel("y", "yaw", "torso", times, track[:, 0], "rad"),
+        ),
         "t",
     )
     log = Log(
@@ -166,14 +216,18 @@ def test_a_track_is_compared_in_its_own_frame():
     assert [x.rms, y.rms] == pytest.approx([1e-3, 1e-3], rel=0.1)
     assert yaw.rms < 1e-12
     other = dataclasses.replace(twin.channels[0], values=track * [1.0, -1.0, 1.0])
-    assert channel_differences(log, Log((other,), "mirrored"))[1].rms > 0.005, "a mirrored track is no turned one"
+    assert channel_differences(log, Log((other,), "mirrored"))[1].rms > 0.005, (
+        "a mirrored track is no turned one"
+    )
 
 
 def test_gaps_are_not_compared():
     times = np.concatenate([np.arange(0, 2, 0.01), np.arange(3, 5, 0.01)])
     one = Channel("a", "angle", "x", times, sines(times), "rad")
     whole = np.arange(0, 5, 0.01)
-    other = Channel("a", "angle", "x", whole, np.where((whole > 2) & (whole < 3), 9.0, sines(whole)), "rad")
+    other = Channel(
+        "a", "angle", "x", whole, np.where((whole > 2) & (whole < 3), 9.0, sines(whole)), "rad"
+    )
     assert channel_differences(Log((one,), ""), Log((other,), ""))[0].rms < 1e-9
     assert channel_differences(Log((other,), ""), Log((one,), ""))[0].rms < 1e-9
 
@@ -192,7 +246,14 @@ def test_two_rates_are_compared_at_the_coarser_stamps_in_either_order(rates) -> 
     def channel(rate: float, offset: float) -> Channel:
         times = np.arange(round(3.0 * rate)) / rate
         ripple = 0.3 * np.sin(2 * np.pi * 100.0 * times)
-        return Channel(f"at {rate:g} Hz", "angle", "spine", times, np.sin(2 * np.pi * times) + ripple + offset, "rad")
+        return Channel(
+            f"at {rate:g} Hz",
+            "angle",
+            "spine",
+            times,
+            np.sin(2 * np.pi * times) + ripple + offset,
+            "rad",
+        )
 
     (there,), (back,) = compared(channel(rates[0], 0.0), channel(rates[1], 0.1))
     for found, sign in ((there, 1.0), (back, -1.0)):
@@ -220,6 +281,11 @@ def test_the_order_of_two_tracks_changes_signs_alone_in_either_order(rates, axes
     there, back = compared(*made)
     assert len(there) == len(back) == min(axes)
     for one, other in zip(there, back, strict=True):
-        assert (other.name, other.unit, other.rms, other.amplitude) == (one.name, one.unit, one.rms, one.amplitude)
+        assert (other.name, other.unit, other.rms, other.amplitude) == (
+            one.name,
+            one.unit,
+            one.rms,
+            one.amplitude,
+        )
         assert (other.bias, other.lag, other.correlation) == (-one.bias, -one.lag, one.correlation)
     assert there[0].lag == pytest.approx(0.03, abs=0.005)

@@ -68,9 +68,14 @@ def mujoco_at(theta_v: float) -> mujoco.MjData:
 
 def mujoco_feet(data: mujoco.MjData, feet: np.ndarray) -> np.ndarray:
     """Feet (4, 3) that hang at (y, z) in the frames of MuJoCo's shoulder and hip sites."""
-    sites = [data.site(name) for name in ("shoulder_left", "shoulder_right", "hip_left", "hip_right")]
+    sites = [
+        data.site(name) for name in ("shoulder_left", "shoulder_right", "hip_left", "hip_right")
+    ]
     return np.array(
-        [site.xpos + site.xmat.reshape(3, 3) @ (0.0, *foot) for site, foot in zip(sites, feet, strict=True)]
+        [
+            site.xpos + site.xmat.reshape(3, 3) @ (0.0, *foot)
+            for site, foot in zip(sites, feet, strict=True)
+        ]
     )
 
 
@@ -89,7 +94,10 @@ def test_hips_and_centre_of_mass_are_where_mujoco_puts_them():
             body.hip_height_offset(theta, ROBOT),
             body.diagonals(theta, ROBOT),
         )
-        com, feet = body.centre_of_mass(MASSES, theta, ROBOT), body.feet_positions(theta, STRIDING, ROBOT)
+        com, feet = (
+            body.centre_of_mass(MASSES, theta, ROBOT),
+            body.feet_positions(theta, STRIDING, ROBOT),
+        )
     neutral = mujoco_at(0.0)
     for i, angle in enumerate(theta):
         data = mujoco_at(angle)
@@ -97,8 +105,12 @@ def test_hips_and_centre_of_mass_are_where_mujoco_puts_them():
             other = ("right", "left")[side]
             hip = data.site(f"hip_{name}").xpos
             np.testing.assert_allclose(hips[i, side], hip, atol=1e-12)
-            np.testing.assert_allclose(rise[i, side], hip[2] - neutral.site(f"hip_{name}").xpos[2], atol=1e-12)
-            diagonal = np.linalg.norm(data.site(f"shoulder_{name}").xpos - data.site(f"hip_{other}").xpos)
+            np.testing.assert_allclose(
+                rise[i, side], hip[2] - neutral.site(f"hip_{name}").xpos[2], atol=1e-12
+            )
+            diagonal = np.linalg.norm(
+                data.site(f"shoulder_{name}").xpos - data.site(f"hip_{other}").xpos
+            )
             np.testing.assert_allclose(lengths[i, side], diagonal, atol=1e-12)
         np.testing.assert_allclose(com[i], data.subtree_com[0], atol=1e-10)
         np.testing.assert_allclose(feet[i], mujoco_feet(data, STRIDING), atol=1e-12)
@@ -138,7 +150,8 @@ def test_stride_gain_is_what_stiff_legs_would_walk():
         """y of the front left shoulder and rear right hip along the heading, from the midpoint of the girdles."""
         data = mujoco_at(theta_v)
         left, right, hip_left, hip_right = (
-            data.site(name).xpos[:2] for name in ("shoulder_left", "shoulder_right", "hip_left", "hip_right")
+            data.site(name).xpos[:2]
+            for name in ("shoulder_left", "shoulder_right", "hip_left", "hip_right")
         )
         axis = hip_left - hip_right
         heading = np.arctan2(axis[1], axis[0]) / 2
@@ -154,7 +167,9 @@ def test_stride_gain_is_what_stiff_legs_would_walk():
 def test_mass_model_may_be_batched():
     """Masses and centres with leading axes give one centre of mass each."""
     scale = np.array([0.5, 1.0, 2.0])
-    batch = MassModel(0.1647 * scale, np.full(3, 0.1053), np.tile(FRONT_COM, (3, 1)), np.tile(REAR_COM, (3, 1)))
+    batch = MassModel(
+        0.1647 * scale, np.full(3, 0.1053), np.tile(FRONT_COM, (3, 1)), np.tile(REAR_COM, (3, 1))
+    )
     together = body.centre_of_mass(batch, 0.05, ROBOT)
     for i in range(3):
         single = MassModel(0.1647 * scale[i], 0.1053, np.array(FRONT_COM), np.array(REAR_COM))
@@ -170,18 +185,26 @@ def test_diagonal_distance_is_published_and_signed():
     with jax.enable_x64(True):
         ours = body.diagonal_distance(point, f, r)
     np.testing.assert_allclose(ours, published, atol=1e-12)
-    np.testing.assert_allclose(ours, [right_of(*row) for row in zip(point, f, r, strict=True)], atol=1e-12)
+    np.testing.assert_allclose(
+        ours, [right_of(*row) for row in zip(point, f, r, strict=True)], atol=1e-12
+    )
     # The robot's right is -x; forward is -y.
-    assert float(body.diagonal_distance(*np.array([(-0.01, 0.0), (0.0, -0.1), (0.0, 0.1)]))) == pytest.approx(0.01)
+    assert float(
+        body.diagonal_distance(*np.array([(-0.01, 0.0), (0.0, -0.1), (0.0, 0.1)]))
+    ) == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("feet", [WALKING, BALANCING, STRIDING], ids=["walking", "balancing", "striding"])
+@pytest.mark.parametrize(
+    "feet", [WALKING, BALANCING, STRIDING], ids=["walking", "balancing", "striding"]
+)
 @pytest.mark.parametrize("lift", [0.0, 0.009])
 def test_balance_meets_its_condition_in_mujoco(feet, lift):
     """For every stance the MuJoCo body at the returned angle has the wanted d, or the best that the limit allows."""
     limit = 0.1
     with jax.enable_x64(True):
-        angles = np.asarray(balance_angle(MASSES, np.broadcast_to(feet, (16, 4, 2)), STANCES, ROBOT, lift, limit))
+        angles = np.asarray(
+            balance_angle(MASSES, np.broadcast_to(feet, (16, 4, 2)), STANCES, ROBOT, lift, limit)
+        )
     solved = 0
     for stance, angle in zip(STANCES, angles, strict=True):
         front, rear = np.flatnonzero(stance[:2]), 2 + np.flatnonzero(stance[2:])
@@ -195,7 +218,9 @@ def test_balance_meets_its_condition_in_mujoco(feet, lift):
         def distance(theta_v, point=None, f=f, r=r):
             data = mujoco_at(theta_v)
             ground = mujoco_feet(data, feet)
-            return right_of(data.subtree_com[0] if point is None else ground[point], ground[f], ground[r])
+            return right_of(
+                data.subtree_com[0] if point is None else ground[point], ground[f], ground[r]
+            )
 
         wanted = 0.0 if third is None else lift * np.sign(distance(0.0, point=third))
         reached, ends = distance(angle), [distance(-limit), distance(limit)]
@@ -210,7 +235,8 @@ def test_the_spine_bends_towards_balance():
     """With a hind leg up the centre of mass lies behind the diagonal; the spine bends to the side of the lifted leg."""
     lifted = {limb: np.array([name != limb for name in LIMBS]) for limb in LIMBS}
     left, right = (
-        float(balance_angle(MASSES, BALANCING, lifted[limb], ROBOT, 0.009)) for limb in ("rear_left", "rear_right")
+        float(balance_angle(MASSES, BALANCING, lifted[limb], ROBOT, 0.009))
+        for limb in ("rear_left", "rear_right")
     )
     assert left == pytest.approx(-right, abs=1e-5)
     assert abs(left) > 0.05
@@ -227,7 +253,9 @@ def test_balance_without_a_published_lift_reaches_the_limit():
     """A lift that no angle can reach gives the limit, whatever the limit."""
     stance = np.array([True, True, False, True])
     for limit in (0.02, 0.1):
-        assert abs(float(balance_angle(MASSES, BALANCING, stance, ROBOT, 0.5, limit))) == pytest.approx(limit, rel=1e-4)
+        assert abs(
+            float(balance_angle(MASSES, BALANCING, stance, ROBOT, 0.5, limit))
+        ) == pytest.approx(limit, rel=1e-4)
 
 
 @pytest.mark.release

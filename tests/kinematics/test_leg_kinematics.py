@@ -88,7 +88,10 @@ def test_an_idler_couples_knee_and_hip_by_its_radius():
     type 3 nothing."""
     for geometry in (FRONT_LEG, REAR_LEG):
         leg = kin.leg_of(geometry)
-        for routing, share in (("type3", 0.0), ("type3_idler", -IDLER_RADIUS / geometry.pulley_radius)):
+        for routing, share in (
+            ("type3", 0.0),
+            ("type3_idler", -IDLER_RADIUS / geometry.pulley_radius),
+        ):
             servo = np.asarray(kin.knee_servo(leg, np.array([-0.2, 0.3]), np.full(2, 1.4), routing))
             assert servo[1] - servo[0] == pytest.approx(0.5 * share, abs=1e-6)
 
@@ -132,7 +135,9 @@ def test_tendon_lengths_are_those_of_mujoco(geometry, routing):
         mujoco.mj_forward(model, data)
         theirs.append(data.tendon(routing).length[0])
     difference = ours - theirs
-    np.testing.assert_allclose(difference, difference[0] if routing in ("type1", "type3_idler") else 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        difference, difference[0] if routing in ("type1", "type3_idler") else 0.0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
@@ -160,7 +165,10 @@ def test_type_1_agrees_with_the_published_spiral(geometry):
             return float(np.linalg.norm(spiral(length, servo) - knee)) - g.l2
 
         gaps = np.array([gap(length) for length in lengths])
-        roots = [brentq(gap, *lengths[j : j + 2], xtol=1e-15) for j in np.flatnonzero(gaps[:-1] * gaps[1:] <= 0)]
+        roots = [
+            brentq(gap, *lengths[j : j + 2], xtol=1e-15)
+            for j in np.flatnonzero(gaps[:-1] * gaps[1:] <= 0)
+        ]
         assert min(np.linalg.norm(spiral(root, q2[i]) - ours[i]) for root in roots) < 1e-9
 
 
@@ -191,7 +199,11 @@ def test_pulling_the_tendon_always_flexes_the_knee(routing):
         q1 = np.random.default_rng(1).uniform(-2.0, 2.0, (500, 4))
         low, high, works = knee_range(legs, q1, routing)
         theta = low + (high - low) * np.linspace(0, 1, 30)[:, None, None]
-        lever = np.asarray(jax.jvp(lambda angle: pull(legs, q1, angle, routing), (theta,), (jnp.ones_like(theta),))[1])
+        lever = np.asarray(
+            jax.jvp(
+                lambda angle: pull(legs, q1, angle, routing), (theta,), (jnp.ones_like(theta),)
+            )[1]
+        )
     assert works.all()
     assert (lever < -4e-4).all()
 
@@ -240,11 +252,15 @@ def test_unreachable_feet_go_to_the_nearest_reachable_one(geometry):
 def test_huge_feet_and_servos_saturate(routing):
     """A foot at 1e30 m gives the stretched leg in its direction; a servo at 1e30 rad the end of the knee's range."""
     leg = kin.leg_of(FRONT_LEG)
-    near, far = (inverse(leg, np.array([0.0, -size], np.float32), routing=routing) for size in (0.3, 1e30))
+    near, far = (
+        inverse(leg, np.array([0.0, -size], np.float32), routing=routing) for size in (0.3, 1e30)
+    )
     np.testing.assert_allclose(near.servo, far.servo, atol=1e-6)
     assert not far.reachable
     low, high, _ = knee_range(leg, jnp.asarray(0.2), routing)
-    tight, slack = (forward(leg, np.array([0.2, size], np.float32), routing=routing) for size in (-1e30, 1e30))
+    tight, slack = (
+        forward(leg, np.array([0.2, size], np.float32), routing=routing) for size in (-1e30, 1e30)
+    )
     np.testing.assert_allclose(tight.knee_angle, high, atol=2e-5)
     np.testing.assert_allclose(slack.knee_angle, low, atol=2e-5)
     assert not tight.reachable
@@ -265,9 +281,12 @@ def test_jacobian_is_the_finite_difference(routing):
         inner = np.asarray((theta > low + 0.02) & (theta < high - 0.02))
         for column, step in enumerate(1e-6 * np.eye(2)):
             difference = (
-                forward(legs, servo + step, routing=routing).foot - forward(legs, servo - step, routing=routing).foot
+                forward(legs, servo + step, routing=routing).foot
+                - forward(legs, servo - step, routing=routing).foot
             ) / 2e-6
-            np.testing.assert_allclose(ours[..., column][inner], difference[inner], rtol=1e-5, atol=1e-8)
+            np.testing.assert_allclose(
+                ours[..., column][inner], difference[inner], rtol=1e-5, atol=1e-8
+            )
 
 
 def test_the_geometry_is_differentiable():
@@ -294,7 +313,12 @@ def test_legs_and_batches_broadcast():
         alone = inverse(kin.leg_of(geometry), feet[:, limb], routing="type2")
         np.testing.assert_allclose(together.servo[:, limb], alone.servo, atol=1e-6)
     np.testing.assert_allclose(together.servo, mapped.servo, atol=1e-6)
-    assert jax.eval_shape(functools.partial(kin.jacobian, routing="type2"), legs, feet).shape == (5, 4, 2, 2)
+    assert jax.eval_shape(functools.partial(kin.jacobian, routing="type2"), legs, feet).shape == (
+        5,
+        4,
+        2,
+        2,
+    )
 
 
 @jax.jit
@@ -305,7 +329,9 @@ def everything(values):
     def results(values):
         poses = [kin.forward_kinematics(legs, values, routing) for routing in ROUTINGS]
         solutions = [kin.inverse_kinematics(legs, values, routing) for routing in ROUTINGS]
-        return [(p.foot, p.knee_angle) for p in poses], [(s.servo, s.knee_angle, s.foot) for s in solutions]
+        return [(p.foot, p.knee_angle) for p in poses], [
+            (s.servo, s.knee_angle, s.foot) for s in solutions
+        ]
 
     value, push = jax.linearize(results, values)
     # Every leg depends on its own pair alone, so two tangents hold the whole Jacobian.
@@ -330,7 +356,11 @@ def pairs(dtype):
 def test_any_numbers_give_finite_values_and_derivatives(real):
     """Servo angles or feet may be any finite numbers: values, jvp and grad hold no NaN and no infinity."""
     check = given(pairs(real))(assert_finite)
-    for values in (np.zeros((4, 2), real), np.full((4, 2), np.finfo(real).max), np.full((4, 2), -np.finfo(real).max)):
+    for values in (
+        np.zeros((4, 2), real),
+        np.full((4, 2), np.finfo(real).max),
+        np.full((4, 2), -np.finfo(real).max),
+    ):
         check = example(values)(check)
     with jax.enable_x64(real is np.float64):
         settings(max_examples=100, deadline=None)(check)()
@@ -347,7 +377,9 @@ def test_the_border_of_the_workspace_has_finite_derivatives(x64):
                 for end in knee_range(legs, q1, routing)[:2]:
                     end = jnp.broadcast_to(end, (4,))
                     foot = kin.points(legs, q1, end).foot
-                    servo = jnp.stack([jnp.full(4, q1), knee_servo(legs, q1, end, routing)], axis=-1)
+                    servo = jnp.stack(
+                        [jnp.full(4, q1), knee_servo(legs, q1, end, routing)], axis=-1
+                    )
                     for values in (foot, servo):
                         for scale in (1 - 3e-7, 1.0, 1 + 3e-7):
                             assert_finite(scale * values)

@@ -49,7 +49,9 @@ def test_the_chain_is_where_mujoco_puts_it():
     theta, vertical = rng.uniform(-0.4, 0.4, 20), rng.uniform(-0.3, 0.3, (20, 4))
     lengths = np.repeat([0.014, 0.010, 0.022], [10, 5, 5])
     with jax.enable_x64(True):
-        ours = np.asarray(transform(theta, replace_quantities(ROBOT, {"spine.segment": lengths}), vertical))
+        ours = np.asarray(
+            transform(theta, replace_quantities(ROBOT, {"spine.segment": lengths}), vertical)
+        )
     for i in range(20):
         model = mujoco_chain(lengths[i] - 0.014)
         data = mujoco.MjData(model)
@@ -105,9 +107,14 @@ def test_left_and_right_mirror():
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
     with jax.enable_x64(True):
         np.testing.assert_allclose(
-            transform(-theta, ROBOT), mirror @ np.asarray(transform(theta, ROBOT)) @ mirror, atol=1e-15
+            transform(-theta, ROBOT),
+            mirror @ np.asarray(transform(theta, ROBOT)) @ mirror,
+            atol=1e-15,
         )
-        for law in (lambda angle: joint_angle(angle, ROBOT), lambda angle: servo_angle(angle, ROBOT)):
+        for law in (
+            lambda angle: joint_angle(angle, ROBOT),
+            lambda angle: servo_angle(angle, ROBOT),
+        ):
             np.testing.assert_allclose(law(-theta), -law(theta), atol=1e-14)
 
 
@@ -148,7 +155,9 @@ def test_displacement_is_inverted_over_the_whole_range():
     with jax.enable_x64(True):
         sideways = np.asarray(transform(theta, ROBOT)[:, 0, 3])
         np.testing.assert_allclose(displaced(sideways), theta, atol=1e-12)
-        np.testing.assert_allclose(displaced(np.array([-1e30, -0.05, 0.05, 1e30])), theta[[0, 0, -1, -1]], atol=1e-12)
+        np.testing.assert_allclose(
+            displaced(np.array([-1e30, -0.05, 0.05, 1e30])), theta[[0, 0, -1, -1]], atol=1e-12
+        )
         slope = np.asarray(jax.jit(jax.vmap(jax.grad(displaced)))(sideways[1:-1]))
     assert (np.diff(sideways) > 0).all()
     np.testing.assert_allclose(slope * np.gradient(sideways, theta)[1:-1], 1.0, atol=5e-3)
@@ -191,7 +200,10 @@ def test_any_number_gives_finite_values_and_derivatives(real):
 
     @settings(max_examples=100, deadline=None)
     @example(np.finfo(real).max)
-    @given(st.floats(width=width, allow_nan=False, allow_infinity=False) | st.floats(-0.5, 0.5, width=width))
+    @given(
+        st.floats(width=width, allow_nan=False, allow_infinity=False)
+        | st.floats(-0.5, 0.5, width=width)
+    )
     def check(value):
         for leaf in jax.tree.leaves(everything(real(value))):
             assert np.isfinite(leaf).all(), value

@@ -32,10 +32,16 @@ QUICK = PPO(hidden=(16, 16))
 def trained(algorithm, environment, iterations, seed=0):
     """What was learned, and the numbers of each iteration."""
     iterate, learned = algorithm.iteration(environment), algorithm.begin(environment, seed)
-    state, scores, rows = environment.reset(learned.random(RESET)), EpisodeScores.none(environment.worlds), []
+    state, scores, rows = (
+        environment.reset(learned.random(RESET)),
+        EpisodeScores.none(environment.worlds),
+        [],
+    )
     for _ in range(iterations):
         learned, state, experience, numbers = iterate(learned, state)
-        rows.append(scores.tally(experience) | {name: float(value) for name, value in numbers.items()})
+        rows.append(
+            scores.tally(experience) | {name: float(value) for name, value in numbers.items()}
+        )
     return learned, rows
 
 
@@ -59,7 +65,9 @@ def returned(learned, episodes=64):
         quiet, learned.statistics, state, jnp.zeros((60, episodes, 2))
     )
     running = np.ones(episodes, bool)
-    for reward, ended in zip(np.asarray(found.reward), np.asarray(found.terminated | found.truncated), strict=True):
+    for reward, ended in zip(
+        np.asarray(found.reward), np.asarray(found.terminated | found.truncated), strict=True
+    ):
         total += reward * running
         running &= ~ended
     return total.mean()
@@ -117,9 +125,19 @@ def test_two_steps_on_the_clipped_objective_are_those_of_the_definition():
     critic = ((jnp.zeros((1, 1)), jnp.zeros(1)),)
     key, none = jax.random.key_data(jax.random.key(0)), jnp.zeros((), jnp.int32)
     states = (descent().init(actor), descent().init(critic))
-    learned = Learned(actor, critic, critic, Statistics.none(1), states, jnp.float32(rate), key, none, none)
+    learned = Learned(
+        actor, critic, critic, Statistics.none(1), states, jnp.float32(rate), key, none, none
+    )
     no, seen = jnp.zeros((1, 2), bool), jnp.zeros((1, 2, 1))
-    found = Experience(seen, jnp.asarray(action[None, :, None], jnp.float32), jnp.asarray(gain[None]), {}, no, no, seen)
+    found = Experience(
+        seen,
+        jnp.asarray(action[None, :, None], jnp.float32),
+        jnp.asarray(gain[None]),
+        {},
+        no,
+        no,
+        seen,
+    )
     after, _ = jax.jit(functools.partial(ppo._updated, 1))(learned, found)
 
     def log_density(bias: float, log_std: float) -> np.ndarray:
@@ -172,7 +190,9 @@ def test_ppo_learns_to_hold_the_mass():
 def test_the_learning_rate_holds_the_policys_change_near_its_aim():
     """By one factor per iteration, down or up, however many steps an iteration has."""
     _, rows = long_training()
-    factors = np.array([after["rate"] / before["rate"] for before, after in itertools.pairwise(rows)])
+    factors = np.array(
+        [after["rate"] / before["rate"] for before, after in itertools.pairwise(rows)]
+    )
     assert np.isclose(factors[:, None], [1 / 1.5, 1.0, 1.5], rtol=1e-5).any(axis=1).all()
     assert (factors != 1.0).any()
     assert 0.5 * QUICK.kl < np.median([row["kl"] for row in rows[20:]]) < 2.0 * QUICK.kl

@@ -16,7 +16,16 @@ from nermo_mjx.control import published_controller
 from nermo_mjx.control.parameters import Pilot
 from nermo_mjx.control.path import arc
 from nermo_mjx.control.protocol import leg_servos
-from nermo_mjx.learn import SENTENCES, Environment, Modulation, Outcome, Residual, Targets, Task, Term
+from nermo_mjx.learn import (
+    SENTENCES,
+    Environment,
+    Modulation,
+    Outcome,
+    Residual,
+    Targets,
+    Task,
+    Term,
+)
 from nermo_mjx.learn.acting import Acted, Acting
 from nermo_mjx.learn.observing import SENSED, Observer, Sensing, Told
 from nermo_mjx.learn.task import Episodes, chosen_terms
@@ -28,7 +37,9 @@ RANDOMIZED = {"frequency": (0.6, 1.0), "contact.friction": (1.0, 1.6), "mass.fro
 #: Short episodes, so that worlds start new ones in a test; a custom term.
 HEIGHT = Term("height", "m", "of the IMU", lambda m: m.sensors.position[2])
 TASK = Task(
-    rewards={"progress": 2.0, "work": -1.0, "failed": -1.0, HEIGHT: 0.5}, randomize=RANDOMIZED, episode_length=0.2
+    rewards={"progress": 2.0, "work": -1.0, "failed": -1.0, HEIGHT: 0.5},
+    randomize=RANDOMIZED,
+    episode_length=0.2,
 )
 STEPS = 30
 
@@ -70,7 +81,9 @@ def sensors(**given) -> Sensors:
         "foot_force": 4,
         "joint_velocity": 12,
     }
-    zero |= {name: jnp.zeros(size) for name, size in shapes.items()} | {"orientation": jnp.array([1.0, 0, 0, 0])}
+    zero |= {name: jnp.zeros(size) for name, size in shapes.items()} | {
+        "orientation": jnp.array([1.0, 0, 0, 0])
+    }
     return Sensors(**(zero | given))
 
 
@@ -94,7 +107,9 @@ def test_without_an_action_the_published_controller_walks(environment):
 @pytest.mark.release
 def test_a_world_does_not_depend_on_the_others_nor_on_the_number_of_threads(states):
     """Bit for bit, over the beginning of a second episode."""
-    for few, many in zip(states, walked(Environment(SETUP, worlds=40, task=TASK, threads=2)), strict=True):
+    for few, many in zip(
+        states, walked(Environment(SETUP, worlds=40, task=TASK, threads=2)), strict=True
+    ):
         np.testing.assert_array_equal(few.observation, many.observation[:3])
         np.testing.assert_array_equal(few.privileged, many.privileged[:3])
         np.testing.assert_array_equal(few.reward, many.reward[:3])
@@ -119,7 +134,9 @@ def test_episodes_begin_with_a_gait_whose_feet_and_limbs_have_parameters():
     """As every controller's, they are arrays: what neither file nor draw changes were plain numbers, and refused."""
     setup = Setup(physics="fast", trajectory="free", spine="stride_extension+harmonics")
     robot, controller = setup.load(), Acting(setup.make_controller(), Residual())
-    draw = Episodes(setup, robot, controller, Task(set={"foot.rear.z3": 0.01, "limb.duty.rear": 0.05}))
+    draw = Episodes(
+        setup, robot, controller, Task(set={"foot.rear.z3": 0.01, "limb.duty.rear": 0.05})
+    )
     parameters, _, qpos = jax.eval_shape(draw, jax.random.key(0))
     assert parameters.loop.control.control.gait.duty.shape == ()
     assert qpos.shape == (robot.model.nq,)
@@ -182,7 +199,11 @@ def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(envi
     block = environment._worlds.session._blocks[0]
     block.qpos[1, 3:7] = [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]
     state = environment.step(start, np.zeros((3, 9)))
-    assert [SENTENCES[code] for code in state.status] == [SENTENCES[0], "The robot fell.", SENTENCES[0]]
+    assert [SENTENCES[code] for code in state.status] == [
+        SENTENCES[0],
+        "The robot fell.",
+        SENTENCES[0],
+    ]
     np.testing.assert_array_equal(state.terminated, [False, True, False])
     np.testing.assert_array_equal(state.terms["failed"], [0.0, 1.0, 0.0])
     np.testing.assert_allclose(state.privileged[:, height], start.privileged[:, height], rtol=0.05)
@@ -202,16 +223,24 @@ def test_a_policy_sees_the_servos_currents():
 
 def test_readings_come_late_and_with_noise_of_the_given_size():
     """Three ticks late, and a quarter of a tick more: straight between the readings of those two ticks."""
-    observer = Observer(("gyro", "action"), (), ("a",), False, False, delayed=4, noisy=False, dt=0.01)
+    observer = Observer(
+        ("gyro", "action"), (), ("a",), False, False, delayed=4, noisy=False, dt=0.01
+    )
     told = Told(None, jnp.zeros(0), None, jnp.array([7.0]), Geometry())
     memory = observer.memory(jnp.zeros(3))
     for tick in range(1, 5):
-        memory = observer.remembered(memory, observer.readings(sensors(gyro=jnp.full(3, float(tick)))))
-    seen = observer.observe(Sensing(delay=0.0325), memory, sensors(gyro=jnp.full(3, 5.0)), told, None)
+        memory = observer.remembered(
+            memory, observer.readings(sensors(gyro=jnp.full(3, float(tick))))
+        )
+    seen = observer.observe(
+        Sensing(delay=0.0325), memory, sensors(gyro=jnp.full(3, 5.0)), told, None
+    )
     np.testing.assert_allclose(seen, [*[1.75 / 3.0] * 3, 7.0], rtol=1e-6)
     noisy = dataclasses.replace(observer, delayed=0, noisy=True)
     keys = jax.random.split(jax.random.key(0), 2000)
-    many = jax.vmap(lambda key: noisy.observe(Sensing(gyro_noise=0.6), memory, sensors(), told, key))(keys)
+    many = jax.vmap(
+        lambda key: noisy.observe(Sensing(gyro_noise=0.6), memory, sensors(), told, key)
+    )(keys)
     np.testing.assert_allclose(many[:, :3].std(axis=0), 0.2, rtol=0.05)
     np.testing.assert_array_equal(many[:, 3], 7.0)
 
@@ -220,8 +249,12 @@ def test_a_policy_can_be_told_how_its_path_bends():
     """Times 0.5 m: 1 on a circle of that radius to the left, and nothing without a path."""
     for side in (1.0, -1.0):
         circle = arc(Pilot(radius=0.5, direction=side), jnp.array([0.1, -0.2, 0.0]))
-        told = Told(phase=None, command=jnp.zeros(0), path=circle, action=jnp.zeros(0), geometry=Geometry())
-        observer = Observer(("curvature",), (), (), phase=False, path=True, delayed=0, noisy=False, dt=0.01)
+        told = Told(
+            phase=None, command=jnp.zeros(0), path=circle, action=jnp.zeros(0), geometry=Geometry()
+        )
+        observer = Observer(
+            ("curvature",), (), (), phase=False, path=True, delayed=0, noisy=False, dt=0.01
+        )
         assert observer.names == ("curvature.path",)
         np.testing.assert_allclose(observer.told(told, sensors()), [side], rtol=1e-6)
     nowhere = dataclasses.replace(observer, path=False)
@@ -232,7 +265,10 @@ def test_a_policy_can_be_told_how_its_path_bends():
 @pytest.mark.release
 def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     base = published_controller("stride_extension", "open_loop")
-    servo, home = leg_servos(jnp.array([[0.0, -0.045]] * 4)), leg_servos(jnp.array([[0.01, -0.04]] * 4))
+    servo, home = (
+        leg_servos(jnp.array([[0.0, -0.045]] * 4)),
+        leg_servos(jnp.array([[0.01, -0.04]] * 4)),
+    )
     action = jnp.array([0.1, 0.2, 0.3, 0.4, -0.5, 0.0, 0.0, 1.0, -1.0])
     moved = Residual(hip=0.3, knee=0.2, spine=0.1).servo(servo, home, action)
     np.testing.assert_allclose(moved.hip - servo.hip, [0.03, 0.06, 0.09, 0.12], atol=1e-6)
@@ -246,7 +282,8 @@ def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     assert float(under.pilot.turn_rate) == -1.0
     # In a batch, as runs ask it.
     batch = Acted(
-        jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), base.parameters), jnp.array([[0.0, 0], [1, 0]])
+        jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), base.parameters),
+        jnp.array([[0.0, 0], [1, 0]]),
     )
     np.testing.assert_allclose(acting.cycle_rate(batch), [0.67, 1.67], rtol=1e-6)
 
@@ -275,31 +312,41 @@ def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(enviro
             lambda m: m.sensors.servo_speed[8],
             r"own \(test_environment.py:\d+\), which fails at .*: AttributeError.* Sensors are position",
         ),
-        (lambda m: 1.0 if m.speed > 0.1 else 0.0, r"own \(.*\), which fails at .*: it cannot be compiled"),
+        (
+            lambda m: 1.0 if m.speed > 0.1 else 0.0,
+            r"own \(.*\), which fails at .*: it cannot be compiled",
+        ),
         (lambda m: None, r"own \(.*\), which gives NoneType: expected one number"),
     ],
 )
 def test_a_term_that_gives_no_number_is_refused_before_anything_runs(value, message):
     """An array of ten would make the reward one, in silence."""
     with pytest.raises(ParameterError, match=message):
-        Environment(SETUP, worlds=1, task=Task(rewards={Term("own", "1", "a mistake", value): 1.0})).reset(0)
+        Environment(
+            SETUP, worlds=1, task=Task(rewards={Term("own", "1", "a mistake", value): 1.0})
+        ).reset(0)
 
 
 def test_headway_saturates_so_that_being_stuck_costs_more_than_haste_earns():
     """Of a second: nothing at rest, nearly all of it at 0.15 m/s, and a loss of the same size backward."""
     (term,) = chosen_terms({"headway": 1.0}, ())
     rest, slow, fast, back = (
-        float(term.value(types.SimpleNamespace(seconds=1.0, speed=speed))) for speed in (0.0, 0.05, 0.15, -0.05)
+        float(term.value(types.SimpleNamespace(seconds=1.0, speed=speed)))
+        for speed in (0.0, 0.05, 0.15, -0.05)
     )
     assert (rest, back) == (0.0, -slow)
-    np.testing.assert_allclose([slow, fast], [0.76159, 0.99505], atol=1e-4)  # tanh(1) and tanh(3), from tables
+    np.testing.assert_allclose(
+        [slow, fast], [0.76159, 0.99505], atol=1e-4
+    )  # tanh(1) and tanh(3), from tables
 
 
 @pytest.mark.long
 def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
     """From equal starts, within what float32 leaves; and a derivative that is the quotient of differences."""
     task = dataclasses.replace(TASK, randomize={"start.phase": (0.3, 0.3001)}, episode_length=0.2)
-    ours, theirs = (Environment(SETUP, engine=engine, worlds=2, task=task) for engine in ("c", "mjx"))
+    ours, theirs = (
+        Environment(SETUP, engine=engine, worlds=2, task=task) for engine in ("c", "mjx")
+    )
     a, b = ours.reset(0), jax.jit(theirs.reset)(0)
     step = jax.jit(theirs.step)
     for i in range(15):
@@ -309,7 +356,9 @@ def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
     # The solver's verdict, of the episode.
     np.testing.assert_array_equal(b.episode["unsolved"], 0)
     told = b.engine._replace(carry=b.engine.carry._replace(unsolved=jnp.array([7, 0])))
-    np.testing.assert_array_equal(jax.jit(jax.vmap(theirs._worlds.seen))(told).episode["unsolved"], [7, 0])
+    np.testing.assert_array_equal(
+        jax.jit(jax.vmap(theirs._worlds.seen))(told).episode["unsolved"], [7, 0]
+    )
 
     with jax.enable_x64(True):
         theirs = Environment(SETUP, engine="mjx", worlds=1, task=task)

@@ -21,7 +21,9 @@ def door():
     """One world, in episodes of three control steps."""
     from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
-    return NermoVectorEnv(Environment(Setup(physics="fast"), worlds=1, task=Task(episode_length=0.03)))
+    return NermoVectorEnv(
+        Environment(Setup(physics="fast"), worlds=1, task=Task(episode_length=0.03))
+    )
 
 
 @pytest.mark.release
@@ -31,7 +33,9 @@ def test_gymnasium_finds_nothing_to_say_and_an_end_is_told_beside_the_next_begin
 
     from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
-    env = NermoVectorEnv(Environment(Setup(physics="fast"), worlds=2, task=Task(episode_length=0.03)))
+    env = NermoVectorEnv(
+        Environment(Setup(physics="fast"), worlds=2, task=Task(episode_length=0.03))
+    )
     assert env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
     runs = []
     for _ in range(2):
@@ -48,7 +52,9 @@ def test_gymnasium_finds_nothing_to_say_and_an_end_is_told_beside_the_next_begin
     infos = third[4]
     np.testing.assert_allclose(infos["final_info"]["duration"], 0.03, rtol=1e-5)
     assert set(infos["final_info"]["status"]) == {"The time of the episode is over."}
-    assert all((last != first).any() for last, first in zip(infos["final_obs"], third[0], strict=True))
+    assert all(
+        (last != first).any() for last, first in zip(infos["final_obs"], third[0], strict=True)
+    )
     assert "final_obs" not in runs[0][4][4]
     # Other episodes follow where no seed is given.
     assert (env.reset()[0] != env.reset()[0]).any()
@@ -66,7 +72,10 @@ class OneWorld(gymnasium.Env):
 
     def __init__(self, vector):
         self.vector, self.render_mode = vector, None
-        self.observation_space, self.action_space = vector.single_observation_space, vector.single_action_space
+        self.observation_space, self.action_space = (
+            vector.single_observation_space,
+            vector.single_action_space,
+        )
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -93,7 +102,11 @@ def three():
     """Three worlds whose starts differ, in episodes of three control steps."""
     from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
-    task = Task(episode_length=0.03, randomize={"start.phase": (0.0, 1.0)}, observe=("phase", "servo_angle", "action"))
+    task = Task(
+        episode_length=0.03,
+        randomize={"start.phase": (0.0, 1.0)},
+        observe=("phase", "servo_angle", "action"),
+    )
     return NermoVectorEnv(setup=Setup(physics="fast"), worlds=3, task=task)
 
 
@@ -120,11 +133,16 @@ def test_each_world_has_its_seed(three):
 
 @pytest.mark.parametrize("seed", [[], [1], [1, 2], np.arange(4), (1, 2, 3, 4)], ids=str)
 def test_another_number_of_seeds_is_refused(three, seed):
-    with pytest.raises(ParameterError, match=rf"seed has {len(seed)} entries: expected one number, or 3, a world each"):
+    with pytest.raises(
+        ParameterError,
+        match=rf"seed has {len(seed)} entries: expected one number, or 3, a world each",
+    ):
         three.reset(seed=seed)
 
 
-@pytest.mark.parametrize("seed", [[1, 2.5, 3], [1, -1, 3], "abc", [1, "a", 3], [[1], 2, 3], 1.5], ids=str)
+@pytest.mark.parametrize(
+    "seed", [[1, 2.5, 3], [1, -1, 3], "abc", [1, "a", 3], [[1], 2, 3], 1.5], ids=str
+)
 def test_a_seed_that_is_no_whole_number_is_refused(three, seed):
     with pytest.raises(ParameterError, match="allowed is a whole number from 0 to 2\\^64 - 1"):
         three.reset(seed=seed)
@@ -147,7 +165,9 @@ def test_what_gymnasium_cannot_do_with_it_is_said(three):
     """Copies, and wrappers for another way of beginning episodes."""
     for copied in (pickle.dumps, copy.deepcopy):
         for each in (three, three.environment):
-            with pytest.raises(TypeError, match="cannot be pickled or copied: make one from its arguments"):
+            with pytest.raises(
+                TypeError, match="cannot be pickled or copied: make one from its arguments"
+            ):
                 copied(each)
     with pytest.raises(ValueError, match="NEXT_STEP"):
         gymnasium.wrappers.vector.NormalizeObservation(three)
@@ -187,7 +207,10 @@ def test_seeds_beyond_32_bits_are_others_and_masks_are_refused() -> None:
     assert (first != second).any()
     np.testing.assert_array_equal(first, env.reset(seed=np.int64(0))[0])
     for seed in (2**64, -1, 0.5, "1", [], [-1]):
-        refused(lambda given=seed: env.reset(seed=given), "seed (is .*from 0 to 2.64|has [01] entr)")
+        refused(
+            lambda given=seed: env.reset(seed=given), "seed (is .*from 0 to 2.64|has [01] entr)"
+        )
     refused(
-        lambda: env.reset(options={"reset_mask": np.array([True, False])}), "options has reset_mask: none are known"
+        lambda: env.reset(options={"reset_mask": np.array([True, False])}),
+        "options has reset_mask: none are known",
     )

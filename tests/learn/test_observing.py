@@ -23,7 +23,12 @@ STAIRS = Setup(scene="stairs", physics="fast")
 #: Later than a tick, and noisy; on stairs that are not the compiled ones.
 TASK = Task(
     observe=("height_scan", "gyro"),
-    set={"sensing.delay": 0.013, "sensing.height_scan_noise": 0.001, "terrain.height": 0.012, "terrain.spacing": 0.11},
+    set={
+        "sensing.delay": 0.013,
+        "sensing.height_scan_noise": 0.001,
+        "terrain.height": 0.012,
+        "terrain.spacing": 0.11,
+    },
     episode_length=0.3,
 )
 
@@ -46,7 +51,10 @@ def fallen_rays(robot, places: np.ndarray) -> np.ndarray:
     mujoco.mj_forward(robot.model, data)
     geom, down = np.zeros(1, np.int32), np.array([0.0, 0.0, -1.0])
     return np.array(
-        [1.0 - mujoco.mj_ray(robot.model, data, np.append(each, 1.0), down, None, 1, -1, geom) for each in places]
+        [
+            1.0 - mujoco.mj_ray(robot.model, data, np.append(each, 1.0), down, None, 1, -1, geom)
+            for each in places
+        ]
     )
 
 
@@ -55,13 +63,19 @@ def fallen_rays(robot, places: np.ndarray) -> np.ndarray:
 def test_heights_are_those_that_rays_meet_on_a_grid_that_turns_with_the_torso(scene):
     robot, uneven = Setup(scene=scene).load(), False
     for x, y, yaw in ((0.0, -0.1, 0.0), (0.05, -0.33, 0.4), (-0.1, -0.5, -2.0)):
-        lying = np.array([np.cos(yaw / 2), 0.1, -0.05, np.sin(yaw / 2)])  # leans, too: the grid stays level
-        read = sensors(position=jnp.array([x, y, 0.3]), orientation=jnp.asarray(lying / np.linalg.norm(lying)))
+        lying = np.array(
+            [np.cos(yaw / 2), 0.1, -0.05, np.sin(yaw / 2)]
+        )  # leans, too: the grid stays level
+        read = sensors(
+            position=jnp.array([x, y, 0.3]), orientation=jnp.asarray(lying / np.linalg.norm(lying))
+        )
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, np.asarray(read.orientation, float))
         nose = -turn.reshape(3, 3)[:2, 1] / np.linalg.norm(turn.reshape(3, 3)[:2, 1])
         left = np.array([-nose[1], nose[0]])
-        met = fallen_rays(robot, np.array([[x, y], *([x, y] + a * left + b * nose for a, b in SCANNED)]))
+        met = fallen_rays(
+            robot, np.array([[x, y], *([x, y] + a * left + b * nose for a, b in SCANNED)])
+        )
         found = height_scan(read, robot.terrain.height)
         np.testing.assert_allclose(found, np.clip(met[1:] - met[0], -0.05, 0.05), atol=2e-6)
         uneven |= bool(np.any(np.abs(found) > 1e-3))
@@ -93,7 +107,9 @@ def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
     places[:, 1] -= [0.0, 0.03, 0.09, 0.17]
     places[:, 3], places[:, 6] = np.cos([0.0, 0.1, 0.2, 0.3]), np.sin([0.0, 0.1, 0.2, 0.3])
     readings = [
-        jnp.tile(environment.robot.sensordata_at_rest(jnp.asarray(each)), (episode.steps_per_tick, 1))
+        jnp.tile(
+            environment.robot.sensordata_at_rest(jnp.asarray(each)), (episode.steps_per_tick, 1)
+        )
         for each in places
     ]
     params = dataclasses.replace(params, seed=jnp.zeros((), jnp.int32))  # the noise of a policy
@@ -105,7 +121,9 @@ def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
     own = dataclasses.replace(params.loop, control=policy.parameters)
     walks = observed_by(monkeypatch, loop, own, readings)
     assert policy.fixed == values
-    assert [each.astype(np.float32).tobytes() for each in walks] == [each.tobytes() for each in trainings]
+    assert [each.astype(np.float32).tobytes() for each in walks] == [
+        each.tobytes() for each in trainings
+    ]
     heights = np.stack(trainings)[:, : len(SCANNED)]
     assert np.ptp(heights, axis=0).max() > 0.5
     flat = observed_by(monkeypatch, ClosedLoop(Setup(physics="fast").load(), policy), own, readings)
@@ -113,12 +131,18 @@ def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
 
 
 @pytest.mark.release
-def test_a_policy_that_sees_the_stairs_walks_in_a_simulator_as_in_its_environment(trained, tmp_path):
+def test_a_policy_that_sees_the_stairs_walks_in_a_simulator_as_in_its_environment(
+    trained, tmp_path
+):
     """From its file, without noise; a flat floor is another walk, so heights count."""
     own = {"terrain.height": 0.012, "start.yaw": 0.05}
-    task = dataclasses.replace(TASK, set=own, randomize={"contact.friction": (1.0, 1.2)}, decimation=2)
+    task = dataclasses.replace(
+        TASK, set=own, randomize={"contact.friction": (1.0, 1.2)}, decimation=2
+    )
     environment = Environment(STAIRS, worlds=2, task=task)
-    made = dataclasses.replace(trained[0], observer=environment.loop.observer, decimation=2, fixed={})
+    made = dataclasses.replace(
+        trained[0], observer=environment.loop.observer, decimation=2, fixed={}
+    )
     (tmp_path / "policy.npz").write_bytes(made.content())
     policy = load_policy(tmp_path / "policy.npz")
     assert policy.observer.names[:2] == ("height_scan_-100_40", "height_scan_-100_0")
@@ -131,15 +155,22 @@ def test_a_policy_that_sees_the_stairs_walks_in_a_simulator_as_in_its_environmen
     np.testing.assert_allclose(walked["servo_work"], state.episode["servo_work"], rtol=1e-4)
     level = simulator(own | {"terrain.height": 0.0}, run)
     assert np.abs(level["servo_work"] / walked["servo_work"] - 1.0).min() > 1e-3
-    assert {"position", "orientation"} <= needed_sensors(dataclasses.replace(STAIRS, controller=policy))
+    assert {"position", "orientation"} <= needed_sensors(
+        dataclasses.replace(STAIRS, controller=policy)
+    )
 
 
 @pytest.mark.release
 def test_a_critic_sees_what_the_policy_may(trained):
     _, environment = trained
     state = environment.reset(0)
-    exact = [environment.privileged_names.index(f"exact.{name}") for name in environment.observation_names[:12]]
-    ground = [i for i, name in enumerate(environment.privileged_names) if name.startswith("height_scan_")]
+    exact = [
+        environment.privileged_names.index(f"exact.{name}")
+        for name in environment.observation_names[:12]
+    ]
+    ground = [
+        i for i, name in enumerate(environment.privileged_names) if name.startswith("height_scan_")
+    ]
     np.testing.assert_allclose(state.privileged[:, exact], state.privileged[:, ground], atol=1e-5)
 
 
@@ -155,9 +186,14 @@ def test_own_points_of_the_ground_can_be_observed_and_a_loop_without_ground_says
     environment = Environment(STAIRS, worlds=1, task=Task(observe=(own,)))
     assert environment.observation_names == ("nearest_step",)
     policy = Policy.of(environment, PPO().begin(environment, 0))
-    with pytest.raises(ParameterError, match=r"observes nearest_step, and nothing tells it the ground's height: give"):
+    with pytest.raises(
+        ParameterError,
+        match=r"observes nearest_step, and nothing tells it the ground's height: give",
+    ):
         policy.init(policy.parameters, sensors(), jnp.zeros(()))
-    with pytest.raises(ParameterError, match=r"observe has nearest_step .*fails.*TypeError.*missing.*'ground'"):
+    with pytest.raises(
+        ParameterError, match=r"observe has nearest_step .*fails.*TypeError.*missing.*'ground'"
+    ):
         Environment(STAIRS, worlds=1, task=Task(observe=(Sensed(nearest_step),)))
     with pytest.raises(ParameterError, match=r"observe has 'heightscan': allowed is .*height_scan"):
         Environment(STAIRS, worlds=1, task=Task(observe=("heightscan",)))

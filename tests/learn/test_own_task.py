@@ -16,7 +16,17 @@ from test_training import bits
 
 from nermo_mjx import ParameterError, Run, Setup, Simulator, trust
 from nermo_mjx.control import protocol
-from nermo_mjx.learn import SENTENCES, Environment, Outcome, Sensed, Task, Term, Training, load_policy, run_training
+from nermo_mjx.learn import (
+    SENTENCES,
+    Environment,
+    Outcome,
+    Sensed,
+    Task,
+    Term,
+    Training,
+    load_policy,
+    run_training,
+)
 from nermo_mjx.learn.evaluation import UNSEEN, Draws, PolicyEvaluator, unseen_bodies
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
@@ -63,7 +73,11 @@ def small(folder: Path, **task: Any) -> Path:
     shutil.copy(SWEEPS / "own_task.py", folder)
     training = Training.from_file(SWEEPS / "train_own.yaml").resolved(SWEEPS)
     path = folder / "train.yaml"
-    path.write_text(json.dumps({**training, **SMALL, "task": {**training["task"], "episode_length": 0.2, **task}}))
+    path.write_text(
+        json.dumps(
+            {**training, **SMALL, "task": {**training["task"], "episode_length": 0.2, **task}}
+        )
+    )
     return path
 
 
@@ -78,36 +92,102 @@ def done(tmp_path_factory):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("return m.seconds", "return m.sensors.servo_velocity", r"reward \(my.py:4\), which gives an array .* one num"),
+        (
+            "return m.seconds",
+            "return m.sensors.servo_velocity",
+            r"reward \(my.py:4\), which gives an array .* one num",
+        ),
         (
             "return m.seconds",
             "return 1.0 if m.speed > 0 else 0.0",
             r"reward \(my.py:4\), which fails at my.py:5.*jnp",
         ),
-        ("return m.seconds", "return m.sensors.gyros[0]", r"my.py:5: AttributeError.*did you mean 'gyro'"),
-        ("return m.seconds", "return m.second", r"my.py:5: AttributeError.*did you mean 'seconds'. Moment has before"),
-        ("return m.seconds", "return 0.0 / m.speed", r"reward \(my.py:4\), which gives nan for a robot at rest"),
+        (
+            "return m.seconds",
+            "return m.sensors.gyros[0]",
+            r"my.py:5: AttributeError.*did you mean 'gyro'",
+        ),
+        (
+            "return m.seconds",
+            "return m.second",
+            r"my.py:5: AttributeError.*did you mean 'seconds'. Moment has before",
+        ),
+        (
+            "return m.seconds",
+            "return 0.0 / m.speed",
+            r"reward \(my.py:4\), which gives nan for a robot at rest",
+        ),
         ("def reward(m):", "def rewards(m):", r"my.py has no 'reward'; did you mean 'rewards'"),
-        ("return s.gyro", "return jnp.outer(s.gyro, s.gyro)", r"observe.*seen \(my.py:7\), which gives .*\(3, 3\)"),
-        ("return s.gyro", "return s.gyro / s.gyro", r"seen \(my.py:7\), which gives \[nan, nan, nan\] for a robot"),
-        ("def seen(s):\n    return s.gyro", "seen = 3", r"my.py:seen', which is int: expected a function"),
-        ("return s.gyro", "return s.giro", r"seen \(my.py:7\), which fails at my.py:8.*did you mean 'gyro'"),
-        ("return s.position[2] < 0.0", "return s.position[2]", r"terminations.*ends \(my.py:10\).*expected a truth"),
-        ("return s.position[2] < 0.0", "return s.position < 0", r"ends \(my.py:10\), which gives an array"),
+        (
+            "return s.gyro",
+            "return jnp.outer(s.gyro, s.gyro)",
+            r"observe.*seen \(my.py:7\), which gives .*\(3, 3\)",
+        ),
+        (
+            "return s.gyro",
+            "return s.gyro / s.gyro",
+            r"seen \(my.py:7\), which gives \[nan, nan, nan\] for a robot",
+        ),
+        (
+            "def seen(s):\n    return s.gyro",
+            "seen = 3",
+            r"my.py:seen', which is int: expected a function",
+        ),
+        (
+            "return s.gyro",
+            "return s.giro",
+            r"seen \(my.py:7\), which fails at my.py:8.*did you mean 'gyro'",
+        ),
+        (
+            "return s.position[2] < 0.0",
+            "return s.position[2]",
+            r"terminations.*ends \(my.py:10\).*expected a truth",
+        ),
+        (
+            "return s.position[2] < 0.0",
+            "return s.position < 0",
+            r"ends \(my.py:10\), which gives an array",
+        ),
         (
             '{"command.speed": 0.1}',
             '{"command.sped": 0.1}',
             r"drawn \(my.py:13\), which draws .*did you mean",
         ),
-        ('{"command.speed": 0.1}', '{"command.speed": 3.0}', r"drawn \(my.py:13\), where command.speed is 3: allowed"),
-        ('{"command.speed": 0.1}', '{"command.speed": 0.1 + steps}', r"gives inf for command.speed at steps of 0 or"),
-        ('{"command.speed": 0.1}', '{"start.yaw": 0.1}', r"draws start.yaw, which stands under set or randomize"),
-        ('{"command.speed": 0.1}', '{"terrain.height": 0.1}', r"draws 'terrain.height': no parameter here"),
-        ('return {"command.speed": 0.1}', "return 0.1", r"gives an array .*: expected values by parameters' names"),
-        ("import jax.numpy", "import jax.nunpy", r"my.py': it cannot be imported at my.py:1: ModuleNotFoundError"),
+        (
+            '{"command.speed": 0.1}',
+            '{"command.speed": 3.0}',
+            r"drawn \(my.py:13\), where command.speed is 3: allowed",
+        ),
+        (
+            '{"command.speed": 0.1}',
+            '{"command.speed": 0.1 + steps}',
+            r"gives inf for command.speed at steps of 0 or",
+        ),
+        (
+            '{"command.speed": 0.1}',
+            '{"start.yaw": 0.1}',
+            r"draws start.yaw, which stands under set or randomize",
+        ),
+        (
+            '{"command.speed": 0.1}',
+            '{"terrain.height": 0.1}',
+            r"draws 'terrain.height': no parameter here",
+        ),
+        (
+            'return {"command.speed": 0.1}',
+            "return 0.1",
+            r"gives an array .*: expected values by parameters' names",
+        ),
+        (
+            "import jax.numpy",
+            "import jax.nunpy",
+            r"my.py': it cannot be imported at my.py:1: ModuleNotFoundError",
+        ),
     ],
 )
-def test_what_is_wrong_with_own_code_is_one_sentence_before_anything_runs(tmp_path, monkeypatch, old, new, said):
+def test_what_is_wrong_with_own_code_is_one_sentence_before_anything_runs(
+    tmp_path, monkeypatch, old, new, said
+):
     monkeypatch.chdir(tmp_path)
     assert old in RIGHT
     Path("my.py").write_text(RIGHT.replace(old, new))
@@ -124,7 +204,10 @@ def test_what_is_wrong_with_own_code_is_one_sentence_before_anything_runs(tmp_pa
     [
         ({"observe": ["gyros"]}, "did you mean 'gyro'"),
         ({"observe": ["my.py:a b"]}, "is 'my.py:a b': expected FILE.py:NAME"),
-        ({"observe": ["my.py:seen", "other.py:seen"]}, r"functions of my.py and other.py: put them in one file"),
+        (
+            {"observe": ["my.py:seen", "other.py:seen"]},
+            r"functions of my.py and other.py: put them in one file",
+        ),
         ({"observe": ["my.py:gyro"]}, "but gyro is observed already"),
         ({"terminations": ["tipped"]}, "expected FILE.py:NAME or MODULE:NAME"),
         ({"commands": 3}, "is the number 3: expected FILE.py:NAME or MODULE:NAME"),
@@ -142,7 +225,10 @@ def test_names_that_are_none_are_refused(tmp_path, monkeypatch, task, said):
 def test_functions_without_a_file_cannot_be_trained_with():
     """A directory could not name them."""
     term = Term("height", "m", "of the IMU", lambda m: m.sensors.position[2])
-    for task, name in ((Task(rewards={term: 1.0}), "Term"), (Task(observe=(lambda s: s.gyro[0],)), "lambda")):
+    for task, name in (
+        (Task(rewards={term: 1.0}), "Term"),
+        (Task(observe=(lambda s: s.gyro[0],)), "lambda"),
+    ):
         with pytest.raises(SpecError, match=f"has .*{name}.*: name it as FILE.py:NAME"):
             Training.from_dict({"task": task})
 
@@ -179,8 +265,12 @@ def test_own_functions_give_what_those_of_the_package_give():
     state = environment.reset(0)
     for _ in range(4):
         state = environment.step(state, np.zeros((3, 9)))
-        np.testing.assert_allclose(state.observation[:, 3], 3.0 * state.observation[:, 2], rtol=1e-5)
-        np.testing.assert_allclose(state.observation[:, 4:6], 3.0 * state.observation[:, [0, 2]], rtol=1e-5)
+        np.testing.assert_allclose(
+            state.observation[:, 3], 3.0 * state.observation[:, 2], rtol=1e-5
+        )
+        np.testing.assert_allclose(
+            state.observation[:, 4:6], 3.0 * state.observation[:, [0, 2]], rtol=1e-5
+        )
         np.testing.assert_allclose(state.reward, 4.0 * state.terms["alive"], rtol=1e-5)
     assert np.abs(state.observation[:, 3]).min() > 0
     np.testing.assert_allclose(state.observation[:, 6], 0.1, rtol=1e-6)
@@ -203,7 +293,9 @@ def rougher(key, steps):
 def test_a_curriculum_raises_the_ground():
     """What the critic sees of it ahead: nothing at first, planks of one and of two centimetres later."""
     setup = Setup(scene="planks", physics="fast")
-    environment = Environment(setup, worlds=8, task=Task(commands=rougher, randomize={"start.phase": (0.0, 1.0)}))
+    environment = Environment(
+        setup, worlds=8, task=Task(commands=rougher, randomize={"start.phase": (0.0, 1.0)})
+    )
     ground = [name.startswith("height_scan_") for name in environment.privileged_names]
     highest = []
     for steps in (0, 50, 1e9):
@@ -221,7 +313,9 @@ def always(sensors):
 
 @pytest.mark.release
 def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_path, monkeypatch):
-    environment = Environment(SETUP, worlds=2, task=Task(terminations=(always,), rewards={"failed": -2.0}))
+    environment = Environment(
+        SETUP, worlds=2, task=Task(terminations=(always,), rewards={"failed": -2.0})
+    )
     state = environment.reset(0)
     assert not state.terminated.any()
     for _ in range(2):
@@ -232,7 +326,9 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
     monkeypatch.chdir(tmp_path)
     Path("my.py").write_text("def always(sensors):\n    return sensors.position[2] > -1.0\n")
     fields = {"physics": "fast", "run": {"duration": 0.2, "warmup": 0.1}}
-    training, ending = (Training.from_dict(fields | {"task": {"terminations": of}}) for of in ([], ["my.py:always"]))
+    training, ending = (
+        Training.from_dict(fields | {"task": {"terminations": of}}) for of in ([], ["my.py:always"])
+    )
     for which, share in ((training, 1.0), (ending, 0.0)):
         table = PolicyEvaluator(which, "c")(None, draws=Draws(2, UNSEEN), walkers=("alone",))
         assert table["success"].to_pylist() == [bool(share)] * 2
@@ -254,7 +350,9 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_
     code = tmp_path / "own_task.py"
     text = code.read_text()
     code.write_text(text.replace("** 2", "** 4"))
-    with pytest.raises(WrongDirectory, match=r"another task.observe .*task.rewards.bending \w+ .*task.terminations"):
+    with pytest.raises(
+        WrongDirectory, match=r"another task.observe .*task.rewards.bending \w+ .*task.terminations"
+    ):
         run_training(path, out)
     code.unlink()
     moved = Path(shutil.move(out, tmp_path / "moved"))
@@ -271,7 +369,10 @@ def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
     """Its file runs no code: whoever wants to use it names the code, and it must be that of the training."""
     code = done.out / "own_task.py"
     named = f"{done.policy}:{code}"
-    with pytest.raises(ParameterError, match=r"observes lean of own_task.py, code that is run only where you name it"):
+    with pytest.raises(
+        ParameterError,
+        match=r"observes lean of own_task.py, code that is run only where you name it",
+    ):
         load_policy(done.policy)
     for how in ("walk", "drive"):
         told = call(how, "--controller", done.policy)
@@ -279,7 +380,9 @@ def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
         assert "observes lean of own_task.py" in told.stderr
     other = tmp_path / "own_task.py"
     other.write_text(code.read_text() + "\n")
-    with pytest.raises(ParameterError, match=r"with the digest \w+; that of .* give the file with which"):
+    with pytest.raises(
+        ParameterError, match=r"with the digest \w+; that of .* give the file with which"
+    ):
         load_policy(done.policy, str(other))
     with pytest.raises(ParameterError, match=r"^controller is 'away.py': away.py cannot be read"):
         load_policy(done.policy, "away.py")
@@ -290,11 +393,16 @@ def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
     assert policy.observer.names[-1] != "lean"
     assert "lean" in policy.observer.names
     run = Run(duration=0.1, warmup=0.0)
-    walked = [Simulator(SETUP, engine="c", controller=each)({}, run)["distance"] for each in (policy, named)]
+    walked = [
+        Simulator(SETUP, engine="c", controller=each)({}, run)["distance"]
+        for each in (policy, named)
+    ]
     assert walked[0] == walked[1]
     from nermo_mjx.sweep import Sweep
 
-    sweep = Sweep.from_dict({"controller": named, "physics": "fast", "vary": {"contact.friction": [0.9, 1.1]}})
+    sweep = Sweep.from_dict(
+        {"controller": named, "physics": "fast", "vary": {"contact.friction": [0.9, 1.1]}}
+    )
     assert Sweep.from_text(sweep.to_yaml()) == sweep
 
 
@@ -305,15 +413,24 @@ def test_what_only_reads_runs_no_own_code_of_a_training(tmp_path, monkeypatch, d
     out = tmp_path / "theirs"
     shutil.copytree(done.out, out)
     canary = tmp_path / "run by mistake"
-    code = f"import pathlib\npathlib.Path({str(canary)!r}).write_text('run')\n" + (out / "own_task.py").read_text()
+    code = (
+        f"import pathlib\npathlib.Path({str(canary)!r}).write_text('run')\n"
+        + (out / "own_task.py").read_text()
+    )
     (out / "own_task.py").write_text(code)
     (tmp_path / "own_task.py").write_text(code)
     if module:
-        (out / "training.yaml").write_text((out / "training.yaml").read_text().replace("own_task.py:", "own_task:"))
+        (out / "training.yaml").write_text(
+            (out / "training.yaml").read_text().replace("own_task.py:", "own_task:")
+        )
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     protocol._imported.cache_clear()
-    for words in (("status", out), ("plot", out), ("view", out, "--no-open", "--out", tmp_path / "page.html")):
+    for words in (
+        ("status", out),
+        ("plot", out),
+        ("view", out, "--no-open", "--out", tmp_path / "page.html"),
+    ):
         told = call(*words)
         assert told.exit_code == 0, told.stderr
         assert not canary.exists(), f"{words[0]} ran it"

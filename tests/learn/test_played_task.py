@@ -44,20 +44,33 @@ def way(recording) -> float:
 
 @pytest.mark.release
 def test_zero_is_the_controller_alone_and_obeys_a_command(training):
-    drawn = {name: float(each[0]) for name, each in unseen_bodies(training, training.task, Draws(1, UNSEEN)).items()}
-    slow, fast = (played_task(training, "zero", seconds=4.0, values={"command.speed": each}) for each in (0.05, 0.15))
+    drawn = {
+        name: float(each[0])
+        for name, each in unseen_bodies(training, training.task, Draws(1, UNSEEN)).items()
+    }
+    slow, fast = (
+        played_task(training, "zero", seconds=4.0, values={"command.speed": each})
+        for each in (0.05, 0.15)
+    )
     assert way(slow) == pytest.approx(4.0 * 0.05, rel=0.15)
     assert way(fast) > 1.35 * way(slow), "as far as the stride lasts"
     uncommanded = Training.from_dict(FILE | {"randomize": {"start.phase": [0.0, 1.0]}})
     walk = played_task(uncommanded, "zero", seconds=0.5)
     start = {"start.phase": drawn["start.phase"]}
-    alone = Simulator(training.setup, engine="c").run(start, Run(duration=0.5, warmup=0.0), record=True).recording()
+    alone = (
+        Simulator(training.setup, engine="c")
+        .run(start, Run(duration=0.5, warmup=0.0), record=True)
+        .recording()
+    )
     np.testing.assert_allclose(walk.qpos, alone.qpos, atol=1e-5)
 
 
 @pytest.mark.release
 def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
-    one, again = (played_task(training, "random", scene="planks", values={"terrain.height": 0.003}) for _ in range(2))
+    one, again = (
+        played_task(training, "random", scene="planks", values={"terrain.height": 0.003})
+        for _ in range(2)
+    )
     np.testing.assert_array_equal(one.qpos, again.qpos)
     assert np.ptp(np.diff(one.ctrl[5:, 0])) > 0.02
     environment = training.environment("c")
@@ -75,9 +88,15 @@ def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
         (["--policy", "gone.npz"], "controller is 'gone.npz': it cannot be read"),
         (["--policy", "none"], "controller is 'none': it cannot be read"),
         (["--scene", "stair"], "scene is 'stair': did you mean 'stairs'?"),
-        (["--set", "terrain.slope=0.1", "--scene", "stairs"], "terrain.slope is given, and 'stairs' does not have it"),
+        (
+            ["--set", "terrain.slope=0.1", "--scene", "stairs"],
+            "terrain.slope is given, and 'stairs' does not have it",
+        ),
         (["--set", "command.speed=7"], "command.speed is 7"),
-        (["--set", "command.sped=1"], "command.sped is not a parameter; did you mean command.speed?"),
+        (
+            ["--set", "command.sped=1"],
+            "command.sped is not a parameter; did you mean command.speed?",
+        ),
         (["--xml", "a.xml"], "--xml has no effect without a recording."),
         (["--video", "a.txt"], "a video ends in"),
     ],
@@ -153,5 +172,7 @@ def test_a_policy_is_not_given_what_it_was_not_trained_with(training, tmp_path):
     file = tmp_path / "policy.npz"
     file.write_bytes(Policy.of(environment, PPO().begin(environment, 0)).content())
     for name in ("command.yaw_rate", "sensing.delay", "sensing.gyro_noise"):
-        with pytest.raises(ParameterError, match=f"{name} is given, and the policy was not trained with it"):
+        with pytest.raises(
+            ParameterError, match=f"{name} is given, and the policy was not trained with it"
+        ):
             played_task(training, str(file), values={name: 0.01})

@@ -22,7 +22,9 @@ from nermo_mjx.learn import playground_door
 def test_the_registry_has_it_with_what_may_be_overridden():
     config = registry.get_default_config("NermoPlanks")
     assert (config.ctrl_dt, config.episode_length, config.impl) == (0.01, 1000, "jax")
-    env = registry.load("NermoPlanks", config_overrides={"ctrl_dt": 0.02, "reward_config.scales.work": -0.25})
+    env = registry.load(
+        "NermoPlanks", config_overrides={"ctrl_dt": 0.02, "reward_config.scales.work": -0.25}
+    )
     task = env.environment.task
     assert (task.decimation, task.episode_length, task.rewards["work"]) == (2, 20.0, -0.25)
     assert env.n_substeps == 6
@@ -79,7 +81,8 @@ registry.load("NermoFlat")
 def test_playgrounds_environments_keep_their_physics_whichever_module_is_imported_first():
     """An acrobot's capsules have seven contacts in MJX, and eight in this package."""
     ran = [
-        subprocess.run([sys.executable, "-c", code], text=True, capture_output=True) for code in (STOCK, OURS + STOCK)
+        subprocess.run([sys.executable, "-c", code], text=True, capture_output=True)
+        for code in (STOCK, OURS + STOCK)
     ]
     assert [each.returncode for each in ran] == [0, 0], ran[-1].stderr
     assert ran[0].stdout.splitlines()[-1] == ran[1].stdout.splitlines()[-1]

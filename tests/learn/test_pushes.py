@@ -104,8 +104,12 @@ def test_a_push_is_the_same_on_mjx():
         batch = simulator.prepare({"start.phase": [0.0, 0.5]}, Run(duration=0.3))
         for force in (0.0, 3.0):
             real = batch.params.window.begin.dtype
-            pushes = Pushes(np.full(2, force, real), np.full(2, 0.2, real), np.array([3, 4], np.int32))
-            there = dataclasses.replace(batch, params=dataclasses.replace(batch.params, push=pushes))
+            pushes = Pushes(
+                np.full(2, force, real), np.full(2, 0.2, real), np.array([3, 4], np.int32)
+            )
+            there = dataclasses.replace(
+                batch, params=dataclasses.replace(batch.params, push=pushes)
+            )
             ways[engine, force] = simulator.run_batch(there, record=True).trace.qpos[:, 29]
     by = {engine: ways[engine, 3.0] - ways[engine, 0.0] for engine in ("c", "mjx")}
     assert (np.linalg.norm(by["c"][:, :2], axis=1) > 0.003).all()
@@ -122,7 +126,9 @@ def test_an_evaluation_pushes_policy_and_controller_alike_unless_it_says_otherwi
     pushed, calm = table(), table(evaluate={"bodies": 4, "set": {"push.force": 0.0}})
     never = table(task={}, randomize={})
     # An untrained policy leaves the controller as it is.
-    policy, alone = (pushed[pushed.controller == who].distance.to_numpy() for who in ("policy", "alone"))
+    policy, alone = (
+        pushed[pushed.controller == who].distance.to_numpy() for who in ("policy", "alone")
+    )
     np.testing.assert_allclose(policy, alone, atol=2e-4)
     assert (np.abs(pushed.distance - never.distance) > 1e-3).all()
     np.testing.assert_allclose(calm.distance, never.distance, atol=1e-5)

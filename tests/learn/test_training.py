@@ -26,10 +26,26 @@ from scipy.stats import kstest
 
 from nermo_mjx import ParameterError, Run, Setup, Simulator, show
 from nermo_mjx.cli import main
-from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
+from nermo_mjx.learn import (
+    PPO,
+    Environment,
+    Policy,
+    Residual,
+    Task,
+    Training,
+    load_policy,
+    run_training,
+)
 from nermo_mjx.learn.directory import TrainingDirectory, training_status
 from nermo_mjx.learn.environment import Mixture, divided
-from nermo_mjx.learn.evaluation import UNSEEN, Draws, PolicyEvaluator, recorded, summary_of, unseen_bodies
+from nermo_mjx.learn.evaluation import (
+    UNSEEN,
+    Draws,
+    PolicyEvaluator,
+    recorded,
+    summary_of,
+    unseen_bodies,
+)
 from nermo_mjx.learn.experience import collector
 from nermo_mjx.learn.policy import export
 from nermo_mjx.learn.run import _KEY, BestPolicy, successes
@@ -76,7 +92,9 @@ def done(tmp_path_factory):
 def policy():
     """A policy with weights, and the environment that it is of."""
     environment = Environment(
-        Setup(), worlds=2, task=Task(randomize={"contact.friction": (1.0, 1.2)}, decimation=2, episode_length=0.1)
+        Setup(),
+        worlds=2,
+        task=Task(randomize={"contact.friction": (1.0, 1.2)}, decimation=2, episode_length=0.1),
     )
     learned = PPO().begin(environment, 0)
     *hidden, (weights, bias) = learned.actor.layers
@@ -91,9 +109,16 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     out = tmp_path / "walker"
     shutil.copytree(done.out, out)
     page = show(out).html
-    assert [f'alt="{name}"' in page for name in ("curves", "rewards", "evaluation")] == [True, True, False]
+    assert [f'alt="{name}"' in page for name in ("curves", "rewards", "evaluation")] == [
+        True,
+        True,
+        False,
+    ]
     assert "<iframe" not in page
-    assert ['http-equiv="refresh"' in each for each in (page, trained(out, reload=20.0).html)] == [False, True]
+    assert ['http-equiv="refresh"' in each for each in (page, trained(out, reload=20.0).html)] == [
+        False,
+        True,
+    ]
     numbers = {"success": 0.98, "speed": 0.1234, "distance": 1.1, "cost_of_transport": 5.43}
     numbers["electrical_cost_of_transport"] = 91.23
     (out / "policy.npz").touch()
@@ -109,11 +134,15 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     monkeypatch.setattr("nermo_mjx.view.trained.training_figures", lambda _: [])
     page = show(out)
     assert "The policy on flat</h2><iframe" in page.html
-    row = "".join(f"<td>{each}</td>" for each in ("flat", "policy", "98", "123.4", "1.10", "5.43", "91.2"))
+    row = "".join(
+        f"<td>{each}</td>" for each in ("flat", "policy", "98", "123.4", "1.10", "5.43", "91.2")
+    )
     assert row in page.html
     assert page.samples == 50
     assert sorted(each.name for each in out.rglob("*")) == before
-    run = CliRunner().invoke(main, ["view", str(out), "--out", str(tmp_path / "page.html"), "--no-open", "--json"])
+    run = CliRunner().invoke(
+        main, ["view", str(out), "--out", str(tmp_path / "page.html"), "--no-open", "--json"]
+    )
     assert json.loads(run.stdout)["samples"] == 50
 
 
@@ -140,7 +169,9 @@ def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
 @pytest.mark.release
 def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
     out = Path(shutil.copytree(done.out, tmp_path / "copy"))
-    with pytest.raises(WrongDirectory, match=r"holds another training, with another seed \(0 there, 3 here\)"):
+    with pytest.raises(
+        WrongDirectory, match=r"holds another training, with another seed \(0 there, 3 here\)"
+    ):
         train(out, {"seed": 3})
     with pytest.raises(WrongDirectory, match=r"another randomize\.start\.phase"):
         train(out, {"randomize": {"start.phase": [0.0, 0.5]}})
@@ -177,7 +208,9 @@ def test_a_policy_walks_in_a_simulator_as_in_its_environment(policy):
     friction = 1.1 + 0.1 * np.asarray(state.privileged)[:, -1]
     while not np.asarray(state.truncated).any():
         state = environment.step(state, np.asarray(policy.act(state.observation)))
-    walked = Simulator(engine="c", controller=policy)({"contact.friction": friction}, Run(duration=0.1, warmup=0.0))
+    walked = Simulator(engine="c", controller=policy)(
+        {"contact.friction": friction}, Run(duration=0.1, warmup=0.0)
+    )
     np.testing.assert_allclose(walked["distance"], state.episode["distance"], atol=2e-6)
     np.testing.assert_allclose(walked["servo_work"], state.episode["servo_work"], rtol=1e-4)
     assert walked["servo_work"][0] > 0.2
@@ -201,7 +234,10 @@ def evaluated(policy):
 
 def test_an_evaluation_draws_from_ranges_of_its_own():
     """Where a scene has such a parameter; what it sets is not drawn, and the training's draws stay."""
-    harder = {"scene": "rough", "randomize": {"contact.friction": [1.2, 1.6], "terrain.height": [0.009, 0.013]}}
+    harder = {
+        "scene": "rough",
+        "randomize": {"contact.friction": [1.2, 1.6], "terrain.height": [0.009, 0.013]},
+    }
     training = Training.from_dict(
         {
             "randomize": {"contact.friction": [0.8, 1.6], "start.yaw": [0.0, 0.1]},
@@ -215,7 +251,10 @@ def test_an_evaluation_draws_from_ranges_of_its_own():
     friction = {"contact.friction": (0.8, 1.6)}
     ramp, rough = (task for _, task in training.evaluated())
     assert ramp.randomize == friction
-    assert rough.randomize == friction | {"terrain.height": (0.009, 0.013), "terrain.side": (0.0, 0.1)}
+    assert rough.randomize == friction | {
+        "terrain.height": (0.009, 0.013),
+        "terrain.side": (0.0, 0.1),
+    }
     assert ramp.set["start.yaw"] == 0.0
     assert training.scenes[1].task.randomize["contact.friction"] == (1.2, 1.6)
     assert Training.from_text(training.to_yaml()) == training
@@ -232,7 +271,9 @@ def test_an_evaluation_draws_from_ranges_of_its_own():
     ],
 )
 @pytest.mark.parametrize("section", ["set", "randomize"])
-def test_an_evaluation_gives_nothing_that_the_policy_is_not_trained_with(task, name, value, sentence, section):
+def test_an_evaluation_gives_nothing_that_the_policy_is_not_trained_with(
+    task, name, value, sentence, section
+):
     """It would be left out without a word."""
     there = {section: {name: value if section == "set" else [0.0, value]}}
     with pytest.raises(SpecError, match=rf"evaluate.{section}.{name}.* {sentence}"):
@@ -264,10 +305,19 @@ def test_a_walk_beside_its_path_is_no_success(evaluated):
 @pytest.fixture
 def choosing(policy, tmp_path):
     """The choice of a directory, policies after some steps, and how often each has walked."""
-    shares = {0: (0.5, 1.0), 10: (0.8, 1.0), 20: (0.8, 1.0), 30: (0.6, 1.0), 40: (0.9, 1.0), 50: (0.85, 0.85)}
+    shares = {
+        0: (0.5, 1.0),
+        10: (0.8, 1.0),
+        20: (0.8, 1.0),
+        30: (0.6, 1.0),
+        40: (0.9, 1.0),
+        50: (0.85, 0.85),
+    }
     walked = []
     after = {
-        steps: dataclasses.replace(policy[0], about={"trained": {"steps": steps, "training": "0a1b"}})
+        steps: dataclasses.replace(
+            policy[0], about={"trained": {"steps": steps, "training": "0a1b"}}
+        )
         for steps in shares
     }
 
@@ -276,7 +326,11 @@ def choosing(policy, tmp_path):
         return dict(zip(("planks", "ramp"), shares[walked[-1]], strict=True))
 
     with RunDirectory(tmp_path, "training") as held:
-        yield (lambda warned=None: BestPolicy(held, walks, ([] if warned is None else warned).append), after, walked)
+        yield (
+            lambda warned=None: BestPolicy(held, walks, ([] if warned is None else warned).append),
+            after,
+            walked,
+        )
 
 
 def _policy_after(robot, learned):
@@ -342,13 +396,21 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
     """At the first checkpoint that is; killed before it was noted, it ends with the same. A rerun learns nothing."""
     shares = {0: 0.0, 96: 0.5, 192: 0.95, 224: 1.0}
     fields = {"validation": 2, "until": {"success": 0.9}}
-    monkeypatch.setattr("nermo_mjx.learn.run.successes", lambda _, policy: {"flat": shares[chosen(policy)]})
+    monkeypatch.setattr(
+        "nermo_mjx.learn.run.successes", lambda _, policy: {"flat": shares[chosen(policy)]}
+    )
     monkeypatch.setattr("nermo_mjx.learn.run._evaluated", lambda *_: None)
     robot = Environment(Setup(), worlds=2, task=Task(episode_length=0.1))
     point = PointMass(8, pure=False)
-    monkeypatch.setattr("nermo_mjx.learn.run._Learning._policy", lambda self, learned: _policy_after(robot, learned))
+    monkeypatch.setattr(
+        "nermo_mjx.learn.run._Learning._policy", lambda self, learned: _policy_after(robot, learned)
+    )
     whole = run_training(SPEC | fields, tmp_path / "whole", environment=point)
-    assert (whole.iterations_run, whole.summary["policy_steps"], whole.summary["complete"]) == (6, 192, True)
+    assert (whole.iterations_run, whole.summary["policy_steps"], whole.summary["complete"]) == (
+        6,
+        192,
+        True,
+    )
     assert training_status(tmp_path / "whole").complete
     assert run_training(SPEC | fields, tmp_path / "whole", environment=point).iterations_run == 0
 
@@ -374,10 +436,14 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     """With `until`, and only there."""
     fields = {"run": {"duration": 0.3}, "validation": 4, "evaluate": {"bodies": 4}}
     plain = PolicyEvaluator(Training.from_dict(fields))
-    speeds = plain(policy[0], draws=Draws(4, _KEY), walkers=("policy",)).to_pandas().sort_values("speed")
+    speeds = (
+        plain(policy[0], draws=Draws(4, _KEY), walkers=("policy",)).to_pandas().sort_values("speed")
+    )
     assert successes(plain, policy[0]) == {"flat": 1.0}
     limit = float(speeds.speed.iloc[1:3].mean())
-    asked = PolicyEvaluator(Training.from_dict(fields | {"until": {"success": 1.0, "speed": limit}}))
+    asked = PolicyEvaluator(
+        Training.from_dict(fields | {"until": {"success": 1.0, "speed": limit}})
+    )
     assert speeds.success.all()
     assert limit > 0.0
     assert successes(asked, policy[0]) == {"flat": 0.5}
@@ -415,7 +481,11 @@ def test_a_page_shows_the_first_walk_of_the_evaluation(policy):
         "evaluate": {"bodies": 3, "distance": 0.0, "scenes": ["flat", "planks"]},
     }
     training = Training.from_dict(fields)
-    table = PolicyEvaluator(training)(policy[0], walkers=("policy",)).to_pandas().set_index(["scene", "body"])
+    table = (
+        PolicyEvaluator(training)(policy[0], walkers=("policy",))
+        .to_pandas()
+        .set_index(["scene", "body"])
+    )
     for scene, recording in recorded(training, policy[0]):
         first = table.loc[scene, 0]
         for name in fields["randomize"]:
@@ -431,7 +501,9 @@ def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_p
     path.write_bytes(policy.content())
     sentence = "judged in physics reference at steps of 2 ms and walks in"
     for setup in (Setup(physics="fast"), Setup(timestep=0.001)):
-        with pytest.warns(UserWarning, match=f"{sentence} {setup.physics} at {1e3 * setup.timestep:.4g} ms"):
+        with pytest.warns(
+            UserWarning, match=f"{sentence} {setup.physics} at {1e3 * setup.timestep:.4g} ms"
+        ):
             Simulator(setup, engine="c", controller=str(path))
     old = dataclasses.replace(policy, about={})
     with warnings.catch_warnings(action="error"):
@@ -443,7 +515,15 @@ def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_p
         "plots: false\n"
     )
     walk = ["walk", "--controller", str(path), "--duration", "0.05", "--warmup", "0", "--json"]
-    sweep = ["sweep", str(tmp_path / "swept.yaml"), "--out", str(tmp_path / "swept"), "--engine", "c", "--json"]
+    sweep = [
+        "sweep",
+        str(tmp_path / "swept.yaml"),
+        "--out",
+        str(tmp_path / "swept"),
+        "--engine",
+        "c",
+        "--json",
+    ]
     for args, told in ((walk, 0), ([*walk, "--physics", "fast"], 1), (sweep, 1)):
         result = CliRunner().invoke(main, args)
         assert result.exit_code == 0, result.output
@@ -456,8 +536,18 @@ def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_p
 @pytest.mark.release
 def test_a_policys_evaluation_is_made_again_from_its_file(tmp_path):
     """In another process, to the last bit, in the physics that the summary names; whatever is loaded first."""
-    fields = SPEC | {"physics": "fast", "worlds": 2, "steps": 16, "checkpoint": 16, "task": {"episode_length": 0.1}}
-    fields |= {"run": {"duration": 0.3}, "evaluate": {"bodies": 4}, "randomize": {"contact.friction": [0.8, 1.6]}}
+    fields = SPEC | {
+        "physics": "fast",
+        "worlds": 2,
+        "steps": 16,
+        "checkpoint": 16,
+        "task": {"episode_length": 0.1},
+    }
+    fields |= {
+        "run": {"duration": 0.3},
+        "evaluate": {"bodies": 4},
+        "randomize": {"contact.friction": [0.8, 1.6]},
+    }
     fields["algorithm"] = {"ppo": {"horizon": 4, "hidden": [64]}}
     out = tmp_path / "out"
     result = run_training(fields, out, engine="c")
@@ -499,7 +589,9 @@ def test_another_policys_weights_compile_nothing(policy, compilations):
     assert compilations == []
     assert abs(two - one) > 1e-3 * one
     both = jax.tree.map(lambda *leaves: np.stack(leaves), policy.parameters, other.parameters)
-    np.testing.assert_array_equal(simulator({}, run, policy=both)["servo_work"], np.concatenate([one, two]))
+    np.testing.assert_array_equal(
+        simulator({}, run, policy=both)["servo_work"], np.concatenate([one, two])
+    )
 
 
 def test_a_policys_file_is_the_policy(policy, tmp_path):
@@ -526,14 +618,18 @@ def test_worlds_are_divided_in_shares():
     for _ in range(200):
         parts = int(random.integers(2, 9))
         worlds = int(random.integers(parts, 300))
-        assert divided(worlds, [1.0] * parts) == [len(each) for each in np.array_split(np.arange(worlds), parts)]
+        assert divided(worlds, [1.0] * parts) == [
+            len(each) for each in np.array_split(np.arange(worlds), parts)
+        ]
         shares = random.uniform(0.05, 10.0, parts)
         found = np.array(divided(worlds, shares.tolist()))
         assert found.sum() == worlds
         assert found.min() >= 1
         exact = worlds * shares / shares.sum()
         assert (np.abs(found - exact) < 1.0).all() or exact.min() < 1.0
-    training = Training.from_dict({"worlds": 40, "scenes": [{"scene": "ramp"}, {"scene": "rough", "share": 3}]})
+    training = Training.from_dict(
+        {"worlds": 40, "scenes": [{"scene": "ramp"}, {"scene": "rough", "share": 3}]}
+    )
     assert [part.worlds for part in training.environment("c").parts] == [10, 30]
     assert Training.from_text(training.to_yaml()) == training
 
@@ -547,12 +643,18 @@ def test_a_mixture_is_its_parts_side_by_side():
     ]
     parts = [(Setup(physics="fast"), tasks[0]), (Setup(physics="fast", pilot="arc"), tasks[1])]
     mixture, key = Mixture(parts, worlds=3, threads=2), jax.random.key(5)
-    alone = [Environment(*part[:1], worlds=n, task=part[1]) for part, n in zip(parts, (2, 1), strict=True)]
+    alone = [
+        Environment(*part[:1], worlds=n, task=part[1])
+        for part, n in zip(parts, (2, 1), strict=True)
+    ]
     states = [each.reset(jax.random.fold_in(key, i)) for i, each in enumerate(alone)]
     state, action = mixture.reset(key), np.linspace(-1, 1, 27).reshape(3, 9).astype(np.float32)
     for _ in range(4):
         state = mixture.step(state, action)
-        states = [each.step(own, part) for each, own, part in zip(alone, states, (action[:2], action[2:]), strict=True)]
+        states = [
+            each.step(own, part)
+            for each, own, part in zip(alone, states, (action[:2], action[2:]), strict=True)
+        ]
     for name in ("observation", "reward", "truncated", "final_observation", "status"):
         together = np.concatenate([np.asarray(getattr(each, name)) for each in states])
         np.testing.assert_array_equal(getattr(state, name), together)
@@ -567,9 +669,13 @@ def test_parts_that_do_not_wait_for_each_other_step_as_together():
     """What a policy collects in a mixture, against its steps of all worlds at once; episodes end in between."""
     task = Task(episode_length=0.02, observe=("gyro", "action"), randomize={})
     other = dataclasses.replace(task, randomize={"contact.friction": (1.0, 1.2)})
-    mixture = Mixture([(Setup(physics="fast"), task), (Setup(physics="fast"), other)], worlds=3, threads=2)
+    mixture = Mixture(
+        [(Setup(physics="fast"), task), (Setup(physics="fast"), other)], worlds=3, threads=2
+    )
     learned, key, steps = PPO(std=0.5).begin(mixture, 0), jax.random.key(7), 3
-    after, found = collector(mixture, steps)(learned.actor, learned.statistics, mixture.reset(4), key)
+    after, found = collector(mixture, steps)(
+        learned.actor, learned.statistics, mixture.reset(4), key
+    )
     state = mixture.reset(4)
     noise = np.asarray(jax.random.normal(key, (steps, 3, 9), np.float32))
     for t in range(steps):
@@ -593,7 +699,9 @@ def test_a_policy_follows_another_path(policy, tmp_path):
     assert setup.make_controller().setup.pilot == "arc"
     assert setup.fields()["pilot"] == "arc"
     assert "pilot" not in Setup(controller=str(path)).fields()
-    with pytest.raises(ParameterError, match="pilot is 'open_loop', which has no path, and the policy observes one"):
+    with pytest.raises(
+        ParameterError, match="pilot is 'open_loop', which has no path, and the policy observes one"
+    ):
         Setup(controller=str(path), pilot="open_loop")
 
 
@@ -602,7 +710,9 @@ def test_walk_takes_a_policy(policy, tmp_path):
     """In place of the published controller, and says whose walk it is."""
     path = tmp_path / "policy.npz"
     path.write_bytes(policy[0].content())
-    ran = CliRunner().invoke(main, ["walk", "--controller", str(path), "--duration", "0.1", "--engine", "c", "--json"])
+    ran = CliRunner().invoke(
+        main, ["walk", "--controller", str(path), "--duration", "0.1", "--engine", "c", "--json"]
+    )
     assert ran.exit_code == 0, ran.output
     assert json.loads(ran.stdout)["metrics"]["servo_work"] > 0.2
 
@@ -611,7 +721,9 @@ def test_onnx_acts_as_the_policy_does(policy):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
     session = runtime.InferenceSession(export(policy[0]), providers=["CPUExecutionProvider"])
-    seen = np.random.default_rng(0).normal(size=(5, len(policy[0].observer.names))).astype(np.float32)
+    seen = (
+        np.random.default_rng(0).normal(size=(5, len(policy[0].observer.names))).astype(np.float32)
+    )
     (action,) = session.run(None, {"observation": seen})
     np.testing.assert_allclose(action, policy[0].act(seen), atol=1e-5)
     facts = session.get_modelmeta().custom_metadata_map
@@ -622,7 +734,9 @@ def test_a_dry_run_says_what_it_would_take_and_writes_nothing(tmp_path):
     """On MJX: there is no pace before the program is compiled."""
     spec, out = tmp_path / "spec.yaml", tmp_path / "out"
     spec.write_text("worlds: 4\nsteps: 1000\ntask: {decimation: 2}\n")
-    ran = CliRunner().invoke(main, ["train", str(spec), "--out", str(out), "--dry-run", "--engine", "mjx"])
+    ran = CliRunner().invoke(
+        main, ["train", str(spec), "--out", str(out), "--dry-run", "--engine", "mjx"]
+    )
     assert ran.exit_code == 0, ran.output
     assert re.search("16 iterations, 64 steps per iteration, 1,024 steps; ", ran.stdout)
     assert not out.exists()
@@ -651,7 +765,16 @@ def test_a_training_of_the_robot_survives_a_kill_of_the_command(tmp_path):
     spec.write_text(ROBOT)
 
     def command(out):
-        return [sys.executable, "-m", "nermo_mjx", "train", str(spec), "--out", str(tmp_path / out), "--quiet"]
+        return [
+            sys.executable,
+            "-m",
+            "nermo_mjx",
+            "train",
+            str(spec),
+            "--out",
+            str(tmp_path / out),
+            "--quiet",
+        ]
 
     subprocess.run(command("whole"), check=True)
     killed = subprocess.Popen(command("killed"))
@@ -663,9 +786,14 @@ def test_a_training_of_the_robot_survives_a_kill_of_the_command(tmp_path):
     begun = pq.read_table(tmp_path / "killed" / "history.parquet").num_rows
     assert begun < 8
     subprocess.run(command("killed"), check=True)
-    np.testing.assert_equal(lasting(tmp_path / "killed").to_pydict(), lasting(tmp_path / "whole").to_pydict())
+    np.testing.assert_equal(
+        lasting(tmp_path / "killed").to_pydict(), lasting(tmp_path / "whole").to_pydict()
+    )
     whole, again = (load_policy(tmp_path / out / "policy.npz") for out in ("whole", "killed"))
     assert whole.content() == again.content()
-    tables = [pq.read_table(tmp_path / out / "validation.parquet").to_pydict() for out in ("whole", "killed")]
+    tables = [
+        pq.read_table(tmp_path / out / "validation.parquet").to_pydict()
+        for out in ("whole", "killed")
+    ]
     assert tables[0] == tables[1]
     assert tables[0]["steps"] == [0, 64, 128, 192, 256]

@@ -38,9 +38,13 @@ def told(recording: Recording, driven: Any = None, **setup: Any) -> Recording:
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("named", ["own.py:stiff", "{0}/own.py:stiff", "own:stiff", "own.under:stiff"])
+@pytest.mark.parametrize(
+    "named", ["own.py:stiff", "{0}/own.py:stiff", "own:stiff", "own.under:stiff"]
+)
 @pytest.mark.parametrize("form", ["npz", "jsonl"])
-def test_replay_runs_no_code_that_a_drive_names(named: str, form: str, driven: Any, tmp_path: Path, canary: Path):
+def test_replay_runs_no_code_that_a_drive_names(
+    named: str, form: str, driven: Any, tmp_path: Path, canary: Path
+):
     """Not even where its setup is refused afterwards; nor do its metrics run, or another file of the same name."""
     theirs = told(driven, controller=named.format(tmp_path), pilot="straight", metrics=["own.py"])
     path = tmp_path / f"drive.{form}"
@@ -51,14 +55,19 @@ def test_replay_runs_no_code_that_a_drive_names(named: str, form: str, driven: A
     for words in (("replay", path), ("replay", path, "--sweep", tmp_path / "a.yaml")):
         result = call(*words)
         assert (result.exit_code, result.stderr.count("\n")) == (2, 1), result.stderr
-        assert "code that a file names, which is not run: give your own copy of it, --controller" in result.stderr
+        assert (
+            "code that a file names, which is not run: give your own copy of it, --controller"
+            in result.stderr
+        )
     if form == "npz":
         call("servos", "--recording", path, "--out", tmp_path / "a.csv")
     assert not canary.exists()
 
 
 @pytest.mark.release
-def test_a_drive_by_a_controller_of_ones_own_is_made_again_with_it(tmp_path: Path, canary: Path) -> None:
+def test_a_drive_by_a_controller_of_ones_own_is_made_again_with_it(
+    tmp_path: Path, canary: Path
+) -> None:
     driving = Driving(Setup(controller="own.py:stiff"))
     for _ in range(3):
         driving.tick()
@@ -70,7 +79,10 @@ def test_a_drive_by_a_controller_of_ones_own_is_made_again_with_it(tmp_path: Pat
     result = call("replay", path, "--controller", "own.py:stiff")
     assert "All 3 samples equal" in result.stdout, result.stderr
     (tmp_path / "own.py").write_text((tmp_path / "own.py").read_text() + "\n")
-    assert "another one than that of the drive" in call("replay", path, "--controller", "own.py:stiff").stderr
+    assert (
+        "another one than that of the drive"
+        in call("replay", path, "--controller", "own.py:stiff").stderr
+    )
 
 
 MALFORMED: dict[str, dict[str, Any]] = {
@@ -90,9 +102,15 @@ MALFORMED: dict[str, dict[str, Any]] = {
     "unknown start": {"driven": {"values": {"froquency": 1.0}}},
     "start NaN": {"driven": {"values": {"frequency": float("nan")}}},
     "push without a body": {"driven": {"pushes": [{"tick": 0, "ticks": 3, "force": [1, 0, 0]}]}},
-    "push of nobody": {"driven": {"pushes": [{"tick": 0, "ticks": 3, "body": 10**30, "force": [1, 0, 0]}]}},
-    "push NaN": {"driven": {"pushes": [{"tick": 0, "ticks": 3, "body": 1, "force": [float("nan"), 0, 0]}]}},
-    "push too long": {"driven": {"pushes": [{"tick": 0, "ticks": 10**15, "body": 1, "force": [1, 0, 0]}]}},
+    "push of nobody": {
+        "driven": {"pushes": [{"tick": 0, "ticks": 3, "body": 10**30, "force": [1, 0, 0]}]}
+    },
+    "push NaN": {
+        "driven": {"pushes": [{"tick": 0, "ticks": 3, "body": 1, "force": [float("nan"), 0, 0]}]}
+    },
+    "push too long": {
+        "driven": {"pushes": [{"tick": 0, "ticks": 10**15, "body": 1, "force": [1, 0, 0]}]}
+    },
     "samples of another": {"driven": {"samples": [[[0.0], [0.0], [0.0], [None]]]}},
 }
 

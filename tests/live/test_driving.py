@@ -45,7 +45,9 @@ def running() -> Driving:
     return Driving(Setup(pilot="open_loop"), {"frequency": 0.8})
 
 
-def walked(driving: Driving, ticks: int, commands=(), after=lambda: None) -> tuple[np.ndarray, np.ndarray]:
+def walked(
+    driving: Driving, ticks: int, commands=(), after=lambda: None
+) -> tuple[np.ndarray, np.ndarray]:
     """Positions (ticks, nq) and servo targets (ticks, n_servos) under commands; `after` is called after each tick."""
     driving.reset()
     for tick in range(ticks):
@@ -101,14 +103,20 @@ def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_b
 @pytest.mark.release
 def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
     """A slider that is moved while the gait changes: the gait is that of the gait's command alone, tick by tick."""
-    gait, stride = Switch(0, gait="lateral_walk", blend=1.0), Switch(0, values={"stride": 0.8}, blend=0.1)
+    gait, stride = (
+        Switch(0, gait="lateral_walk", blend=1.0),
+        Switch(0, values={"stride": 0.8}, blend=0.1),
+    )
 
     def now(driving: Driving) -> list[float]:
         values = dict(values_of(driving.control))
         return [float(np.asarray(values[name])[0]) for name in ("duty", "stride")]
 
     seen: dict[str, list[list[float]]] = {}
-    for name, commands in {"gait": [(20, gait)], "both": [(20, gait), (50, stride), (60, stride)]}.items():
+    for name, commands in {
+        "gait": [(20, gait)],
+        "both": [(20, gait), (50, stride), (60, stride)],
+    }.items():
         seen[name] = []
         walked(running, 200, commands, lambda name=name: seen[name].append(now(running)))
     duty, stride = np.array(seen["both"]).T
@@ -127,12 +135,21 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
     [
         (Switch(0, values={"frequency": 9}), r"frequency is 9: allowed is \[0.001, 5\] Hz"),
         (Switch(0, values={"frequency": 1e-20}), r"frequency is 1e-20: allowed is \[0.001, 5\] Hz"),
-        (Switch(0, values={"frequency": 0.000999}), r"frequency is 0.000999: allowed is \[0.001, 5\] Hz"),
+        (
+            Switch(0, values={"frequency": 0.000999}),
+            r"frequency is 0.000999: allowed is \[0.001, 5\] Hz",
+        ),
         (Switch(0, values={"froquency": 1}), r"'froquency': did you mean 'frequency'"),
         (Switch(0, values={"contact.friction": 1}), r"'contact.friction'"),
-        (Switch(0, values={"stride": 1.2, "stance.max_stride": 0.08}), r"stride is 1.2: .* allowed is \[0, 1.050\]"),
+        (
+            Switch(0, values={"stride": 1.2, "stance.max_stride": 0.08}),
+            r"stride is 1.2: .* allowed is \[0, 1.050\]",
+        ),
         (Switch(0, spine="pitch_balance"), r"spine is 'pitch_balance'.*allowed"),
-        (Switch(0, gait="lateral_walk", blend=0.1), r"blend is 0.1: allowed is more than 0.32 cycles"),
+        (
+            Switch(0, gait="lateral_walk", blend=0.1),
+            r"blend is 0.1: allowed is more than 0.32 cycles",
+        ),
         (Switch(0, gait="lateral_walk", blend=0.0), r"blend is 0: allowed is \[0.05, 100\]"),
     ],
 )
@@ -152,7 +169,8 @@ def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
 def drive(tmp_path_factory) -> Iterator[LiveDrive]:
     """One that runs in a thread."""
     made = LiveDrive(
-        Driving(Setup(pilot="open_loop"), {"frequency": 0.8}), tmp_path_factory.mktemp("drive") / "drive.npz"
+        Driving(Setup(pilot="open_loop"), {"frequency": 0.8}),
+        tmp_path_factory.mktemp("drive") / "drive.npz",
     )
     thread = threading.Thread(target=made.run)
     thread.start()
@@ -165,7 +183,12 @@ def drive(tmp_path_factory) -> Iterator[LiveDrive]:
 def page(drive):
     """A socket that drives, as a page would open it."""
     with socket(drive) as opened:
-        said(opened, wanted=lambda told: not told["paused"] and told["speed"] == 1.0, pause=False, speed=1.0)
+        said(
+            opened,
+            wanted=lambda told: not told["paused"] and told["speed"] == 1.0,
+            pause=False,
+            speed=1.0,
+        )
         opened.send('{"reset": true}')
         while isinstance(told := opened.recv(timeout=30), bytes) or "restart" not in told:
             if isinstance(told, bytes):
@@ -182,7 +205,9 @@ def socket(drive: LiveDrive, **headers):
 def said(page, text: str | bytes = "", wanted=None, **message) -> dict:
     """The first state after a message that has the values of the message, or what is wanted."""
     page.send(text or json.dumps(message))
-    wanted = wanted or (lambda told: all(told.get(name, value) == value for name, value in message.items()))
+    wanted = wanted or (
+        lambda told: all(told.get(name, value) == value for name, value in message.items())
+    )
     while True:
         told = page.recv(timeout=30)
         if isinstance(told, bytes):
@@ -193,7 +218,9 @@ def said(page, text: str | bytes = "", wanted=None, **message) -> dict:
 
 def status(address: str, **headers) -> int:
     try:
-        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(address, headers=headers), timeout=10
+        ) as answer:
             return answer.status
     except urllib.error.HTTPError as error:
         return error.code
@@ -204,7 +231,11 @@ def test_only_its_own_page_gets_in(drive):
     address = drive.address
     assert address.startswith("http://127.0.0.1:")
     assert status(address) == 200
-    assert status(address[:-2] + "x/") == status(address.rpartition("/")[0].rpartition("/")[0] + "/") == 404
+    assert (
+        status(address[:-2] + "x/")
+        == status(address.rpartition("/")[0].rpartition("/")[0] + "/")
+        == 404
+    )
     assert status(address, Host="attacker.example") == 403
     for origin in ("http://attacker.example", None):
         with pytest.raises(InvalidStatus, match="403"):
@@ -272,7 +303,10 @@ def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
 
 @pytest.mark.release
 def test_a_drive_is_made_again_bit_for_bit(tmp_path):
-    driving = Driving(Setup(pilot="open_loop", schedule=(Switch(0.4, values={"stride": 0.8}),)), {"frequency": 0.8})
+    driving = Driving(
+        Setup(pilot="open_loop", schedule=(Switch(0.4, values={"stride": 0.8}),)),
+        {"frequency": 0.8},
+    )
     for tick in range(150):
         if tick == 50:
             driving.command(Switch(driving.time, gait="lateral_walk", spine="stride_extension"))
@@ -318,15 +352,26 @@ def test_a_sweep_walks_as_was_driven(tmp_path):
     }
     Recording(**{**vars(recorded), "metadata": {**recorded.metadata, "driven": many}}).save(file)
     refused = call("replay", file, "--sweep", tmp_path / "none.yaml")
-    assert (refused.exit_code, "schedule has 9 switches: allowed are 8" in refused.stderr) == (2, True), refused.output
+    assert (refused.exit_code, "schedule has 9 switches: allowed are 8" in refused.stderr) == (
+        2,
+        True,
+    ), refused.output
     assert not (tmp_path / "none.yaml").exists()
 
 
 def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
-    answer = call("drive", "--no-browser", "--seconds", "0.1", "--record", tmp_path / "d.npz", "--json")
+    answer = call(
+        "drive", "--no-browser", "--seconds", "0.1", "--record", tmp_path / "d.npz", "--json"
+    )
     assert answer.exit_code == 0, answer.output
     assert "drive: http://127.0.0.1:" in answer.stderr
-    assert json.loads(answer.stdout) == {"files": [], "seconds": 0.0, "factor": 1.0, "delay": None, "delay_95": None}
+    assert json.loads(answer.stdout) == {
+        "files": [],
+        "seconds": 0.0,
+        "factor": 1.0,
+        "delay": None,
+        "delay_95": None,
+    }
     assert not (tmp_path / "d.npz").exists()
 
 
@@ -352,7 +397,9 @@ def test_any_error_of_a_message_is_a_refusal(drive, page, monkeypatch):
 
 def test_a_switch_that_comes_due_is_refused_as_a_command_is_and_the_drive_goes_on(drive, page):
     drive.driving._due = [Switch(0.0, values={"stride": 1.2, "stance.max_stride": 0.08})]
-    assert "stride is 1.2" in said(page, '{"speed": 1.0}', lambda told: "refused" in told)["refused"]
+    assert (
+        "stride is 1.2" in said(page, '{"speed": 1.0}', lambda told: "refused" in told)["refused"]
+    )
     before = drive.driving.ticks
     until(lambda: drive.driving.ticks > before + 5)
 
@@ -362,7 +409,10 @@ def test_a_switch_that_comes_due_is_refused_as_a_command_is_and_the_drive_goes_o
     "message",
     [
         "garbage",
-        *(pytest.param(each, marks=pytest.mark.release) for each in ('{"set": {"stride": 0.8}}', '{"shown": 1}')),
+        *(
+            pytest.param(each, marks=pytest.mark.release)
+            for each in ('{"set": {"stride": 0.8}}', '{"shown": 1}')
+        ),
     ],
 )
 def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(drive, message):
@@ -380,7 +430,12 @@ def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(
         time.sleep(1.0)
         before = drive.driving.ticks
         with socket(drive) as second:
-            until(lambda: drive._page is not None and drive._page.remote_address == second.local_address, 10)
+            until(
+                lambda: (
+                    drive._page is not None and drive._page.remote_address == second.local_address
+                ),
+                10,
+            )
             until(lambda: drive.driving.ticks > before + 30, 10)
             stop.set()
             said(second, speed=0.5)
@@ -481,7 +536,13 @@ def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
     made, page, thread = recorded
     copies, journal = list[tuple[int, bytes]](), tmp_path / "d.jsonl"
     for k in range(6):
-        page.send(json.dumps({"set": {"stride": 0.9 - 0.05 * k}, "blend": 0.3} if k != 2 else {"gait": "lateral_walk"}))
+        page.send(
+            json.dumps(
+                {"set": {"stride": 0.9 - 0.05 * k}, "blend": 0.3}
+                if k != 2
+                else {"gait": "lateral_walk"}
+            )
+        )
         push = {"body": 1, "force": [1.0, 0.0, 0.0], "seconds": 0.1}
         page.send(json.dumps({"push": push} if k == 3 else {"speed": 1.0}))
         time.sleep(0.4)
@@ -575,14 +636,30 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
 @pytest.mark.release
 @pytest.mark.parametrize(
     "number",
-    [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.release) for each in (signal.SIGHUP, signal.SIGUSR1))],
+    [
+        signal.SIGKILL,
+        *(
+            pytest.param(each, marks=pytest.mark.release)
+            for each in (signal.SIGHUP, signal.SIGUSR1)
+        ),
+    ],
 )
 def test_a_drive_outlives_every_signal(number, tmp_path):
     """A terminal that closes saves it, as Ctrl-C does; of one that is killed there is the journal."""
-    words = [sys.executable, "-m", "nermo_mjx", "drive", "--no-browser", "--record", str(tmp_path / "d.npz")]
+    words = [
+        sys.executable,
+        "-m",
+        "nermo_mjx",
+        "drive",
+        "--no-browser",
+        "--record",
+        str(tmp_path / "d.npz"),
+    ]
     streams = {"stderr": subprocess.PIPE, "stdout": subprocess.DEVNULL, "text": True}
     # Tests may run under `nohup`, whose ignored signal a child would inherit.
-    with subprocess.Popen(words, **streams, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL)) as process:
+    with subprocess.Popen(
+        words, **streams, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    ) as process:
         try:
             address = next(line for line in process.stderr if "http://" in line).split()[-1]
             origin = address.rpartition("/")[0].rpartition("/")[0]
@@ -642,13 +719,19 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
         tab.wait('viewer.drive.state.values["pilot.turn_rate"] < -0.7')
         before = tab.evaluate("yaw()")
         tab.wait(f"yaw() < {before - 10}")
-        tab.evaluate("(window.pad = {connected: true, axes: [0, 0], buttons: [{pressed: true}]}, 1)")
-        tab.wait('viewer.drive.state.gait === "lateral_walk" && viewer.drive.state.values.stride === 0')
+        tab.evaluate(
+            "(window.pad = {connected: true, axes: [0, 0], buttons: [{pressed: true}]}, 1)"
+        )
+        tab.wait(
+            'viewer.drive.state.gait === "lateral_walk" && viewer.drive.state.values.stride === 0'
+        )
         # On a telephone nothing is wider than the window, and all sliders are there; Firefox has no narrower window.
         tab.resize(390, 844)
         tab.wait("innerWidth <= 500 && document.documentElement.scrollWidth <= innerWidth")
         boxes = "[...document.querySelectorAll('#drive input')].map((each) => each.getBoundingClientRect())"
-        assert tab.evaluate(f"{boxes}.every((box) => box.width > 60 && box.left >= 0 && box.right <= innerWidth)")
+        assert tab.evaluate(
+            f"{boxes}.every((box) => box.width > 60 && box.left >= 0 && box.right <= innerWidth)"
+        )
         tab.resize(1280, 720)
         if tab.evaluate("viewer.stage !== null"):  # a Firefox without a screen draws no picture
             # A drag with Shift pushes the body that is next to it.

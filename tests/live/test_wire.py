@@ -53,7 +53,24 @@ AUTHORS = {
     "servo_pos_leg": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8],
     "servo_pos_aux": [0.25, -0.1, 0.0, 0.35],
     "contact_sensors": [1.0, 0.0, 0.5, 2.0],
-    "imu_sensor": [1.0, -2.0, 0.05, 1.0, 0.0, 0.0, 0.0, 0.01, -0.02, 0.03, 0.0, 0.1, 9.8, 0.4, 0.5, 0.6],
+    "imu_sensor": [
+        1.0,
+        -2.0,
+        0.05,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.01,
+        -0.02,
+        0.03,
+        0.0,
+        0.1,
+        9.8,
+        0.4,
+        0.5,
+        0.6,
+    ],
 }
 
 
@@ -63,7 +80,11 @@ def driving() -> RobotDriving:
 
 
 def stamped(seconds: float, **more: Any) -> dict[str, Any]:
-    return {"header": {"stamp": {"sec": int(seconds), "nanosec": round(1e9 * (seconds % 1.0))}}, **AUTHORS, **more}
+    return {
+        "header": {"stamp": {"sec": int(seconds), "nanosec": round(1e9 * (seconds % 1.0))}},
+        **AUTHORS,
+        **more,
+    }
 
 
 def test_the_authors_message_is_read_by_meaning() -> None:
@@ -72,7 +93,9 @@ def test_the_authors_message_is_read_by_meaning() -> None:
     assert not measured.told
     measured.receive(AUTHORS)
     found = robot.sensors(measured.sensordata)
-    legs = dict(zip((channel.servo for channel in CHANNELS), AUTHORS["servo_pos_leg"], strict=False))
+    legs = dict(
+        zip((channel.servo for channel in CHANNELS), AUTHORS["servo_pos_leg"], strict=False)
+    )
     for name, angle in {**legs, "spine": 0.35, "neck": -0.1}.items():
         assert found.servo_angle[robot.servos.index(name)] == pytest.approx(angle, abs=1e-12)
     np.testing.assert_array_equal(found.foot_force, [1.0, 0.0, 0.5, 2.0])
@@ -90,7 +113,9 @@ def test_the_authors_message_is_read_by_meaning() -> None:
 def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
     """Direction and zero of a channel, and an articulated tail against the author's."""
     robot = load_robot(tail="articulated")
-    channels = read_channels({"spine": {"channel": 0, "direction": -1, "zero": 90}, "tail": {"channel": 1, "zero": 10}})
+    channels = read_channels(
+        {"spine": {"channel": 0, "direction": -1, "zero": 90}, "tail": {"channel": 1, "zero": 10}}
+    )
     measured = Measured(robot, channels)
     measured.receive({"servo_pos_leg": np.radians([80.0, 15.0]).tolist()})
     assert np.degrees(measured.pose[robot.servos.index("spine")]) == pytest.approx(10.0)
@@ -157,20 +182,31 @@ def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
     measured = Measured(load_robot(), CHANNELS, clock=clock)
     meet(measured, set(), clock.wait)
     measured.receive("nonsense")
-    with pytest.raises(SendError, match=r"no message .* for 5 s.*position.*open_loop; 1 messages were garbage"):
+    with pytest.raises(
+        SendError, match=r"no message .* for 5 s.*position.*open_loop; 1 messages were garbage"
+    ):
         meet(measured, {"position"}, clock.wait)
     measured.receive({"contact_sensors": [0.0] * 4})
-    with pytest.raises(ParameterError, match="the controller reads position; its messages tell foot_force"):
+    with pytest.raises(
+        ParameterError, match="the controller reads position; its messages tell foot_force"
+    ):
         meet(measured, {"position", "foot_force"}, clock.wait)
     meet(measured, {"foot_force"}, clock.wait)
     measured.receive({"servo_pos_leg": [0.0] * 8, "servo_pos_aux": [0.0] * 4})
-    assert measured.counts["of a wrong size"] == 1, "what the controller reads may not be left out later"
+    assert measured.counts["of a wrong size"] == 1, (
+        "what the controller reads may not be left out later"
+    )
 
 
 @pytest.mark.release
 def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_loss(driving) -> None:
     """6 s, against the plain walk; then with 20 ms (10 to 30) and 1 % lost, both ways, within the 5 % allowed."""
-    history = shared_simulator(Setup(), "c").run({}, Run(duration=6.0), record=True).recording().sensors["position"]
+    history = (
+        shared_simulator(Setup(), "c")
+        .run({}, Run(duration=6.0), record=True)
+        .recording()
+        .sensors["position"]
+    )
     plain = np.linalg.norm((history[-1] - history[0])[:2])
     near = Together(driving)
     near.walk(6.0)
@@ -193,7 +229,9 @@ def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(drivi
     assert begins > 20, "the poses at phases 0 and 1/2 are that far apart"
     assert steps[:begins].max() <= APPROACH * driving.dt + 1e-5
     assert np.abs(both.commands[0][[0, 2, 4, 6]] - away[:4]).max() < 1e-4
-    assert driving.driven.walked == pytest.approx((len(both.commands) - begins) * driving.dt, abs=0.05)
+    assert driving.driven.walked == pytest.approx(
+        (len(both.commands) - begins) * driving.dt, abs=0.05
+    )
     top = np.radians(np.degrees(driving.batch.params.servo.top_speed[0])) * driving.dt
     assert steps.max() <= top + 1e-5
 
@@ -212,7 +250,9 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> Non
     both.silent = False
     both.walk(1.0)
     assert both.body.about["distance"] > before + 0.03
-    assert np.abs(np.diff(both.commands, axis=0)).max() < 0.2, "no jump: where it was, slowly to where it held"
+    assert np.abs(np.diff(both.commands, axis=0)).max() < 0.2, (
+        "no jump: where it was, slowly to where it held"
+    )
     both.silent = True
     both.walk(PATIENCE + 0.5)
     assert driving.driven.ended == "no message of the robot for 5 s"
@@ -221,7 +261,9 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> Non
 @pytest.mark.release
 @pytest.mark.parametrize("watched", [True, False])
 @pytest.mark.parametrize("silent", [True, False])
-def test_after_a_pause_the_robot_is_approached_from_where_it_is(driving, watched: bool, silent: bool) -> None:
+def test_after_a_pause_the_robot_is_approached_from_where_it_is(
+    driving, watched: bool, silent: bool
+) -> None:
     """Its power was off meanwhile, or somebody has moved it; whether or not the loop has looked after it."""
     both = Together(driving)
     both.walk(2.0)
@@ -307,13 +349,18 @@ class Posed(RobotDriving):
 
 def test_a_command_beyond_the_limits_of_a_servo_is_sent_at_its_limit() -> None:
     """Also where the channel counts against the controller's angle; the drive counts such commands."""
-    wired = {"spine": {"channel": 0, "direction": -1, "zero": 90, "low": 80, "high": 100}, "neck": {"channel": 1}}
+    wired = {
+        "spine": {"channel": 0, "direction": -1, "zero": 90, "low": 80, "high": 100},
+        "neck": {"channel": 1},
+    }
     robot, sent, drive = load_robot(), list[list[float]](), Posed("mqtt://localhost")
     measured = Measured(robot, read_channels(wired))
     drive.connect(measured, sent.append)
     for spine, neck in ((5.0, 40.0), (25.0, 40.0), (-25.0, 40.0)):
         drive.pose = np.zeros(len(robot.servos))
-        drive.pose[[robot.servos.index(name) for name in ("spine", "neck")]] = np.radians([spine, neck])
+        drive.pose[[robot.servos.index(name) for name in ("spine", "neck")]] = np.radians(
+            [spine, neck]
+        )
         drive._send(measured)
     np.testing.assert_allclose(sent, [[85.0, 40.0], [80.0, 40.0], [100.0, 40.0]], atol=1e-3)
     assert (drive.driven.sent, drive.driven.limited) == (3, 2)
@@ -346,7 +393,9 @@ def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
 
     driven = driving.run(None, wait)
     assert driven.ended == "a:1: the MQTT broker is gone"
-    assert driven.unsent == pytest.approx((PATIENCE - both.measured.watchdog) / driving.dt, rel=0.02)
+    assert driven.unsent == pytest.approx(
+        (PATIENCE - both.measured.watchdog) / driving.dt, rel=0.02
+    )
 
 
 @pytest.mark.release
@@ -363,10 +412,23 @@ def test_an_angle_that_is_not_a_number_is_not_sent(driving, monkeypatch) -> None
 @pytest.mark.release
 def test_a_robot_leaves_out_commands_that_are_none(driving) -> None:
     both = Together(driving)
-    for message in (None, "abc", [1.0] * 11, {"data": [0.0] * 11 + [float("inf")]}, {"data": None}, [0.0] * 12):
+    for message in (
+        None,
+        "abc",
+        [1.0] * 11,
+        {"data": [0.0] * 11 + [float("inf")]},
+        {"data": None},
+        [0.0] * 12,
+    ):
         both.body.receive(message)
     both.body.tick(both.clock())
-    assert both.body.about["commands"] == {"garbage": 3, "of a wrong size": 1, "not finite": 1, "taken": 1, "lost": 0}
+    assert both.body.about["commands"] == {
+        "garbage": 3,
+        "of a wrong size": 1,
+        "not finite": 1,
+        "taken": 1,
+        "lost": 0,
+    }
 
 
 @pytest.mark.release
@@ -395,7 +457,9 @@ def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) ->
         replayed(made)
     driving.reset()
     drive(0.5)
-    assert np.abs(np.diff(sent, axis=0)).max() < 0.2, "no jump, but for what servos differ from what they were told"
+    assert np.abs(np.diff(sent, axis=0)).max() < 0.2, (
+        "no jump, but for what servos differ from what they were told"
+    )
     monkeypatch.setattr(driving, "operator", lambda: 0.3)
     walked = driving.driven.walked
     drive(0.2)
@@ -410,7 +474,9 @@ def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) ->
 def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_path) -> None:
     """Read back, commands and angles are those of the wire, by signs and zeros of the channels; nothing is amiss."""
     turned = {"direction": -1.0, "zero": 90.0} if signed else {}
-    channels = dataclasses.replace(CHANNELS, servos=tuple(dataclasses.replace(c, **turned) for c in CHANNELS))
+    channels = dataclasses.replace(
+        CHANNELS, servos=tuple(dataclasses.replace(c, **turned) for c in CHANNELS)
+    )
     both = Together(driving, channels)
     log = both.measured.log = LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
     both.commands.clear()
@@ -433,7 +499,9 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
         np.testing.assert_allclose(np.degrees(channel.values), sent, atol=1e-3)
     angles = found.of_quantity("angle")["spine"]
     assert len(angles.times) > 390
-    np.testing.assert_allclose(angles.values[-1], both.measured.pose[both.body.robot.servos.index("spine")], atol=1e-6)
+    np.testing.assert_allclose(
+        angles.values[-1], both.measured.pose[both.body.robot.servos.index("spine")], atol=1e-6
+    )
     assert findings_of(found) == ()
     with pytest.raises(FileExistsError):
         LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
@@ -454,7 +522,9 @@ def test_a_log_on_a_full_disk_is_told_and_the_drive_goes_on(driving, monkeypatch
         driving.measured.log._file = Full()
         driving.run(0.3)
     assert driving.driven.walked == pytest.approx(0.3)
-    assert driving.failures() == [f"{tmp_path / 'robot.csv'}: the log cannot be written (No space left on device)."]
+    assert driving.failures() == [
+        f"{tmp_path / 'robot.csv'}: the log cannot be written (No space left on device)."
+    ]
 
 
 @pytest.mark.release
@@ -475,7 +545,11 @@ def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) 
     ("driven", "factor", "sentences"),
     [
         (Driven({"taken": 99}, walked=5.0, sent=100), 1.0, []),
-        (Driven({"taken": 0}, walked=5.0, sent=100), 1.0, ["The robot never answered on sensors_mouse: it was"]),
+        (
+            Driven({"taken": 0}, walked=5.0, sent=100),
+            1.0,
+            ["The robot never answered on sensors_mouse: it was"],
+        ),
         (
             Driven({"taken": 9}, sent=151, skipped=284),
             1.0,
@@ -504,8 +578,14 @@ def test_sentences_of_both_sides(driving) -> None:
     both.measured.receive("garbage")
     both.walk(1.0)
     walked, heard = driving.driven.sentences()
-    assert walked == f"It walked for {driving.driven.walked:.1f} s, and {len(both.commands)} commands were sent."
-    assert heard == f"{both.measured.counts['taken']} messages of the robot were taken; left out: 1 garbage."
+    assert (
+        walked
+        == f"It walked for {driving.driven.walked:.1f} s, and {len(both.commands)} commands were sent."
+    )
+    assert (
+        heard
+        == f"{both.measured.counts['taken']} messages of the robot were taken; left out: 1 garbage."
+    )
     there, taken = both.body.sentences()
     assert there.startswith("The simulated robot was there for ")
     assert re.fullmatch(r"\d+ commands were taken, the last one \d\.\d s before the end\.", taken)
@@ -513,7 +593,9 @@ def test_sentences_of_both_sides(driving) -> None:
 
 @pytest.mark.release
 @pytest.mark.parametrize("heard", [False, True])
-def test_a_robot_that_says_nothing_is_told_at_the_start(heard, driving, monkeypatch, tmp_path) -> None:
+def test_a_robot_that_says_nothing_is_told_at_the_start(
+    heard, driving, monkeypatch, tmp_path
+) -> None:
     """And in the end, by the exit code; the log is there all the same."""
     told = []
 
@@ -535,11 +617,15 @@ def test_a_robot_that_says_nothing_is_told_at_the_start(heard, driving, monkeypa
         TELL.reset(token)
     assert told[0] == "connected: waiting for the robot's messages on sensors_mouse."
     assert told[1].startswith(
-        "the robot tells accelerometer, " if heard else "no message on sensors_mouse in 0.05 s: open"
+        "the robot tells accelerometer, "
+        if heard
+        else "no message on sensors_mouse in 0.05 s: open"
     )
     never = [each for each in driving.failures() if "never answered" in each]
     assert bool(never) is not heard
-    assert (len((tmp_path / "robot.csv").read_text().splitlines()) > 10) is not heard, "nothing is sent into silence"
+    assert (len((tmp_path / "robot.csv").read_text().splitlines()) > 10) is not heard, (
+        "nothing is sent into silence"
+    )
 
 
 #: Other jobs on the machine delay its messages; simulated time is tested always.
@@ -550,7 +636,9 @@ in_real_time = pytest.mark.long
 def process(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
     """`nermo-mjx drive` with these words; killed in the end."""
     command = [sys.executable, "-m", "nermo_mjx", "drive", *map(str, words), "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as started:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as started:
         try:
             yield started
         finally:
@@ -559,7 +647,17 @@ def process(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
 
 def walking(url: str, channels: Path) -> tuple[str | Path, ...]:
     """Options of a controller that reads the sensors, at 100 Hz."""
-    return "--connect", url, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
+    return (
+        "--connect",
+        url,
+        "--headless",
+        "--pilot",
+        "straight",
+        "--rate",
+        "100",
+        "--channels",
+        channels,
+    )
 
 
 @pytest.fixture(params=["mqtt", "ros"])
@@ -581,12 +679,21 @@ def channels(tmp_path) -> Path:
 @in_real_time
 def test_two_processes_walk_together(wire, channels) -> None:
     """At 100 Hz, with 20 ms of delay and 1 % of loss both ways, for 8 s, as far as without within 5 %."""
-    history = shared_simulator(Setup(), "c").run({}, Run(duration=8.0), record=True).recording().sensors["position"]
+    history = (
+        shared_simulator(Setup(), "c")
+        .run({}, Run(duration=8.0), record=True)
+        .recording()
+        .sensors["position"]
+    )
     measured, sent = Measured(load_robot(), CHANNELS), list[float]()
     with (
         linked(wire, "listener", ROS_TYPE, SENSORS_TOPIC, measured.receive) as _,
-        linked(wire, "listener", ROS_TYPE, TOPIC, lambda message: sent.append(time.monotonic())) as _,
-        process("--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels) as robot,
+        linked(
+            wire, "listener", ROS_TYPE, TOPIC, lambda message: sent.append(time.monotonic())
+        ) as _,
+        process(
+            "--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels
+        ) as robot,
     ):
         until(lambda: measured.told)
         with process(*walking(wire, channels), "--seconds", "8") as drive:
@@ -605,7 +712,9 @@ def test_two_processes_walk_together(wire, channels) -> None:
     assert served["tilt"] < 0.2
     if (gap := np.quantile(np.diff(sent), 0.99)) > 0.04:
         pytest.skip(f"this machine is too busy for real time: commands were {gap:.3f} s apart")
-    assert served["distance"] == pytest.approx(np.linalg.norm((history[-1] - history[0])[:2]), rel=0.05)
+    assert served["distance"] == pytest.approx(
+        np.linalg.norm((history[-1] - history[0])[:2]), rel=0.05
+    )
 
 
 @in_real_time
@@ -662,9 +771,23 @@ def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
     commands: list[float] = []
     with (
         wires.broker() as port,
-        linked(f"mqtt://127.0.0.1:{port}", "listener", ROS_TYPE, TOPIC, lambda angles: commands.append(angles[0])) as _,
+        linked(
+            f"mqtt://127.0.0.1:{port}",
+            "listener",
+            ROS_TYPE,
+            TOPIC,
+            lambda angles: commands.append(angles[0]),
+        ) as _,
         process("--serve", f"mqtt://127.0.0.1:{port}") as robot,
-        process("--connect", f"mqtt://127.0.0.1:{port}", "--rate", "100", "--no-browser", "--seconds", "60") as drive,
+        process(
+            "--connect",
+            f"mqtt://127.0.0.1:{port}",
+            "--rate",
+            "100",
+            "--no-browser",
+            "--seconds",
+            "60",
+        ) as drive,
     ):
         assert drive.stderr is not None
         where = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))

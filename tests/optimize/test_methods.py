@@ -27,13 +27,19 @@ def space_of(vary):
 
 def test_coordinates_are_reflected_at_bounds_and_turn_with_angles():
     """Every coordinate is a share of the bounds."""
-    space = space_of({"frequency": {"uniform": [0.4, 1.0]}, "spine.phase": {"uniform": [-math.pi, math.pi]}})
+    space = space_of(
+        {"frequency": {"uniform": [0.4, 1.0]}, "spine.phase": {"uniform": [-math.pi, math.pi]}}
+    )
     given = np.array([[1.1, 1.1], [-0.2, -0.2], [2.3, 2.3], [0.4, 0.4]])
-    np.testing.assert_allclose(space.shares(given), [[0.9, 0.1], [0.2, 0.8], [0.3, 0.3], [0.4, 0.4]], atol=1e-12)
+    np.testing.assert_allclose(
+        space.shares(given), [[0.9, 0.1], [0.2, 0.8], [0.3, 0.3], [0.4, 0.4]], atol=1e-12
+    )
 
 
 def test_a_phase_between_narrow_bounds_does_not_turn():
-    space = space_of({"spine.phase": {"uniform": [-1.0, 1.0]}, "frequency": {"loguniform": [0.4, 1.0]}})
+    space = space_of(
+        {"spine.phase": {"uniform": [-1.0, 1.0]}, "frequency": {"loguniform": [0.4, 1.0]}}
+    )
     assert not space.periodic.any()
     assert space.first[1] == pytest.approx(math.log(0.67 / 0.4) / math.log(1.0 / 0.4))
 
@@ -67,16 +73,28 @@ def test_points_stay_within_the_bounds_whatever_happens(spec):
             assert ((shares >= 0) & (shares <= 1)).all()
             n, m, k = len(shares), len(search.aim.measures), 2 if search.aim.pareto else 1
             lost = answer == "falls"
-            filler = np.full((n, k), np.nan if lost else 1.0), np.full((n, m), np.nan if lost else 0.05)
-            optimizer.tell(Scores(*filler, np.full(n, np.nan if lost else 0.0), np.full(n, not lost)))
+            filler = (
+                np.full((n, k), np.nan if lost else 1.0),
+                np.full((n, m), np.nan if lost else 0.05),
+            )
+            optimizer.tell(
+                Scores(*filler, np.full(n, np.nan if lost else 0.0), np.full(n, not lost))
+            )
 
 
 def test_what_a_search_costs_is_counted_by_hand(monkeypatch):
     """120 evaluations of two seconds in batches of 12, by a simulator that makes 50 simulated seconds a second."""
     clock = iter([3.0, 3.0 + 12 * PROBE / 50.0])
-    monkeypatch.setattr("nermo_mjx.sweep.simulating.time", types.SimpleNamespace(perf_counter=lambda: next(clock)))
+    monkeypatch.setattr(
+        "nermo_mjx.sweep.simulating.time", types.SimpleNamespace(perf_counter=lambda: next(clock))
+    )
     cost = search_forecast(Search.from_dict(SPEED), "c", simulator=FakeSimulator())
-    assert cost.counts == {"evaluations": 120, "batches": 10, "evaluations_per_batch": 12, "runs": 120}
+    assert cost.counts == {
+        "evaluations": 120,
+        "batches": 10,
+        "evaluations_per_batch": 12,
+        "runs": 120,
+    }
     assert cost.simulated_seconds == pytest.approx(240.0)
     assert cost.wall_seconds == pytest.approx(240.0 / 50.0)
 
@@ -84,14 +102,26 @@ def test_what_a_search_costs_is_counted_by_hand(monkeypatch):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"objective": {"maximize": "sped"}}, "is the text 'sped': allowed are speed.*did you mean 'speed'"),
+        (
+            {"objective": {"maximize": "sped"}},
+            "is the text 'sped': allowed are speed.*did you mean 'speed'",
+        ),
         ({"objective": None}, "objective"),
         ({"method": "nsga2"}, "is nsga2, which is not for one objective: allowed are cma, sobol"),
         ({"pareto": [{"maximize": "speed"}, {"minimize": "slip"}]}, "stands beside 'objective'"),
-        ({"atlas": {"sped": [0, 1, 5]}}, "is not a metric that can be aimed at.*did you mean 'speed'"),
+        (
+            {"atlas": {"sped": [0, 1, 5]}},
+            "is not a metric that can be aimed at.*did you mean 'speed'",
+        ),
         ({"atlas": {"speed": [0, 1, 2.5]}}, "has 2.5 cells: expected a whole number"),
-        ({"atlas": {"speed": [0, 1, 2000], "roll_std": [0, 1, 2000]}}, "has more than 1,000,000 cells"),
-        ({"subject_to": {"roll_std": {"max": 0.1, "min": 0.2}}}, "allows 0.2 to 0.1: the lower one comes first"),
+        (
+            {"atlas": {"speed": [0, 1, 2000], "roll_std": [0, 1, 2000]}},
+            "has more than 1,000,000 cells",
+        ),
+        (
+            {"subject_to": {"roll_std": {"max": 0.1, "min": 0.2}}},
+            "allows 0.2 to 0.1: the lower one comes first",
+        ),
         ({"budget": {"simulated_seconds": 0}}, "expected a finite number above 0"),
         ({"batch": 2}, "is 2: expected a whole number from 4"),
         ({"keep": {"elites": 3}}, "is for an atlas"),
@@ -128,7 +158,9 @@ def test_a_metric_of_ones_own_is_aimed_at_measured_and_limited(tmp_path):
 
 @pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
 def test_a_search_reads_back_as_itself(spec):
-    search = Search.from_dict(spec | {"subject_to": {"slip": {"max": 0.1}}, "randomize": {"repeats": 2}})
+    search = Search.from_dict(
+        spec | {"subject_to": {"slip": {"max": 0.1}}, "randomize": {"repeats": 2}}
+    )
     assert Search.from_text(search.to_yaml()) == search
 
 
@@ -158,7 +190,9 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     recording = Recording.load(file)
     assert file.endswith(f"recordings/row-{told['best']['row']:06d}.npz")
     assert recording.metadata["metrics"]["speed"] == told["best"]["metrics"]["speed"]
-    assert recording.metadata["parameters"]["stride"] == pytest.approx(told["best"]["parameters"]["stride"], rel=1e-6)
+    assert recording.metadata["parameters"]["stride"] == pytest.approx(
+        told["best"]["parameters"]["stride"], rel=1e-6
+    )
     again = json.loads(call("replay", out, "--row", told["best"]["row"], "--json"))
     assert again["comparison"]["equal"]
     assert again["parameters"] == recording.metadata["parameters"]
@@ -166,13 +200,22 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     assert (refused.exit_code, "row is 8: allowed is 0 to 7" in refused.stderr) == (2, True)
     assert (out / "plots/convergence.png").exists()
     state = json.loads(call("status", out, "--json"))
-    assert (state["kind"], state["rows_done"], state["complete"], state["engine"]) == ("search", 8, True, "c")
+    assert (state["kind"], state["rows_done"], state["complete"], state["engine"]) == (
+        "search",
+        8,
+        True,
+        "c",
+    )
     files = json.loads(call("plot", out, "--out", tmp_path / "plots", "--json"))["files"]
-    assert (tmp_path / "plots/convergence.svg").read_bytes() == (out / "plots/convergence.svg").read_bytes()
+    assert (tmp_path / "plots/convergence.svg").read_bytes() == (
+        out / "plots/convergence.svg"
+    ).read_bytes()
     assert len(files) >= 2
     assert "profile exact; 8 evaluations" in (out / "plots/convergence.svg").read_text()
     call("plot", out, "--x", "frequency", "--y", "speed", "--out", tmp_path / "chosen")
-    assert "4 evaluations per batch" in call("search", path, "--out", out, "--engine", "c", "--dry-run")
+    assert "4 evaluations per batch" in call(
+        "search", path, "--out", out, "--engine", "c", "--dry-run"
+    )
 
 
 @pytest.mark.usefixtures("shared_simulators")
@@ -184,7 +227,13 @@ def test_the_command_searches_by_a_custom_metric(tmp_path):
         '@metric(unit="rad/s", better="low", reduce="rms")\n'
         "def shake(sensors):\n    return sensors.gyro[2]\n"
     )
-    spec = {"run": {"duration": 0.2}, "metrics": str(tmp_path / "shake.py"), "plots": False, "budget": 4, "batch": 4}
+    spec = {
+        "run": {"duration": 0.2},
+        "metrics": str(tmp_path / "shake.py"),
+        "plots": False,
+        "budget": 4,
+        "batch": 4,
+    }
     spec |= {"vary": {"frequency": {"uniform": [0.6, 0.9]}}, "objective": {"minimize": "shake"}}
     path, out = tmp_path / "search.yaml", tmp_path / "out"
     path.write_text(Search.from_dict(spec).to_yaml())
@@ -196,11 +245,17 @@ def test_the_command_searches_by_a_custom_metric(tmp_path):
 
 
 @pytest.mark.release(cases=("spec1-names1",))
-@pytest.mark.parametrize(("spec", "names"), [(FRONT, ("front", "hypervolume")), (ATLAS, ("atlas", "coverage"))])
+@pytest.mark.parametrize(
+    ("spec", "names"), [(FRONT, ("front", "hypervolume")), (ATLAS, ("atlas", "coverage"))]
+)
 def test_fronts_and_atlases_are_drawn(spec, names, tmp_path):
     needs("pymoo", "ribs")
-    result = run_search(spec | {"plots": True, "budget": 40}, tmp_path / "out", simulator=FakeSimulator())
-    assert {f"{name}.{form}" for name in names for form in ("png", "svg")} <= {path.name for path in result.plots}
+    result = run_search(
+        spec | {"plots": True, "budget": 40}, tmp_path / "out", simulator=FakeSimulator()
+    )
+    assert {f"{name}.{form}" for name in names for form in ("png", "svg")} <= {
+        path.name for path in result.plots
+    }
 
 
 def test_a_point_with_a_lost_run_comes_after_all_without():

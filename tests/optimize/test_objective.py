@@ -31,7 +31,11 @@ def test_terms_add_up_as_written():
     """-speed / 0.1 + 0.5 roll_std / 0.05 + 10 ((slip - 0.05) / 0.005)^2, for arrays of any shape."""
     rng = np.random.default_rng(0)
     metrics = {name: rng.random((3, 4)) * 0.1 for name in TERMS.metrics}
-    expected = -metrics["speed"] / 0.1 + 0.5 * metrics["roll_std"] / 0.05 + 10 * ((metrics["slip"] - 0.05) / 0.005) ** 2
+    expected = (
+        -metrics["speed"] / 0.1
+        + 0.5 * metrics["roll_std"] / 0.05
+        + 10 * ((metrics["slip"] - 0.05) / 0.005) ** 2
+    )
     np.testing.assert_allclose(TERMS.value(metrics), expected, rtol=1e-5)
 
 
@@ -46,7 +50,11 @@ def test_it_is_differentiable_under_jit():
 
 def test_only_what_is_named_is_read():
     """NaN in another metric does no harm; NaN in a named one makes the objective NaN, and no derivative else."""
-    found = {"speed": jnp.array([0.1, jnp.nan]), "slip": jnp.array([0.05, 0.05]), "roll_std": jnp.array([0.0, 0.0])}
+    found = {
+        "speed": jnp.array([0.1, jnp.nan]),
+        "slip": jnp.array([0.05, 0.05]),
+        "roll_std": jnp.array([0.0, 0.0]),
+    }
     value = TERMS.value({**found, "turning_radius": jnp.array([jnp.nan, jnp.nan])})
     np.testing.assert_allclose(value, [-1.0, np.nan], rtol=1e-5)
 
@@ -58,7 +66,10 @@ def test_flags_and_lengths_are_no_aim():
     assert all(about.unit for about in OBJECTIVE_METRICS.values())
 
 
-to_unconstrained, from_unconstrained = jax.jit(objective.to_unconstrained), jax.jit(objective.from_unconstrained)
+to_unconstrained, from_unconstrained = (
+    jax.jit(objective.to_unconstrained),
+    jax.jit(objective.from_unconstrained),
+)
 slope, confine = jax.jit(objective.slope), jax.jit(objective.confine)
 
 #: An amplitude, an angle, and a frequency far from 0 whose range is small.
@@ -86,10 +97,16 @@ def test_no_coordinate_leads_out_of_the_bounds(u):
 def test_the_slope_is_the_derivative():
     """`slope` is what automatic differentiation says, and a quarter of the range in the middle."""
     u = jnp.array([[-2.0, 0.7, 1.3], [0.1, -1.9, 0.0]])
-    diagonal = jax.jit(jax.vmap(lambda row: jnp.diag(jax.jacfwd(lambda each: from_unconstrained(BOUNDS, each))(row))))
+    diagonal = jax.jit(
+        jax.vmap(
+            lambda row: jnp.diag(jax.jacfwd(lambda each: from_unconstrained(BOUNDS, each))(row))
+        )
+    )
     derivative = diagonal(u)
     np.testing.assert_allclose(slope(BOUNDS, u), derivative, rtol=1e-5)
-    np.testing.assert_allclose(slope(BOUNDS, jnp.zeros(3)), (BOUNDS.high - BOUNDS.low) / 4, rtol=1e-6)
+    np.testing.assert_allclose(
+        slope(BOUNDS, jnp.zeros(3)), (BOUNDS.high - BOUNDS.low) / 4, rtol=1e-6
+    )
 
 
 def test_an_angle_walks_round_the_circle():

@@ -17,7 +17,9 @@ def walk(optimizer, steps=12):
     state, path = jax.vmap(chosen.init)(u), []
     for _ in range(steps):
         slope = jnp.array([[3.0, -4.0], [0.3, 0.4]])
-        step, state = jax.vmap(lambda g, s, u: chosen.update(g, s, u, value=jnp.sum(g * u)))(slope, state, u)
+        step, state = jax.vmap(lambda g, s, u: chosen.update(g, s, u, value=jnp.sum(g * u)))(
+            slope, state, u
+        )
         u = u + step
         path.append(np.asarray(u))
     return np.stack(path)
@@ -61,7 +63,11 @@ def test_a_schedule_may_be_the_learning_rate(written):
 
 def test_steps_of_a_piecewise_schedule_are_whole_numbers():
     """YAML has texts as keys; the schedule gets numbers."""
-    rate = {"name": "piecewise_constant_schedule", "init_value": 1.0, "boundaries_and_scales": {"2": 0.1}}
+    rate = {
+        "name": "piecewise_constant_schedule",
+        "init_value": 1.0,
+        "boundaries_and_scales": {"2": 0.1},
+    }
     steps = np.diff(walk(Optimizer("sgd", {"learning_rate": rate}), 4)[:, 1, 0], prepend=1.0)
     np.testing.assert_allclose(steps, [-0.3, -0.3, -0.03, -0.03], rtol=1e-5)
 
@@ -69,7 +75,9 @@ def test_steps_of_a_piecewise_schedule_are_whole_numbers():
 def test_each_start_is_clipped_by_itself():
     """A gradient of length 5 is shortened to 1, one of 0.5 beside it is not."""
     path = walk(Optimizer("sgd", {"learning_rate": 1.0}, clip=1.0), 1)
-    np.testing.assert_allclose(path[0], [[0.5 - 0.6, -0.3 + 0.8], [1.0 - 0.3, 2.0 - 0.4]], rtol=1e-5)
+    np.testing.assert_allclose(
+        path[0], [[0.5 - 0.6, -0.3 + 0.8], [1.0 - 0.3, 2.0 - 0.4]], rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,15 +91,27 @@ def test_each_start_is_clipped_by_itself():
             {"options": {"learning_rate": {"cosin": {"init_value": 1, "decay_steps": 4}}}},
             ["optimizer.learning_rate is the schedule 'cosin'", "cosine_decay_schedule"],
         ),
-        ({"options": {"learning_rate": {"cosine": {"init_value": 1}}}}, ["cosine_decay_schedule without decay_steps"]),
+        (
+            {"options": {"learning_rate": {"cosine": {"init_value": 1}}}},
+            ["cosine_decay_schedule without decay_steps"],
+        ),
         (
             {"options": {"learning_rate": {"cosine": {"init_value": 1, "decay_step": 4}}}},
             ["optimizer.learning_rate.decay_step", "did you mean 'decay_steps'?"],
         ),
-        ({"options": {"learning_rate": {"cosine": {"init_value": 1, "decay_steps": -4}}}}, ["refuses its options"]),
+        (
+            {"options": {"learning_rate": {"cosine": {"init_value": 1, "decay_steps": -4}}}},
+            ["refuses its options"],
+        ),
         ({"options": {"learning_rate": {"constant": {"value": float("nan")}}}}, ["starts at nan"]),
-        ({"options": {"learning_rate": {"a": 1, "b": 2}}}, ["a mapping of a, b", "expected a number, or a schedule"]),
-        ({"name": "rprop", "options": {"learning_rate": {"constant": {"value": 0.1}}}}, ["'rprop'"]),
+        (
+            {"options": {"learning_rate": {"a": 1, "b": 2}}},
+            ["a mapping of a, b", "expected a number, or a schedule"],
+        ),
+        (
+            {"name": "rprop", "options": {"learning_rate": {"constant": {"value": 0.1}}}},
+            ["'rprop'"],
+        ),
         ({"options": {"b1": "much"}}, ["optimizer.name is 'adam'"]),
         ({"options": {"b2": float("inf")}}, ["expected finite numbers"]),
         ({"clip": 0.0}, ["optimizer.clip is 0"]),
@@ -109,9 +129,12 @@ def test_what_cannot_work_is_refused_in_a_sentence(given, parts):
 
 def test_schedules_are_those_of_optax():
     """The common ones are there, helpers that are no schedule are not."""
-    assert {"cosine_decay_schedule", "exponential_decay", "linear_schedule", "warmup_cosine_decay_schedule"} <= set(
-        schedules()
-    )
+    assert {
+        "cosine_decay_schedule",
+        "exponential_decay",
+        "linear_schedule",
+        "warmup_cosine_decay_schedule",
+    } <= set(schedules())
     assert not {"join_schedules", "scale_by_schedule", "incremental_update"} & set(schedules())
 
 
@@ -122,7 +145,10 @@ def rough(seed):
     height = 0.02 / np.linalg.norm(way, axis=1)
 
     def value(u):
-        return -0.1 * jnp.exp(-0.5 * (u[0] ** 2 + 3.0 * u[1] ** 2)) + (height * jnp.sin(way @ u + at)).sum()
+        return (
+            -0.1 * jnp.exp(-0.5 * (u[0] ** 2 + 3.0 * u[1] ** 2))
+            + (height * jnp.sin(way @ u + at)).sum()
+        )
 
     return jax.jit(jax.value_and_grad(value))
 
@@ -148,7 +174,10 @@ def test_a_rate_that_follows_the_objective_finds_the_bottom_of_rough_bowls():
         controlled = Optimizer("controlled_adam", {"rate": rate})
         assert max(lowest(controlled, bowl, 30)[0] for bowl in bowls) < -0.098
     for rate in (0.03, 1.0):
-        assert max(lowest(Optimizer("adam", {"learning_rate": rate}), bowl, 30)[0] for bowl in bowls) > -0.095
+        assert (
+            max(lowest(Optimizer("adam", {"learning_rate": rate}), bowl, 30)[0] for bowl in bowls)
+            > -0.095
+        )
 
 
 def test_a_step_into_a_fall_is_taken_back():
@@ -165,6 +194,11 @@ def test_a_step_into_a_fall_is_taken_back():
 
 def test_a_controlled_rate_has_no_rate_to_give():
     """Its one option is the first one."""
-    with pytest.raises(ParameterError, match=r"learning_rate is not an option of controlled_adam; allowed are"):
+    with pytest.raises(
+        ParameterError, match=r"learning_rate is not an option of controlled_adam; allowed are"
+    ):
         Optimizer("controlled_adam", {"learning_rate": 0.1})
-    assert Optimizer("controlled_adam", {"rate": 0.1}).written() == {"name": "controlled_adam", "rate": 0.1}
+    assert Optimizer("controlled_adam", {"rate": 0.1}).written() == {
+        "name": "controlled_adam",
+        "rate": 0.1,
+    }

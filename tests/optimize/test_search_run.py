@@ -71,7 +71,9 @@ def test_constraints_hold_at_the_best_point(tmp_path):
     spec = SPEED | {"budget": 300, "subject_to": {"roll_std": {"max": 0.06}}}
     best = run_search(spec, tmp_path / "out", simulator=FakeSimulator()).best
     assert best["metrics"]["roll_std"] <= 0.06
-    grid = np.meshgrid(np.linspace(0.4, FALLS, 101), np.linspace(0, 0.4, 101), [BEST[1]], indexing="ij")
+    grid = np.meshgrid(
+        np.linspace(0.4, FALLS, 101), np.linspace(0, 0.4, 101), [BEST[1]], indexing="ij"
+    )
     speed, roll, _ = walk(*grid)
     assert best["metrics"]["speed"] > 0.985 * speed[roll <= 0.06].max()
 
@@ -80,13 +82,18 @@ def test_constraints_hold_at_the_best_point(tmp_path):
     ("spec", "batches"),
     [
         (SPEED | {"budget": 12, "subject_to": {"roll_std": {"max": 0.001}}}, [12, 12]),
-        (ATLAS | {"vary": WALK["vary"] | {"frequency": {"uniform": [1.41, 1.5]}}, "budget": 48}, [16, 16, 16]),
+        (
+            ATLAS | {"vary": WALK["vary"] | {"frequency": {"uniform": [1.41, 1.5]}}, "budget": 48},
+            [16, 16, 16],
+        ),
     ],
     ids=["constraints", "falls"],
 )
 def test_a_search_that_finds_nothing_says_so_at_its_end(spec, batches, tmp_path):
     """Where all of a first batch falls, an atlas keeps searching."""
-    with pytest.raises(JobFailed, match="no point of this search walked to its end within its constraints"):
+    with pytest.raises(
+        JobFailed, match="no point of this search walked to its end within its constraints"
+    ):
         run_search(spec, tmp_path / "out", simulator=(fake := FakeSimulator()))
     assert fake.batches == batches
 
@@ -101,7 +108,9 @@ def test_a_front_has_no_point_that_another_one_beats(tmp_path):
         own = np.array(point["objective"])
         assert not ((cost <= own).all(axis=1) & (cost < own).any(axis=1)).any()
     beaten = [(np.all(cost <= each, axis=1) & np.any(cost < each, axis=1)).any() for each in cost]
-    assert len(front) == len({tuple(each) for each, lost in zip(cost, beaten, strict=True) if not lost})
+    assert len(front) == len(
+        {tuple(each) for each, lost in zip(cost, beaten, strict=True) if not lost}
+    )
     assert 0 < result.best["hypervolume"] < 1
     assert result.best["row"] in [point["row"] for point in front]
 
@@ -119,7 +128,9 @@ def test_an_atlas_has_the_best_of_each_cell(tmp_path):
     atlas = pq.read_table(tmp_path / "out/atlas.parquet")
     assert atlas.column("cell").to_pylist() == sorted(best)
     assert atlas.column("row").to_pylist() == [best[cell]["row"] for cell in sorted(best)]
-    assert atlas.column("spine.phase").to_pylist() == [best[cell]["spine.phase"] for cell in sorted(best)]
+    assert atlas.column("spine.phase").to_pylist() == [
+        best[cell]["spine.phase"] for cell in sorted(best)
+    ]
     about = json.loads(atlas.schema.metadata[b"atlas"])
     assert about["objective"] == {"metric": "cost_of_transport", "direction": "minimize"}
     assert about["measures"][0] == {"metric": "speed", "low": 0.0, "high": 0.16, "cells": 8}
@@ -155,7 +166,9 @@ def test_a_larger_budget_prolongs_a_search(tmp_path):
 
 def test_a_budget_of_simulated_seconds(tmp_path):
     """Runs of two seconds: a hundred of them are fifty runs, and the batch that reaches it is the last."""
-    best = run_search(SPEED | {"budget": {"simulated_seconds": 100}}, tmp_path / "o", simulator=FakeSimulator()).best
+    best = run_search(
+        SPEED | {"budget": {"simulated_seconds": 100}}, tmp_path / "o", simulator=FakeSimulator()
+    ).best
     assert best["evaluations"] == 60
     assert best["simulated_seconds"] == pytest.approx(120)
 
@@ -173,29 +186,45 @@ def test_repeats_count_by_their_mean(tmp_path):
     assert len(set(starts[:, 1:].ravel())) == 48
     runs = table.slice(best["row"], 3)
     assert set(runs.column("variant").to_pylist()) == {best["row"] // 3}
-    assert best["metrics"]["speed"] == pytest.approx(np.mean(runs.column("speed").to_pylist()), rel=1e-12)
+    assert best["metrics"]["speed"] == pytest.approx(
+        np.mean(runs.column("speed").to_pylist()), rel=1e-12
+    )
 
 
 def test_a_damaged_batch_is_run_again(tmp_path):
     """It is kept aside, and what follows from it is still right."""
     run_search(SPEED, tmp_path / "out", simulator=FakeSimulator())
     before = numbers(tmp_path / "out")
-    (path,) = (each for each in part_files(tmp_path / "out") if pq.read_metadata(each).metadata[b"chunk"] == b"2")
+    (path,) = (
+        each
+        for each in part_files(tmp_path / "out")
+        if pq.read_metadata(each).metadata[b"chunk"] == b"2"
+    )
     content = bytearray(path.read_bytes())
     content[len(content) // 3] ^= 1
     path.write_bytes(content)
     said = []
-    run_search(SPEED, tmp_path / "out", simulator=(fake := FakeSimulator()), watch=Watch(warn=said.append))
+    run_search(
+        SPEED, tmp_path / "out", simulator=(fake := FakeSimulator()), watch=Watch(warn=said.append)
+    )
     assert fake.batches == [12]
     assert numbers(tmp_path / "out") == before
     assert said == [f"{path} is damaged; it is kept in results.aside, and its runs are made again."]
-    assert [each.name for each in (tmp_path / "out/results.aside").iterdir()] == [f"{path.name}.aside-1"]
+    assert [each.name for each in (tmp_path / "out/results.aside").iterdir()] == [
+        f"{path.name}.aside-1"
+    ]
 
 
 def test_another_search_does_not_take_the_directory(tmp_path):
     run_search(SPEED | {"budget": 12}, tmp_path / "out", simulator=FakeSimulator())
-    for change in ({"seed": 2}, {"method": {"cma": {"sigma": 0.3}}}, {"objective": {"maximize": "roll_std"}}):
-        with pytest.raises(DirectoryError, match=f"another search, with another {next(iter(change))}"):
+    for change in (
+        {"seed": 2},
+        {"method": {"cma": {"sigma": 0.3}}},
+        {"objective": {"maximize": "roll_std"}},
+    ):
+        with pytest.raises(
+            DirectoryError, match=f"another search, with another {next(iter(change))}"
+        ):
             run_search(SPEED | {"budget": 12} | change, tmp_path / "out", simulator=FakeSimulator())
 
 
@@ -208,13 +237,19 @@ def test_a_directory_keeps_the_size_of_its_batches(tmp_path):
 
 
 def test_a_simulation_that_fails_keeps_what_is_done(tmp_path):
-    with pytest.raises(JobFailed, match=r"batch 1 of .* failed: OSError: no luck\. What is finished is kept"):
-        run_search(SPEED, tmp_path / "out", simulator=FakeSimulator(fail_at=2, error=OSError("no luck.")))
+    with pytest.raises(
+        JobFailed, match=r"batch 1 of .* failed: OSError: no luck\. What is finished is kept"
+    ):
+        run_search(
+            SPEED, tmp_path / "out", simulator=FakeSimulator(fail_at=2, error=OSError("no luck."))
+        )
     assert len(list((tmp_path / "out/results").iterdir())) == 1
 
 
 def test_wrong_bounds_are_said_before_anything_is_written(tmp_path):
-    with pytest.raises(SpecError, match=r"search: field 'spine.amplitude' is the list .*: a search moves between"):
+    with pytest.raises(
+        SpecError, match=r"search: field 'spine.amplitude' is the list .*: a search moves between"
+    ):
         run_search(SPEED | {"vary": {"spine.amplitude": [0.1, 0.2]}}, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -251,7 +286,9 @@ def test_a_kill_at_any_moment_loses_a_batch_at_most(tmp_path):
     for kills in (1, 2):
         process = subprocess.Popen([sys.executable, str(fake), str(out), str(log)], env=environment)
         begun = time.monotonic()
-        while time.monotonic() < begun + 120 and not (log.exists() and len(log.read_text().split()) > 2):
+        while time.monotonic() < begun + 120 and not (
+            log.exists() and len(log.read_text().split()) > 2
+        ):
             time.sleep(0.01)
         time.sleep(0.05 * kills)
         process.send_signal(signal.SIGKILL)
@@ -281,6 +318,8 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
 
     needs(*["pymoo"] * ("pareto" in aim))
     simulator = Straight()
-    with pytest.raises(JobFailed, match=r"turning_radius has no number in all .* the first batch .*NaN if straight"):
+    with pytest.raises(
+        JobFailed, match=r"turning_radius has no number in all .* the first batch .*NaN if straight"
+    ):
         run_search(WALK | aim | {"budget": 120, "batch": 12}, tmp_path, simulator=simulator)
     assert sum(simulator.batches) <= 24, "its first batch is twice as large"

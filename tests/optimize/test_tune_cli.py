@@ -48,7 +48,9 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 @pytest.mark.release
-def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+def test_tune_json_is_one_object_in_si_units(
+    fakes: dict[str, Any], spec: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     result = json_of("tune", spec, "--out", out)
     assert set(result) == {"out", "iterations_run", "start", "best", "plots", "notes"}
@@ -62,7 +64,9 @@ def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, 
 
 
 @pytest.mark.release
-def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+def test_options_stand_for_fields_of_the_file(
+    fakes: dict[str, Any], spec: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     spec.write_text(spec.read_text().replace("plots: false", "plots: true"))
     options = ("--iterations", "2", "--starts", "3", "--seed", "8")
@@ -70,31 +74,42 @@ def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path,
     tuning = Tuning.from_file(out / "tuning.yaml")
     assert (tuning.iterations, tuning.starts, tuning.seed, tuning.plots) == (2, 3, 8, True)
     assert [Path(path).name for path in result["plots"]] == [
-        f"{name}.{form}" for name in ("objective", "parameters", "gradients", "path") for form in ("png", "svg")
+        f"{name}.{form}"
+        for name in ("objective", "parameters", "gradients", "path")
+        for form in ("png", "svg")
     ]
     assert fakes["walker"].batches == [(272, False)]
 
 
 @pytest.mark.release
-def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+def test_tune_prints_start_and_best_as_people_read_them(
+    fakes: dict[str, Any], spec: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     result = call("tune", spec, "--out", out)
     assert result.exit_code == 0
     best = json.loads((out / "best.json").read_text())
     phase, pace = np.degrees(best["parameters"]["spine.phase"]), 1e3 * best["metrics"]["speed"]
-    assert re.search(rf"^spine\.phase +143\.2 +{phase:.4g} +[-+][\d.]+ +deg$", result.stdout, re.MULTILINE)
+    assert re.search(
+        rf"^spine\.phase +143\.2 +{phase:.4g} +[-+][\d.]+ +deg$", result.stdout, re.MULTILINE
+    )
     before = 1e3 * float(speed(0.05, 2.5))
     both = rf"{before:.4g} +{pace:.4g}"
     assert re.search(rf"^speed +{both} +\+[\d.]+ +{both} +mm/s$", result.stdout, re.MULTILINE)
     assert re.search(r"^objective( +-0\.\d+){5} +lower is better$", result.stdout, re.MULTILINE)
     assert "Engine c: means of 8 walks from unseen starts; the best gave -" in result.stdout
     assert "Iteration 6 of start" in result.stdout
-    assert "6 iterations in the profile exact (3 min 30 s simulated, gradients at their cost, in " in result.stdout
+    assert (
+        "6 iterations in the profile exact (3 min 30 s simulated, gradients at their cost, in "
+        in result.stdout
+    )
     for name in ("best.json", "history.parquet", "tuned.yaml"):
         assert str(out / name) in result.stdout
     assert str(out / "plots") not in result.stdout
     assert re.search(
-        r"^tune: 100%, 7 of 7 evaluations, .*, best -0\.\d+, speed [\d.]+ mm/s", result.stderr, re.MULTILINE
+        r"^tune: 100%, 7 of 7 evaluations, .*, best -0\.\d+, speed [\d.]+ mm/s",
+        result.stderr,
+        re.MULTILINE,
     )
     quiet = call("tune", spec, "--out", tmp_path / "quiet", "--quiet")
     assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
@@ -102,9 +117,15 @@ def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], s
 
 @pytest.mark.parametrize(
     ("name", "change", "shown"),
-    [("spine.phase", 6.0, 6.0 - 2 * np.pi), ("spine.phase", -0.5, -0.5), ("spine.amplitude", 0.3, 0.3)],
+    [
+        ("spine.phase", 6.0, 6.0 - 2 * np.pi),
+        ("spine.phase", -0.5, -0.5),
+        ("spine.amplitude", 0.3, 0.3),
+    ],
 )
-def test_the_change_of_an_angle_is_the_shorter_way_round(name: str, change: float, shown: float) -> None:
+def test_the_change_of_an_angle_is_the_shorter_way_round(
+    name: str, change: float, shown: float
+) -> None:
     assert jobs._shortest(Tuning.from_dict(SPEC), name, change) == pytest.approx(shown, abs=1e-5)
 
 
@@ -116,7 +137,9 @@ def test_a_start_that_falls_is_said_so(fakes: dict[str, Any], spec: Path, tmp_pa
     assert re.search(r"^speed +- +[\d.]+ +- +[\d.]+ +[\d.]+ +mm/s$", result.stdout, re.MULTILINE)
 
 
-def test_failures_and_wrong_use_have_their_exit_codes(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+def test_failures_and_wrong_use_have_their_exit_codes(
+    fakes: dict[str, Any], spec: Path, tmp_path: Path
+) -> None:
     missing = call("tune", tmp_path / "missing.yaml", "--out", tmp_path / "out")
     assert (missing.exit_code, missing.stdout) == (2, "")
     assert "there is no such file" in missing.stderr
@@ -151,7 +174,10 @@ def test_a_directory_of_a_removed_method_names_its_replacement(spec: Path, tmp_p
     for command in (("tune", spec, "--out", out), ("tune", stored, "--out", out), ("plot", out)):
         result = call(*command)
         assert (result.exit_code, result.stdout) == (2, ""), result.stderr
-        assert "field 'method' is 'cma', which was removed: run nermo-mjx search with method: cma" in result.stderr
+        assert (
+            "field 'method' is 'cma', which was removed: run nermo-mjx search with method: cma"
+            in result.stderr
+        )
         assert result.stderr.count("\n") == 1
     result = call("status", out)
     assert result.exit_code == 0
@@ -171,6 +197,10 @@ def test_other_code_is_wrong_use_until_it_is_accepted(
     monkeypatch.setattr("nermo_mjx.optimize.run.stamp", lambda *_: here)
     refused = call("tune", spec, "--out", out)
     assert (refused.exit_code, refused.stdout) == (2, "")
-    assert re.search(rf"^nermo-mjx: {out} was made by other code: model \w+, not another model; ", refused.stderr, re.M)
+    assert re.search(
+        rf"^nermo-mjx: {out} was made by other code: model \w+, not another model; ",
+        refused.stderr,
+        re.M,
+    )
     assert call("tune", spec, "--out", out, "--accept-new-code").exit_code == 0
     assert here.id in codes_of(out)

@@ -16,7 +16,12 @@ from fakes.tune_fake import SPEC, FakeProblem
 from test_tune_run import lasting, same, tune
 
 from nermo_mjx.optimize import Tuning, read_history, run, run_tuning
-from nermo_mjx.optimize.directory import TuningDirectory, TuningHistory, history_columns, load_tuning
+from nermo_mjx.optimize.directory import (
+    TuningDirectory,
+    TuningHistory,
+    history_columns,
+    load_tuning,
+)
 from nermo_mjx.optimize.figures import tuning_figures
 from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.robot import load_robot
@@ -35,7 +40,9 @@ def other_code(monkeypatch):
 
     def upgrade(package="9.9.9"):
         real = run.stamp
-        monkeypatch.setattr(run, "stamp", lambda *known: dataclasses.replace(real(*known), package=package))
+        monkeypatch.setattr(
+            run, "stamp", lambda *known: dataclasses.replace(real(*known), package=package)
+        )
 
     return upgrade
 
@@ -127,10 +134,20 @@ def test_another_recording_is_another_tuning(tmp_path):
     """It counts by its content, not by its place; the copy in the directory is not replaced."""
     for name, content in (("a", b"one"), ("b", b"one"), ("c", b"two")):
         (tmp_path / name).write_bytes(content)
-    by_name = {name: Tuning.from_dict(COMPARED | {"recording": str(tmp_path / name)}) for name in "abc"}
-    assert run_tuning(by_name["a"], tmp_path / "out", problem=FakeProblem(by_name["a"])).iterations_run == 2
-    assert run_tuning(by_name["b"], tmp_path / "out", problem=FakeProblem(by_name["b"])).iterations_run == 0
-    with pytest.raises(WrongDirectory, match="of another tuning, with another recording; choose another directory"):
+    by_name = {
+        name: Tuning.from_dict(COMPARED | {"recording": str(tmp_path / name)}) for name in "abc"
+    }
+    assert (
+        run_tuning(by_name["a"], tmp_path / "out", problem=FakeProblem(by_name["a"])).iterations_run
+        == 2
+    )
+    assert (
+        run_tuning(by_name["b"], tmp_path / "out", problem=FakeProblem(by_name["b"])).iterations_run
+        == 0
+    )
+    with pytest.raises(
+        WrongDirectory, match="of another tuning, with another recording; choose another directory"
+    ):
         run_tuning(by_name["c"], tmp_path / "out", problem=FakeProblem(by_name["c"]))
     assert (tmp_path / "out" / "recording.npz").read_bytes() == b"one"
 
@@ -150,7 +167,9 @@ def done(tmp_path):
 
 
 def steps(out):
-    return sorted(int(path.name) for path in (out / "checkpoints").iterdir() if path.name.isdecimal())
+    return sorted(
+        int(path.name) for path in (out / "checkpoints").iterdir() if path.name.isdecimal()
+    )
 
 
 @pytest.mark.parametrize(
@@ -165,10 +184,14 @@ def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
     """Every leaf, of any optimizer, with its type and its bits, NaN included."""
     tuning = Tuning.from_dict(TUNING | {"optimizer": optimizer})
     state = initial_state(tuning)
-    rows = np.random.default_rng(0).standard_normal((2, 3, len(history_columns(tuning, ("speed",)))))
+    rows = np.random.default_rng(0).standard_normal(
+        (2, 3, len(history_columns(tuning, ("speed",))))
+    )
     rows[0, 0, 0] = np.nan
     history = TuningHistory(tuning, ("speed",), rows, ((0, "one"), (1, "other")))
-    state = jax.tree.map(lambda leaf: (leaf + 1) / 3 if leaf.dtype == np.float32 else leaf + 5, state)
+    state = jax.tree.map(
+        lambda leaf: (leaf + 1) / 3 if leaf.dtype == np.float32 else leaf + 5, state
+    )
     with TuningDirectory(tmp_path, tuning) as directory:
         directory.claim(TuningHistory(tuning))
         directory.keep(state, history)
@@ -185,14 +208,18 @@ def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
 def test_the_last_few_are_kept(done):
     """One checkpoint an iteration; the newest three stay."""
     assert steps(done.out) == list(range(8 - KEPT, 8))
-    with ocp.StandardCheckpointer() as reader:  # whoever has Orbax, and not this package, can read them
+    with (
+        ocp.StandardCheckpointer() as reader
+    ):  # whoever has Orbax, and not this package, can read them
         stored = reader.restore(Path(done.out, "checkpoints", "7", "tuning").absolute())["state"]
     np.testing.assert_array_equal(stored["u"], done.state.u)
 
 
 def content(folder):
     """Every file below a folder."""
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
 
 
 def data_files(out, step):
@@ -234,11 +261,15 @@ def without_numbers(out, step):
 def swapped(out, step):
     """The numbers of another iteration."""
     without_numbers(out, step)
-    shutil.copytree(out / "checkpoints" / str(step - 1) / "tuning", out / "checkpoints" / str(step) / "tuning")
+    shutil.copytree(
+        out / "checkpoints" / str(step - 1) / "tuning", out / "checkpoints" / str(step) / "tuning"
+    )
 
 
 @pytest.mark.release(cases=("empty", "swapped"))
-@pytest.mark.parametrize("damage", [cut, flip_bits, empty, without_about, flipped_about, without_numbers, swapped])
+@pytest.mark.parametrize(
+    "damage", [cut, flip_bits, empty, without_about, flipped_about, without_numbers, swapped]
+)
 def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
     """If the newest is damaged in any way, it is moved aside, the iteration is repeated, and the result is the same."""
     damage(done.out, steps(done.out)[-1])
@@ -248,13 +279,16 @@ def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
     assert same(result, done)
     assert steps(done.out) == list(range(8 - KEPT, 8))
     assert content(done.out / "checkpoints" / "7.aside-1") == before
-    assert f"checkpoint 7 in {done.out / 'checkpoints'} is damaged; it is kept as 7.aside-1." in said
+    assert (
+        f"checkpoint 7 in {done.out / 'checkpoints'} is damaged; it is kept as 7.aside-1." in said
+    )
 
 
 def test_all_damaged_begins_again(done):
     """Nothing whole is left: the tuning starts from its beginning, and ends the same; what it had is kept aside."""
     made = {
-        name: (done.out / name).read_bytes() for name in ("history.parquet", "best.json", "tuned.yaml", "tuning.yaml")
+        name: (done.out / name).read_bytes()
+        for name in ("history.parquet", "best.json", "tuned.yaml", "tuning.yaml")
     }
     for step in steps(done.out):
         cut(done.out, step)
@@ -283,7 +317,10 @@ def test_what_a_killed_process_left_half_written_is_removed(done):
 
 def test_a_full_disk_is_one_sentence(tmp_path, capfd):
     """If the system rejects more bytes, finished work is kept, nothing else is printed, and it can be resumed later."""
-    handler, limits = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler, limits = (
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN),
+        resource.getrlimit(resource.RLIMIT_FSIZE),
+    )
     tuning, problem = Tuning.from_dict(SPEC), FakeProblem(Tuning.from_dict(SPEC))
 
     def fill(progress):
@@ -291,7 +328,9 @@ def test_a_full_disk_is_one_sentence(tmp_path, capfd):
             resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
 
     try:
-        with pytest.raises(DirectoryError, match=r"cannot write in .*: File too large\. What is finished is kept"):
+        with pytest.raises(
+            DirectoryError, match=r"cannot write in .*: File too large\. What is finished is kept"
+        ):
             run_tuning(tuning, tmp_path, problem=problem, watch=Watch(fill))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -306,7 +345,9 @@ def test_another_precision_is_refused_and_nothing_is_lost(done):
     before = steps(done.out)
     with (
         jax.enable_x64(True),
-        pytest.raises(DirectoryError, match="was started in float32, and JAX now computes in float64"),
+        pytest.raises(
+            DirectoryError, match="was started in float32, and JAX now computes in float64"
+        ),
     ):
         tune(done.out)
     assert steps(done.out) == before
@@ -321,7 +362,10 @@ def test_checkpoints_of_another_tuning_are_refused(tmp_path, done):
     shutil.copytree(done.out / "checkpoints" / "7", other / "checkpoints" / "7")
     before = content(other)
     for accept in (False, True):
-        with pytest.raises(WrongDirectory, match=r"of another tuning, with another seed \(3 there, 8 here\); choose"):
+        with pytest.raises(
+            WrongDirectory,
+            match=r"of another tuning, with another seed \(3 there, 8 here\); choose",
+        ):
             tune(other, {"iterations": 1, "seed": 8}, accept_new_code=accept)
     assert content(other) == before
 
@@ -363,7 +407,10 @@ def test_a_disk_that_does_not_answer_ends_it_and_changes_nothing(done, monkeypat
             patch.setattr(ocp.CheckpointManager, "restore", fail)
         else:
             patch.setattr("nermo_mjx.runs.checkpoints.read_bytes", fail)
-        with pytest.raises(DirectoryError, match=r"checkpoint 7 in .* cannot be read: Input/output error; nothing was"):
+        with pytest.raises(
+            DirectoryError,
+            match=r"checkpoint 7 in .* cannot be read: Input/output error; nothing was",
+        ):
             tune(done.out)
     assert content(done.out) == before
     assert tune(done.out)[1].batches == []

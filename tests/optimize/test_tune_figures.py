@@ -22,7 +22,8 @@ from nermo_mjx.runs.rows import part_files
 
 #: A start that walks over the bound of the circle.
 ROUND = {
-    "tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
+    "tune": SPEC["tune"]
+    | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
     "starts": 1,
     "iterations": 20,
     "optimizer": {"name": "sgd", "learning_rate": 1.0},
@@ -74,7 +75,9 @@ def again(finished, tmp_path):
 def undrawn(monkeypatch):
     """No figures; the landscapes that they would have had."""
     landscapes = []
-    monkeypatch.setattr(figures, "tuning_figures_of", lambda *known: landscapes.append(known[-1]) or [])
+    monkeypatch.setattr(
+        figures, "tuning_figures_of", lambda *known: landscapes.append(known[-1]) or []
+    )
     return landscapes
 
 
@@ -93,7 +96,9 @@ def texts(figure):
 
 def lines(ax, length):
     """y values of the lines of so many points."""
-    return [np.asarray(line.get_ydata(), float) for line in ax.lines if len(line.get_ydata()) == length]
+    return [
+        np.asarray(line.get_ydata(), float) for line in ax.lines if len(line.get_ydata()) == length
+    ]
 
 
 def stars(figure):
@@ -114,7 +119,11 @@ def stars(figure):
 def test_a_tuning_leaves_its_figures(drawn):
     """PNG and SVG of each, and no blank picture."""
     result, _ = drawn
-    names = [f"{name}.{form}" for name in ("objective", "parameters", "gradients", "path") for form in ("png", "svg")]
+    names = [
+        f"{name}.{form}"
+        for name in ("objective", "parameters", "gradients", "path")
+        for form in ("png", "svg")
+    ]
     assert [path.name for path in result.plots] == names
     for path in result.plots[::2]:
         assert len(np.unique(imread(path)[..., 0])) > 30
@@ -132,21 +141,33 @@ def test_objective_and_metrics_of_each_start_are_drawn():
     np.testing.assert_allclose(np.stack(starts, axis=1), value)
     np.testing.assert_allclose(best, np.minimum.accumulate(value.min(axis=1)))
     np.testing.assert_allclose(np.stack(lines(speeds, 7), axis=1), 1e3 * traces.column("speed"))
-    np.testing.assert_allclose(np.stack(lines(rolls, 7), axis=1), np.degrees(traces.column("roll_std")))
+    np.testing.assert_allclose(
+        np.stack(lines(rolls, 7), axis=1), np.degrees(traces.column("roll_std"))
+    )
     iteration, start = traces.best
     assert stars(figure)[0] == pytest.approx((iteration, value[iteration, start]))
     text = texts(figure)
     assert "profile exact" in text
-    for word in ("speed [mm/s]", "roll, standard deviation [deg]", "start 0 (given)", "more is better"):
+    for word in (
+        "speed [mm/s]",
+        "roll, standard deviation [deg]",
+        "start 0 (given)",
+        "more is better",
+    ):
         assert word in text
     assert f"star: best, {value.min():.4g} in iteration 6 of start {start}" in text
-    held = figures.objective_figure(traces_of({"objective": [{"hold": "speed", "at": 0.09, "scale": 0.01}]})).axes[1]
+    held = figures.objective_figure(
+        traces_of({"objective": [{"hold": "speed", "at": 0.09, "scale": 0.01}]})
+    ).axes[1]
     assert [90.0, 90.0] in [np.asarray(line.get_ydata(), float).tolist() for line in held.lines]
 
 
 def test_falls_are_marked_and_never_drawn_as_values():
     """Where a robot fell there is a gap in its lines, and a cross."""
-    change = {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.05}}, "iterations": 4}
+    change = {
+        "tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.05}},
+        "iterations": 4,
+    }
     traces = traces_of(
         change | {"starts": 1, "optimizer": {"name": "sgd", "learning_rate": 3.0}},
         falls=lambda points: points[:, 0] > 0.06,
@@ -174,7 +195,9 @@ def test_parameters_are_in_shown_units_with_their_bounds():
     traces = traces_of(ROUND)
     figure = figures.parameters_figure(traces)
     amplitude, phase = figure.axes
-    np.testing.assert_allclose(lines(amplitude, 21)[0], np.degrees(traces.column("spine.amplitude")[:, 0]))
+    np.testing.assert_allclose(
+        lines(amplitude, 21)[0], np.degrees(traces.column("spine.amplitude")[:, 0])
+    )
     bounds = [line.get_ydata()[0] for line in amplitude.lines if line.get_linestyle() == "--"]
     assert bounds == pytest.approx([0.0, np.degrees(0.4)])
     walked = lines(phase, 21)[0]
@@ -188,7 +211,10 @@ def test_parameters_are_in_shown_units_with_their_bounds():
 def test_gradients_are_per_range():
     """The norm counts each component per whole range."""
     traces = traces_of()
-    parts = [traces.column("gradient.spine.amplitude") * 0.4, traces.column("gradient.spine.phase") * 2 * np.pi]
+    parts = [
+        traces.column("gradient.spine.amplitude") * 0.4,
+        traces.column("gradient.spine.phase") * 2 * np.pi,
+    ]
     np.testing.assert_allclose(traces.gradient_norm(), np.hypot(*parts), rtol=1e-6)
     figure = figures.gradients_figure(traces)
     assert len(figure.axes) == 1
@@ -233,9 +259,14 @@ def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undraw
     assert len(walker.batches) == 1
     np.testing.assert_array_equal(undrawn[0].value, undrawn[1].value)
     (kept,) = part_files(out)
-    for change, known in (({"optimizer": "sgd", "seed": 9, "starts": 3}, True), ({"set": {"frequency": 0.7}}, False)):
+    for change, known in (
+        ({"optimizer": "sgd", "seed": 9, "starts": 3}, True),
+        ({"set": {"frequency": 0.7}}, False),
+    ):
         other = Tuning.from_dict(SPEC | change)
-        assert (figures.stored_landscape(other, landscape_runs(out, other, {})) is not None) is known
+        assert (
+            figures.stored_landscape(other, landscape_runs(out, other, {})) is not None
+        ) is known
     kept.write_text("damaged")
     again(walker)
     assert len(walker.batches) == 2
@@ -251,7 +282,9 @@ def test_other_parameters_stand_where_they_are_told_to(tmp_path):
             seen.append(values)
             return super().run(values, run, record, **more)
 
-    tuning = Tuning.from_dict(SPEC | {"tune": SPEC["tune"] | {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}})
+    tuning = Tuning.from_dict(
+        SPEC | {"tune": SPEC["tune"] | {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}}
+    )
     table = figures.simulate(tuning, {"duty": 0.6}, Watched())
     assert set(seen[0]["duty"]) == {0.6}
     assert set(seen[0]) == {"spine.amplitude", "spine.phase", "duty", "frequency"}
@@ -262,13 +295,20 @@ def test_other_parameters_stand_where_they_are_told_to(tmp_path):
 
 def test_one_parameter_has_a_line_for_a_landscape():
     """The objective over the only parameter, with the points that were visited on it."""
-    walker, traces = FakeWalker(), traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}})
+    walker, traces = (
+        FakeWalker(),
+        traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}}),
+    )
     landscape = figures.landscape_of(traces.tuning, figures.simulate(traces.tuning, {}, walker))
     assert walker.batches == [(37, False)]
-    assert landscape.axes["spine.amplitude"][np.argmin(landscape.value)] == pytest.approx(2.5 / 10.4, abs=0.02)
+    assert landscape.axes["spine.amplitude"][np.argmin(landscape.value)] == pytest.approx(
+        2.5 / 10.4, abs=0.02
+    )
     (ax,) = path_figure(traces, landscape).axes
     np.testing.assert_allclose(ax.lines[0].get_ydata(), landscape.value)
-    visited = np.stack([c.get_offsets() for c in ax.collections if len(c.get_offsets()) == 7], axis=1)
+    visited = np.stack(
+        [c.get_offsets() for c in ax.collections if len(c.get_offsets()) == 7], axis=1
+    )
     np.testing.assert_allclose(visited[:, :, 0], np.degrees(traces.column("spine.amplitude")))
     np.testing.assert_allclose(visited[:, :, 1], traces.column("objective"))
 
@@ -282,7 +322,9 @@ def test_where_a_walk_falls_the_landscape_is_empty():
     assert (np.isnan(table.column("objective").to_numpy()) == fell).all()
     ax = path_figure(traces, figures.landscape_of(traces.tuning, table)).axes[0]
     filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
-    assert max(path.vertices[:, 0].max() for path in filled.get_paths() if len(path.vertices)) < np.degrees(0.31)
+    assert max(
+        path.vertices[:, 0].max() for path in filled.get_paths() if len(path.vertices)
+    ) < np.degrees(0.31)
     nothing = figures.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
     path_figure(traces, figures.landscape_of(traces.tuning, nothing))
 

@@ -32,7 +32,9 @@ class Walker:
         self.batches.append(np.stack([amplitude, phase], axis=-1))
         pace = 0.1 - 0.5 * (amplitude - BEST[0]) ** 2 - 0.02 * (1 - np.cos(phase - BEST[1]))
         status = np.where(amplitude > self.falls_above, "fell", "ok")
-        return types.SimpleNamespace(metrics={"speed": pace, "roll_std": 0.1 + 0.1 * amplitude**2}, status=status)
+        return types.SimpleNamespace(
+            metrics={"speed": pace, "roll_std": 0.1 + 0.1 * amplitude**2}, status=status
+        )
 
 
 def problem(spec, **how):
@@ -68,7 +70,9 @@ def test_differences_stay_within_the_bounds():
         assert (worlds[:, 0] >= 0).all()
         assert (worlds[:, 0] <= 0.4).all()
         assert (np.abs(worlds[:, 1]) <= math.pi + 1e-6).all()
-        np.testing.assert_allclose(slope, slope_of(np.array([0.399, 0.0005]), np.array([3.14, -3.14])), atol=0.04)
+        np.testing.assert_allclose(
+            slope, slope_of(np.array([0.399, 0.0005]), np.array([3.14, -3.14])), atol=0.04
+        )
 
 
 def test_a_point_counts_as_fallen_if_a_neighbour_falls():
@@ -116,4 +120,6 @@ def test_a_stopped_tuning_ends_with_the_same_numbers(tmp_path: Path) -> None:
     assert len(fake.batches) == tuning.iterations + 1 - 4
     drop = ["wall_seconds", "code"]
     assert rest.history.drop_columns(drop).equals(whole.history.drop_columns(drop))
-    assert json.loads((tmp_path / "b/best.json").read_text()) == json.loads((tmp_path / "a/best.json").read_text())
+    assert json.loads((tmp_path / "b/best.json").read_text()) == json.loads(
+        (tmp_path / "a/best.json").read_text()
+    )

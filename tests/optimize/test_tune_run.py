@@ -36,7 +36,9 @@ def tune(out, change=None, watch=SILENT, accept_new_code=False, **of_problem):
     """Run `SPEC` with changes on the fake problem; the result and the problem."""
     tuning = Tuning.from_dict(SPEC | (change or {}))
     problem = FakeProblem(tuning, **of_problem)
-    return run_tuning(tuning, out, problem=problem, watch=watch, accept_new_code=accept_new_code), problem
+    return run_tuning(
+        tuning, out, problem=problem, watch=watch, accept_new_code=accept_new_code
+    ), problem
 
 
 def lasting(table):
@@ -85,7 +87,8 @@ def test_tunings_of_one_optimizer_share_their_programs(compilations):
     for high in (0.4, 0.3):
         compilations.clear()
         tuning = Tuning.from_dict(
-            SPEC | {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, high], "start": 0.05}}}
+            SPEC
+            | {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, high], "start": 0.05}}}
         )
         _, found = Tuner(tuning, FakeProblem(tuning)).step(initial_state(tuning))
         np.testing.assert_allclose(found.points[0], [0.05, 2.5], rtol=1e-5)
@@ -99,7 +102,9 @@ def test_the_first_iteration_is_the_given_start(reference):
     assert row["spine.amplitude"] == pytest.approx(0.05, rel=1e-5)
     assert row["spine.phase"] == pytest.approx(2.5, rel=1e-5)
     # -speed / 0.1 gives 10 (x - 0.25); 0.1 roll_std / 0.05 gives 0.4 x.
-    assert row["gradient.spine.amplitude"] == pytest.approx(10 * (0.05 - 0.25) + 0.4 * 0.05, rel=1e-4)
+    assert row["gradient.spine.amplitude"] == pytest.approx(
+        10 * (0.05 - 0.25) + 0.4 * 0.05, rel=1e-4
+    )
     assert row["gradient.spine.phase"] == pytest.approx(0.2 * np.sin(2.5 - BEST[1]), rel=1e-4)
 
 
@@ -117,7 +122,9 @@ def test_starts_are_shared_among_workers_in_shares_of_one_size(tmp_path):
     change = {"starts": 5}
     tuning, log = Tuning.from_dict(SPEC | change), tmp_path / "log"
     alone = tune(tmp_path / "one", change)[0]
-    shared = run_tuning(tuning, tmp_path / "three", problem=FakeProblem(tuning, log=log), workers=Three())
+    shared = run_tuning(
+        tuning, tmp_path / "three", problem=FakeProblem(tuning, log=log), workers=Three()
+    )
     ours, theirs = (lasting(result.history).to_pydict() for result in (alone, shared))
     for column, values in ours.items():
         assert theirs[column] == (
@@ -130,7 +137,11 @@ def test_starts_are_shared_among_workers_in_shares_of_one_size(tmp_path):
 @pytest.mark.parametrize(
     ("error", "raised", "sentence"),
     [
-        (WorkersLost("no node came."), JobFailed, r"no node came\. What is finished is kept in .*same command"),
+        (
+            WorkersLost("no node came."),
+            JobFailed,
+            r"no node came\. What is finished is kept in .*same command",
+        ),
         (TaskFailed(0, ZeroDivisionError("no number")), ZeroDivisionError, "no number"),
     ],
     ids=["lost", "failing"],
@@ -158,7 +169,9 @@ def test_worlds_that_fall_poison_nothing(tmp_path):
     assert not frame["ok"].all()
     assert (frame["ok"] == (frame["spine.amplitude"] >= 0.1)).all()
     assert frame["objective"].isna().equals(~frame["ok"])
-    steering = frame[[f"gradient.{name}" for name in result.tuning.names] + list(result.tuning.names)]
+    steering = frame[
+        [f"gradient.{name}" for name in result.tuning.names] + list(result.tuning.names)
+    ]
     assert (np.isfinite(steering.to_numpy()).all(axis=1) == frame["ok"]).all()
     assert all(np.isfinite(leaf).all() for leaf in (result.state.u, result.state.best_u))
     assert result.best["parameters"]["spine.amplitude"] >= 0.1
@@ -170,7 +183,8 @@ def test_a_start_does_not_depend_on_the_others(tmp_path):
     other = kept.history.column("spine.phase").to_pylist()[1]
     beside, _ = tune(tmp_path / "b", falls=lambda points: jnp.abs(points[:, 1] - other) < 0.02)
     first = [
-        lasting(result.history).to_pandas().query("start == 0").drop(columns="iteration") for result in (kept, beside)
+        lasting(result.history).to_pandas().query("start == 0").drop(columns="iteration")
+        for result in (kept, beside)
     ]
     assert first[0].equals(first[1])
     assert not beside.history.column("ok").to_pylist()[1]
@@ -206,7 +220,10 @@ def test_a_problem_that_says_ok_to_nan_is_not_believed():
     def careless(points, gradient):
         found = real(points, gradient)
         return type(found)(
-            found.value.at[0].set(jnp.nan), found.gradient.at[1, 0].set(jnp.inf), found.metrics, found.ok
+            found.value.at[0].set(jnp.nan),
+            found.gradient.at[1, 0].set(jnp.inf),
+            found.metrics,
+            found.ok,
         )
 
     problem.evaluate = careless
@@ -229,9 +246,13 @@ def test_a_directory_with_the_former_name_of_a_method_goes_on(tmp_path, given):
         tune(tmp_path / "out", METHODS["wide_differences"], stop_at=3)
     stored = tmp_path / "out" / "tuning.yaml"
     stored.write_text(stored.read_text().replace("  wide_differences:", "  differences:"))
-    texts = {path.read_text() for path in (tmp_path / "out" / "checkpoints" / "2").rglob("metadata")}
+    texts = {
+        path.read_text() for path in (tmp_path / "out" / "checkpoints" / "2").rglob("metadata")
+    }
     (about,) = (text for text in texts if "identity" in text)
-    assert json.loads(about)["identity"]["fields"]["method"] == {"differences": {"scheme": "central", "step": 0.02}}
+    assert json.loads(about)["identity"]["fields"]["method"] == {
+        "differences": {"scheme": "central", "step": 0.02}
+    }
     rest, _ = tune(tmp_path / "out", {"method": given})
     assert rest.iterations_run == whole.iterations_run - 3
     assert same(rest, whole)
@@ -289,14 +310,22 @@ def test_a_tuning_can_be_prolonged(tmp_path, reference):
     ("change", "word"),
     [
         ({"seed": 4}, r"seed \(3 there, 4 here\)"),
-        ({"optimizer": {"name": "sgd", "learning_rate": 0.2}}, r"optimizer\.name \(adam there, sgd here\)"),
-        ({"objective": [{"maximize": "speed"}], "starts": 3}, r"objective \(.*\), starts \(2 there, 3 here\)"),
+        (
+            {"optimizer": {"name": "sgd", "learning_rate": 0.2}},
+            r"optimizer\.name \(adam there, sgd here\)",
+        ),
+        (
+            {"objective": [{"maximize": "speed"}], "starts": 3},
+            r"objective \(.*\), starts \(2 there, 3 here\)",
+        ),
     ],
 )
 def test_a_directory_belongs_to_one_tuning(tmp_path, change, word):
     """Another seed, optimizer or objective is refused in a sentence that says what differs."""
     tune(tmp_path, {"iterations": 2})
-    with pytest.raises(DirectoryError, match=f"holds another tuning, with another {word}.*choose another directory"):
+    with pytest.raises(
+        DirectoryError, match=f"holds another tuning, with another {word}.*choose another directory"
+    ):
         tune(tmp_path, change)
     (tmp_path / "tuning.yaml").unlink()
     with pytest.raises(DirectoryError, match="checkpoints of an unknown tuning"):
@@ -310,9 +339,18 @@ def test_a_directory_belongs_to_one_tuning(tmp_path, change, word):
 def test_the_directory_holds_what_other_programs_rely_on(reference):
     """best.json, history.parquet, checkpoints/ and the rest, and nothing half-written."""
     names = sorted(path.name for path in reference.out.iterdir() if path.name[0] != ".")
-    assert names == ["best.json", "checkpoints", "history.parquet", "run.json", "tuned.yaml", "tuning.yaml"]
+    assert names == [
+        "best.json",
+        "checkpoints",
+        "history.parquet",
+        "run.json",
+        "tuned.yaml",
+        "tuning.yaml",
+    ]
     # The point that the last step leads to is evaluated, too.
-    assert reference.history.column("iteration").to_pylist() == [i for i in range(7) for _ in range(2)]
+    assert reference.history.column("iteration").to_pylist() == [
+        i for i in range(7) for _ in range(2)
+    ]
     assert reference.best["iteration"] == 6
     assert reference.best["objective"] == min(reference.history.column("objective").to_pylist())
     best = json.loads((reference.out / "best.json").read_text())
@@ -327,11 +365,22 @@ def test_the_directory_holds_what_other_programs_rely_on(reference):
 
 def test_every_column_says_its_unit_meaning_and_role(reference):
     """Units of parameters, gradients and metrics stand in the Parquet file itself; pandas needs nothing else."""
-    about = {field.name: field.metadata for field in pq.read_schema(reference.out / "history.parquet")}
+    about = {
+        field.name: field.metadata for field in pq.read_schema(reference.out / "history.parquet")
+    }
     names = ("spine.amplitude", "spine.phase")
     gradients = [f"{kind}.{name}" for name in names for kind in ("gradient",)]
     others = ("ok", "simulated_seconds", "wall_seconds", "code")
-    assert list(about) == ["iteration", "start", "objective", *names, *gradients, "speed", "roll_std", *others]
+    assert list(about) == [
+        "iteration",
+        "start",
+        "objective",
+        *names,
+        *gradients,
+        "speed",
+        "roll_std",
+        *others,
+    ]
     assert about["spine.phase"][b"unit"] == b"rad"
     assert about["gradient.spine.phase"][b"unit"] == b"1/(rad)"
     assert about["speed"][b"unit"] == b"m/s"
@@ -359,7 +408,9 @@ def test_progress_tells_how_far_and_how_good(tmp_path, reference):
         tune(tmp_path, stop_at=3)
     tuning, seen = Tuning.from_dict(SPEC), []
     run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(seen.append))
-    assert [(report.what, report.done) for report in seen] == [("", done) for done in (3, 4, 5, 6, 7)]
+    assert [(report.what, report.done) for report in seen] == [
+        ("", done) for done in (3, 4, 5, 6, 7)
+    ]
     assert {report.total for report in seen} == {7}
     assert {report.resumed for report in seen} == {3}
     best = [report.best for report in seen[1:]]
@@ -391,7 +442,10 @@ def test_a_tuning_stops_when_nothing_more_is_gained(tmp_path):
     assert again.iterations_run == 0
     longer, _ = tune(tmp_path, change | {"patience": 8})
     assert longer.iterations_run > 0
-    assert longer.history.column("objective").to_pylist()[: done + 1] == first.history.column("objective").to_pylist()
+    assert (
+        longer.history.column("objective").to_pylist()[: done + 1]
+        == first.history.column("objective").to_pylist()
+    )
 
 
 @pytest.mark.release
@@ -419,7 +473,9 @@ def test_start_and_best_are_walked_again_from_unseen_starts(tmp_path):
     assert (found["engine"], found["walks"], walker.again, walker.batches) == ("c", 8, [16], [])
     assert found["start"]["walks_ok"] == found["best"]["walks_ok"] < 8
     for point, given in (("start", result.start), ("best", result.best)):
-        assert found[point]["metrics"]["speed"] == pytest.approx(given["metrics"]["speed"], rel=1e-5)
+        assert found[point]["metrics"]["speed"] == pytest.approx(
+            given["metrics"]["speed"], rel=1e-5
+        )
         assert found[point]["objective"] == pytest.approx(given["objective"], rel=1e-5)
 
 
@@ -430,7 +486,9 @@ def test_a_killed_process_is_gone_on_with(tmp_path, reference, number):
     out, log = tmp_path / "out", tmp_path / "log"
     script = Path(__file__).parents[1] / "fakes" / "tune_fake.py"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    process = subprocess.Popen([sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment)
+    process = subprocess.Popen(
+        [sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment
+    )
     waited = time.monotonic()
     while (log.read_text().count("\n") if log.exists() else 0) < 4:
         assert process.poll() is None, "the tuning ended too early"

@@ -71,12 +71,27 @@ WRONG = [
     (PHASE, "{bounds: [-3, 3], start: 0, periodic: true}", 9, "tune.spine.phase.periodic"),
     (AMPLITUDE, "{bounds: [0.0, 0.4], periodic: true}", 8, "tune.spine.amplitude.periodic"),
     ("frequency: 0.8", "stride: 0.8", 10, "stride"),
-    (ARC[0], ARC[1].replace("SET", "frequency: 0.8").replace("stride:", "pilot.radius:"), 10, "pilot.radius"),
+    (
+        ARC[0],
+        ARC[1].replace("SET", "frequency: 0.8").replace("stride:", "pilot.radius:"),
+        10,
+        "pilot.radius",
+    ),
     (ARC[0], ARC[1].replace("SET", "pilot.radius: 0.8"), 6, "pilot.radius"),
     ("spine: stride_extension", "spine: none", 8, "spine.amplitude"),
     (STRIDE, "speed: {bounds: [0, 1]}", 10, "speed"),
-    ("set: {frequency: 0.8}\ntune:", "tune:\n  frequency: {bounds: [0.01, 1]}", 7, "tune.frequency.bounds"),
-    (STRIDE, "stride: {bounds: [0.5, 1.2], start: 0.9}\n  stance.max_stride: {bounds: [0.05, 0.08]}", 10, "stride"),
+    (
+        "set: {frequency: 0.8}\ntune:",
+        "tune:\n  frequency: {bounds: [0.01, 1]}",
+        7,
+        "tune.frequency.bounds",
+    ),
+    (
+        STRIDE,
+        "stride: {bounds: [0.5, 1.2], start: 0.9}\n  stance.max_stride: {bounds: [0.05, 0.08]}",
+        10,
+        "stride",
+    ),
     ("pilot: straight", "pilot: {straight: {distance: 2}}", 4, "pilot.straight.distance"),
     ("cycles: 6", "cycles: 2", 5, "run.warmup_cycles"),
     (OBJECTIVE, "", 1, "objective"),
@@ -123,11 +138,26 @@ def test_a_wrong_file_is_refused_with_line_and_field(tmp_path, before, after, li
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"method": "gradiant"}, "field 'method' is 'gradiant': expected local_gradient or wide_differences .*"),
-        ({"method": "cma"}, "field 'method' is 'cma', which was removed: run nermo-mjx search with method: cma."),
-        ({"method": {"cma": {"population": 8}}}, "is 'cma', which was removed: run nermo-mjx search with method: cma."),
-        ({"video": True}, "field 'video' was removed: run .* nermo-mjx replay RUNS --row 0 --video FILE.mp4."),
-        ({"method": {"wide_differences": {"scheme": "left"}}}, "is the text 'left': allowed are central, forward"),
+        (
+            {"method": "gradiant"},
+            "field 'method' is 'gradiant': expected local_gradient or wide_differences .*",
+        ),
+        (
+            {"method": "cma"},
+            "field 'method' is 'cma', which was removed: run nermo-mjx search with method: cma.",
+        ),
+        (
+            {"method": {"cma": {"population": 8}}},
+            "is 'cma', which was removed: run nermo-mjx search with method: cma.",
+        ),
+        (
+            {"video": True},
+            "field 'video' was removed: run .* nermo-mjx replay RUNS --row 0 --video FILE.mp4.",
+        ),
+        (
+            {"method": {"wide_differences": {"scheme": "left"}}},
+            "is the text 'left': allowed are central, forward",
+        ),
     ],
 )
 def test_what_a_method_cannot_use_is_said(change, message):
@@ -138,7 +168,9 @@ def test_what_a_method_cannot_use_is_said(change, message):
 def test_a_refused_tuning_leaves_no_directory(tmp_path):
     """A wrong tuning is refused before anything is written."""
     with pytest.raises(SpecError, match="tuning: field 'frequenzy'"):
-        run_tuning({"tune": {"frequenzy": {}}, "objective": [{"maximize": "speed"}]}, tmp_path / "out")
+        run_tuning(
+            {"tune": {"frequenzy": {}}, "objective": [{"maximize": "speed"}]}, tmp_path / "out"
+        )
     assert not (tmp_path / "out").exists()
 
 
@@ -148,7 +180,11 @@ def test_all_sections_arrive():
     assert tuning.names == ("spine.amplitude", "spine.phase", "stride")
     assert tuning.setup.spine == "stride_extension"
     assert tuning.constants == {"frequency": 0.8}
-    assert [(each.low, each.high) for each in tuning.tuned] == [(0, 0.4), (-math.pi, math.pi), (0.5, 1.0)]
+    assert [(each.low, each.high) for each in tuning.tuned] == [
+        (0, 0.4),
+        (-math.pi, math.pi),
+        (0.5, 1.0),
+    ]
     assert tuning.objective.metrics == ("speed", "roll_std")
     assert (tuning.starts, tuning.iterations, tuning.seed) == (3, 20, 1)
     np.testing.assert_array_equal(tuning.bounds.periodic, [False, True, False])
@@ -157,9 +193,15 @@ def test_all_sections_arrive():
 def test_everything_but_parameters_and_objective_has_a_default():
     """Bounds are the declared range, the start is the published value, and no rate is to be chosen."""
     tuning = Tuning.from_dict(
-        {"tune": {"duty": None, "frequency": {"bounds": [0.4, 1.2]}}, "objective": [{"maximize": "speed"}]}
+        {
+            "tune": {"duty": None, "frequency": {"bounds": [0.4, 1.2]}},
+            "objective": [{"maximize": "speed"}],
+        }
     )
-    assert [(each.low, each.high, each.start) for each in tuning.tuned] == [(0.01, 1, 0.5), (0.4, 1.2, 0.67)]
+    assert [(each.low, each.high, each.start) for each in tuning.tuned] == [
+        (0.01, 1, 0.5),
+        (0.4, 1.2, 0.67),
+    ]
     assert tuning.optimizer.written() == {"name": "controlled_adam"}
     assert (tuning.starts, tuning.iterations) == (1, 40)
     assert tuning.plots
@@ -170,25 +212,46 @@ def test_everything_but_parameters_and_objective_has_a_default():
     [
         {},
         {"plots": False},
-        {"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "run": {"duration": 3}, "optimizer": "sgd"},
-        {"tune": {"offset.rear_left": {"periodic": True}, "contact.friction": {"bounds": (0.7, 1.5)}}},
-        {"objective": [{"hold": "speed", "at": 0.05, "weight": 10}, {"minimize": "speed", "scale": 2}]},
+        {
+            "pilot": {"arc": {"radius": 0.4, "direction": "right"}},
+            "run": {"duration": 3},
+            "optimizer": "sgd",
+        },
+        {
+            "tune": {
+                "offset.rear_left": {"periodic": True},
+                "contact.friction": {"bounds": (0.7, 1.5)},
+            }
+        },
+        {
+            "objective": [
+                {"hold": "speed", "at": 0.05, "weight": 10},
+                {"minimize": "speed", "scale": 2},
+            ]
+        },
         {"method": "wide_differences"},
     ],
 )
 def test_the_resolved_file_reads_back_as_the_same_tuning(change):
     """tuning.yaml in a directory is enough to run the same tuning again."""
-    tuning = Tuning.from_dict({"tune": {"frequency": {"bounds": [0.4, 1.2]}}, "objective": SMALL["objective"]} | change)
+    tuning = Tuning.from_dict(
+        {"tune": {"frequency": {"bounds": [0.4, 1.2]}}, "objective": SMALL["objective"]} | change
+    )
     again = Tuning.from_text(tuning.to_yaml())
     assert again == tuning
     assert again.digest() == tuning.digest()
-    assert ("method" in tuning.resolved()) == ("method" in change), "what is not given is not written"
+    assert ("method" in tuning.resolved()) == ("method" in change), (
+        "what is not given is not written"
+    )
 
 
 def test_the_digest_tells_tunings_apart():
     """What changes an iteration counts; the number of iterations and figures do not, nor do removed fields."""
     digest = Tuning.from_dict(SMALL).digest()
-    assert Tuning.from_dict(SMALL | {"iterations": 90, "plots": False, "video": False}).digest() == digest
+    assert (
+        Tuning.from_dict(SMALL | {"iterations": 90, "plots": False, "video": False}).digest()
+        == digest
+    )
     others = [
         {"seed": 1},
         {"starts": 2},
@@ -204,15 +267,23 @@ def test_the_digest_tells_tunings_apart():
 
 
 @pytest.mark.parametrize(
-    ("count", "name"), [(8, "local_gradient"), (9, "wide_differences"), (32, "wide_differences"), (33, None)]
+    ("count", "name"),
+    [(8, "local_gradient"), (9, "wide_differences"), (32, "wide_differences"), (33, None)],
 )
 def test_the_default_method_hangs_on_the_number_of_parameters(count, name):
     """What the rematch found (docs/benchmarks/rematch.md); it is not written to the resolved file."""
-    names = [f"foot.{foot}.{axis}{i}" for foot in ("front", "rear", "front_left") for axis in "yz" for i in range(1, 9)]
+    names = [
+        f"foot.{foot}.{axis}{i}"
+        for foot in ("front", "rear", "front_left")
+        for axis in "yz"
+        for i in range(1, 9)
+    ]
     tune = {each: {"bounds": [-0.01, 0.01]} for each in names[:count]}
     spec = {"tune": tune, "objective": SMALL["objective"], "trajectory": "free"}
     if name is None:
-        with pytest.raises(SpecError, match=r"'method' is missing: with more than 32 .* search with method: cma"):
+        with pytest.raises(
+            SpecError, match=r"'method' is missing: with more than 32 .* search with method: cma"
+        ):
             Tuning.from_dict(spec)
         spec |= {"method": "wide_differences"}
     tuning = Tuning.from_dict(spec)
@@ -226,21 +297,35 @@ def test_the_default_method_hangs_on_the_number_of_parameters(count, name):
     [
         ("gradient", {"local_gradient": {}}),
         ({"gradient": None}, {"local_gradient": {}}),
-        ({"differences": {"step": 0.01}}, {"wide_differences": {"scheme": "central", "step": 0.01}}),
+        (
+            {"differences": {"step": 0.01}},
+            {"wide_differences": {"scheme": "central", "step": 0.01}},
+        ),
     ],
 )
 def test_a_former_name_of_a_method_is_read_with_a_warning(former, present):
     """A warning that is always shown, because users write these files."""
-    tune = {f"foot.front.{axis}{i}": {"bounds": [-0.01, 0.01]} for axis in "yz" for i in range(1, 9)}
-    spec = {"tune": tune, "objective": SMALL["objective"], "trajectory": "free"}  # neither is the default of 16
+    tune = {
+        f"foot.front.{axis}{i}": {"bounds": [-0.01, 0.01]} for axis in "yz" for i in range(1, 9)
+    }
+    spec = {
+        "tune": tune,
+        "objective": SMALL["objective"],
+        "trajectory": "free",
+    }  # neither is the default of 16
     (old,), (new,) = [former] if isinstance(former, str) else former, present
-    with pytest.warns(FutureWarning, match=f"method: {old} is a former name, .*: use method: {new}.$"):
+    with pytest.warns(
+        FutureWarning, match=f"method: {old} is a former name, .*: use method: {new}.$"
+    ):
         tuning = Tuning.from_dict(spec | {"method": former})
     assert tuning.resolved()["method"] == present
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert Tuning.from_text(tuning.to_yaml()) == tuning
-    with pytest.warns(FutureWarning), pytest.raises(SpecError, match="field 'method' is the text 'left'"):
+    with (
+        pytest.warns(FutureWarning),
+        pytest.raises(SpecError, match="field 'method' is the text 'left'"),
+    ):
         Tuning.from_dict(spec | {"method": {"differences": {"scheme": "left"}}})
 
 
@@ -254,7 +339,9 @@ def test_starts_are_drawn_within_the_bounds():
     share = (points[1:] - tuning.bounds.low) / (tuning.bounds.high - tuning.bounds.low)
     assert np.abs(share.mean(axis=0) - 0.5).max() < 0.02  # far evener than 63 independent draws
     np.testing.assert_array_equal(points, tuning.start_points())
-    np.testing.assert_array_equal(points[:5], Tuning.from_dict(tuning.resolved() | {"starts": 5}).start_points())
+    np.testing.assert_array_equal(
+        points[:5], Tuning.from_dict(tuning.resolved() | {"starts": 5}).start_points()
+    )
     other = Tuning.from_dict(tuning.resolved() | {"seed": 2}).start_points()
     assert (points[1:] != other[1:]).any()
 
@@ -288,7 +375,9 @@ def test_the_tunings_of_the_repository_are_valid(path):
 
 @pytest.mark.release
 def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) -> None:
-    shared_simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(tmp_path / "short.npz")
+    shared_simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(
+        tmp_path / "short.npz"
+    )
     (tmp_path / "text.npz").write_text("no recording")
     for name, message in (
         ("short.npz", "expected all of the run, from its start to 1 s"),

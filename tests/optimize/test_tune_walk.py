@@ -68,9 +68,13 @@ def test_the_robot_ends_faster_than_it_began(tuned):
 def test_the_objective_is_the_speed_that_a_sweep_measures(tuned, simulator):
     """The C engine walks the best point at the same speed."""
     result, _ = tuned
-    walked = simulator(spine="stride_extension").run({"frequency": 0.8, **result.best["parameters"]}, DURATION)
+    walked = simulator(spine="stride_extension").run(
+        {"frequency": 0.8, **result.best["parameters"]}, DURATION
+    )
     assert result.best["metrics"]["speed"] == pytest.approx(walked.metrics["speed"][0], abs=2e-5)
-    assert result.best["objective"] == pytest.approx(-10 * result.best["metrics"]["speed"], rel=1e-6)
+    assert result.best["objective"] == pytest.approx(
+        -10 * result.best["metrics"]["speed"], rel=1e-6
+    )
 
 
 @pytest.mark.release
@@ -78,8 +82,14 @@ def test_the_gradient_at_the_start_is_that_of_the_c_engine(tuned, simulator):
     """Of C's walks 0.02 rad apart, which leaves 0.1 % of curvature."""
     _, history = tuned
     ends = 0.01 * np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
-    values = {name: about["start"] + ends[i] for i, (name, about) in enumerate(SPEC["tune"].items())}
-    walked = simulator(spine="stride_extension").run({"frequency": 0.8, **values}, DURATION).metrics["speed"]
+    values = {
+        name: about["start"] + ends[i] for i, (name, about) in enumerate(SPEC["tune"].items())
+    }
+    walked = (
+        simulator(spine="stride_extension")
+        .run({"frequency": 0.8, **values}, DURATION)
+        .metrics["speed"]
+    )
     slopes = -10 * (walked[::2] - walked[1::2]) / 0.02
     found = [history[f"gradient.{name}"][0].as_py() for name in SPEC["tune"]]
     assert found == pytest.approx(slopes, rel=0.1)
@@ -101,4 +111,6 @@ def test_a_tuning_that_was_stopped_ends_as_one_that_was_not(tuned, problem, tmp_
     again = read_history(tmp_path)
     for name in whole.column_names:
         if name != "wall_seconds":
-            np.testing.assert_array_equal(again[name].to_numpy(), whole[name].to_numpy(), err_msg=name)
+            np.testing.assert_array_equal(
+                again[name].to_numpy(), whole[name].to_numpy(), err_msg=name
+            )

@@ -68,7 +68,9 @@ def test_neither_the_batch_nor_the_place_in_it_changes_a_bit(simulator, walks) -
 
 
 @pytest.mark.release
-def test_the_number_of_lanes_changes_no_bit(simulator, walks, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_lanes_changes_no_bit(
+    simulator, walks, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The other tests simulate 8 lanes, and users 32."""
     few = some(walks, np.arange(3))
     expected = simulator(spine="stride_extension").run(few, RUN).metrics
@@ -88,7 +90,9 @@ def test_the_number_of_threads_changes_no_bit(simulator, walks, threads: int) ->
         engine = CEngine(sim.robot, sim.loop, threads=count)
         trace[count] = engine.open(batch.params, batch.qpos, batch.fields).record(40)
     for name in ("qpos", "qvel", "ctrl", "sensordata"):
-        np.testing.assert_array_equal(getattr(trace[2], name), getattr(trace[threads], name), err_msg=name)
+        np.testing.assert_array_equal(
+            getattr(trace[2], name), getattr(trace[threads], name), err_msg=name
+        )
 
 
 @pytest.fixture(scope="module")
@@ -111,11 +115,17 @@ ENDS = np.add.outer(BLOCK * np.array([1, 2, 3]), BESIDE).ravel()[:WORLDS]
 #: All runs by time; by distance, which some of them cover and others do not.
 RUNS = {
     "time": Run(duration=0.01 * ENDS, warmup=np.full(WORLDS, 0.1)),
-    "distance": Run(duration=0.01 * ENDS, warmup=np.full(WORLDS, 0.1), distance=np.resize([0.01, 0.02, 1.0], WORLDS)),
+    "distance": Run(
+        duration=0.01 * ENDS,
+        warmup=np.full(WORLDS, 0.1),
+        distance=np.resize([0.01, 0.02, 1.0], WORLDS),
+    ),
 }
 
 
-def simulated(sim: Simulator, walks: dict[str, np.ndarray], run: Run, ids: np.ndarray, how: str) -> RunResult:
+def simulated(
+    sim: Simulator, walks: dict[str, np.ndarray], run: Run, ids: np.ndarray, how: str
+) -> RunResult:
     """Some of the walks, `plain`, `recorded`, or with a `series` or `both`; `run` has one length for each walk."""
     lengths = {name: each[ids] for name, each in vars(run).items() if each is not None}
     save = Saving(("position_y",), rate=50.0) if how in ("series", "both") else None
@@ -141,7 +151,9 @@ def assert_same_run(found: RunResult, place: int, plain: RunResult, kept: RunRes
 @pytest.fixture(scope="module")
 def alone(on_threads, walks) -> Callable[[str, int, str], RunResult]:
     """`alone(run, i, how)`: a walk that nothing shares its batch with."""
-    return functools.cache(lambda run, i, how: simulated(on_threads(1), walks, RUNS[run], np.array([i]), how))
+    return functools.cache(
+        lambda run, i, how: simulated(on_threads(1), walks, RUNS[run], np.array([i]), how)
+    )
 
 
 @pytest.mark.release
@@ -153,7 +165,9 @@ def alone(on_threads, walks) -> Callable[[str, int, str], RunResult]:
     st.sampled_from(["plain", "recorded", "series"]),
     st.sampled_from(sorted(RUNS)),
 )
-def test_what_shares_its_batch_changes_no_bit_of_a_run(on_threads, walks, alone, order, size, threads, how, run):
+def test_what_shares_its_batch_changes_no_bit_of_a_run(
+    on_threads, walks, alone, order, size, threads, how, run
+):
     """Beside shorter and longer ones, recorded or not, in any block and order, on any number of threads."""
     for ids in np.split(np.array(order), range(size, len(order), size)):
         found = simulated(on_threads(threads), walks, RUNS[run], ids, how)
@@ -164,12 +178,18 @@ def test_what_shares_its_batch_changes_no_bit_of_a_run(on_threads, walks, alone,
 @pytest.mark.release
 @pytest.mark.parametrize("profile", ["exact", "as_published"])
 @pytest.mark.parametrize("scene", ["flat", "rough"])
-def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(simulator, profile, scene) -> None:
+def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(
+    simulator, profile, scene
+) -> None:
     """Geometry, build, masses, springs, servos, contact and terrain all differ from world to world."""
     sim = simulator(profile=profile, scene=scene)
     groups = ("geometry", "build", "mass", "stiffness", "damping", "servo", "contact", "start")
     draw = np.random.default_rng(5).uniform
-    defaults = {name: float(value) for name, value in sim.setup.defaults().items() if name.split(".")[0] in groups}
+    defaults = {
+        name: float(value)
+        for name, value in sim.setup.defaults().items()
+        if name.split(".")[0] in groups
+    }
     defaults |= {"servo.spine_torque": 0.9}
     bodies = {name: value * draw(1.0, 1.03, WORLDS) for name, value in defaults.items()}
     bodies |= {"terrain.height": draw(0.004, 0.01, WORLDS)} if scene == "rough" else {}
@@ -179,7 +199,9 @@ def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(simulator, pr
         lone = sim.prepare(some(bodies, np.array([i])), RUN)
         same({name: column[i : i + 1] for name, column in together.fields.items()}, lone.fields)
         np.testing.assert_array_equal(together.qpos[i], lone.qpos[0])
-        for left, right in zip(jax.tree.leaves(together.params), jax.tree.leaves(lone.params), strict=True):
+        for left, right in zip(
+            jax.tree.leaves(together.params), jax.tree.leaves(lone.params), strict=True
+        ):
             np.testing.assert_array_equal(np.asarray(left)[i], np.asarray(right)[0])
 
 
@@ -189,14 +211,19 @@ def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(simulator, pr
     [
         (Run(duration=np.array([3.245, 4.0]), warmup=np.array([1.0, 1.0])), 2.245),
         (Run(duration=np.array([3.255, 3.25]), warmup=np.array([1.0, 1.0])), 2.255),
-        (Run(cycles=np.array([3.0, 6.0]), warmup_cycles=np.array([1.0, 1.0])), 2.0 / 0.9246450430370259),
+        (
+            Run(cycles=np.array([3.0, 6.0]), warmup_cycles=np.array([1.0, 1.0])),
+            2.0 / 0.9246450430370259,
+        ),
     ],
     ids=["within the last tick of a block", "beside a shorter one", "in cycles"],
 )
 def test_a_run_measures_all_of_its_time(on_threads, run: Run, duration: float) -> None:
     """Alone, recorded and beside a longer or shorter run."""
     walks = {"frequency": np.array([0.8 if run.cycles is None else 0.9246450430370259, 0.8])}
-    plain, kept = (simulated(on_threads(1), walks, run, np.array([0]), how) for how in ("plain", "both"))
+    plain, kept = (
+        simulated(on_threads(1), walks, run, np.array([0]), how) for how in ("plain", "both")
+    )
     for how in ("plain", "recorded", "series"):
         found = simulated(on_threads(1), walks, run, np.array([1, 0]), how)
         assert found.metrics["duration"][1] == pytest.approx(duration, abs=2e-6)
@@ -208,7 +235,9 @@ def test_worlds_that_rest_do_not_change_the_others(simulator, walks) -> None:
     """Retired after different times, among others that go on."""
     sim = simulator(spine="stride_extension")
     batch = sim.prepare(walks, RUN)
-    session, undisturbed = (sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2))
+    session, undisturbed = (
+        sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2)
+    )
     rest = np.arange(WORLDS) % 3 == 0
     session.advance(10)
     session.retire(rest)
@@ -230,15 +259,21 @@ def test_a_batch_in_double_precision_runs_on_all_cores(simulator, walks) -> None
         engine = CEngine(sim.robot, sim.loop, threads=2)
         session = engine.open(batch.params, batch.qpos, batch.fields)
         session.advance(3)
-        assert {leaf.dtype for leaf in jax.tree.leaves(session.loop_state)} >= {np.dtype(np.float64)}
-        assert np.dtype(np.float32) not in {leaf.dtype for leaf in jax.tree.leaves(session.loop_state)}
+        assert {leaf.dtype for leaf in jax.tree.leaves(session.loop_state)} >= {
+            np.dtype(np.float64)
+        }
+        assert np.dtype(np.float32) not in {
+            leaf.dtype for leaf in jax.tree.leaves(session.loop_state)
+        }
 
 
 @pytest.mark.parametrize("worlds", [1, PIECE, PIECE + 1])
 def test_lanes_give_every_world_its_own_result(worlds: int) -> None:
     """Whole pieces and parts of them; several arguments and results."""
     x = np.arange(worlds, dtype=np.float32)
-    total, pair = Lanes(lambda a, b: (a + b["c"], {"twice": 2 * a}))(x, {"c": np.ones(worlds, np.float32)})
+    total, pair = Lanes(lambda a, b: (a + b["c"], {"twice": 2 * a}))(
+        x, {"c": np.ones(worlds, np.float32)}
+    )
     np.testing.assert_array_equal(total, x + 1)
     np.testing.assert_array_equal(pair["twice"], 2 * x)
 
@@ -260,13 +295,17 @@ def test_no_tick_after_those_of_a_run_begins_in_it(dt: float) -> None:
     """In float32, whose time is coarser than a tick at the end of the longest runs, and exactly for short ones."""
     draw = np.random.default_rng(1)
     whole = np.unique(np.geomspace(1, 1e5 / dt, 4000).astype(int))
-    ends = np.concatenate([whole, *(whole + draw.uniform(*beside, len(whole)) for beside in ((-1e-5, 1e-5), (0, 1)))])
+    ends = np.concatenate(
+        [whole, *(whole + draw.uniform(*beside, len(whole)) for beside in ((-1e-5, 1e-5), (0, 1)))]
+    )
     ticks = ticks_until(ends * dt, dt)
 
     @jax.jit
     @jax.vmap
     def begins(end: jax.Array, tick: jax.Array) -> jax.Array:
-        return begins_in_run(Window(begin=jnp.zeros(()), end=end, distance=jnp.asarray(1e6)), tick * dt, dt)
+        return begins_in_run(
+            Window(begin=jnp.zeros(()), end=end, distance=jnp.asarray(1e6)), tick * dt, dt
+        )
 
     for later in range(3):
         assert not np.asarray(begins(ends * dt, ticks + later)).any()
@@ -288,7 +327,9 @@ class Passing:
     def init(self, packed: np.ndarray, readings: np.ndarray) -> np.ndarray:
         return packed + readings[:, :1]
 
-    def observe(self, worlds: int, params: np.ndarray, state: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    def observe(
+        self, worlds: int, params: np.ndarray, state: np.ndarray, readings: np.ndarray
+    ) -> np.ndarray:
         return readings[:worlds, -1]
 
 
@@ -298,7 +339,12 @@ def test_a_world_that_is_reset_observes_its_new_start_and_leaves_the_others_alon
         "<mujoco><worldbody><body name='torso'><joint name='j' axis='0 1 0'/><geom size='.1' pos='0 0 -1'/></body>"
         "</worldbody><sensor><jointpos joint='j'/><jointvel joint='j'/></sensor></mujoco>"
     )
-    engine, block, loop, lanes = CEngine.__new__(CEngine), _Block.__new__(_Block), Passing(), np.zeros((LANES, 1))
+    engine, block, loop, lanes = (
+        CEngine.__new__(CEngine),
+        _Block.__new__(_Block),
+        Passing(),
+        np.zeros((LANES, 1)),
+    )
     engine.model, engine.loop = model, loop
     CBodies.__init__(block, engine, np.full((4, 1), 0.5), {}, 1)
     block.loop, block.params, block._state = loop, lanes.copy(), lanes.copy()

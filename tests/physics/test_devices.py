@@ -92,10 +92,14 @@ def four_devices(tmp_path_factory) -> dict[str, Any]:
     """Output of a process with four devices for five worlds."""
     settings = ("JAX_", "PJRT_", "NERMO_", "XLA_")
     environment = {key: value for key, value in os.environ.items() if not key.startswith(settings)}
-    environment["XLA_FLAGS"] = "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
+    environment["XLA_FLAGS"] = (
+        "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
+    )
     environment["NERMO_MJX_CACHE"] = str(tmp_path_factory.mktemp("cache"))
     script = FOUR.format(tests=str(Path(__file__).parents[1]))
-    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=540)
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=540
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -127,7 +131,11 @@ def test_the_controller_of_c_runs_on_a_processor_beside_an_accelerator(simulator
     processor = xla_client.make_cpu_client(asynchronous=False).local_devices()[0]
     with monkeypatch.context() as machine:
         machine.setattr(jax, "default_backend", lambda: "gpu")
-        machine.setattr(jax, "local_devices", lambda backend=None: [processor] if backend == "cpu" else jax.devices())
+        machine.setattr(
+            jax,
+            "local_devices",
+            lambda backend=None: [processor] if backend == "cpu" else jax.devices(),
+        )
         session = CEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
         for one in (before, session):
             one.advance(3)

@@ -45,10 +45,14 @@ def test_c_engine_equals_one_mj_step_at_a_time(simulator):
 
 
 @pytest.mark.release
-def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator, tmp_path, monkeypatch, capfd):
+def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(
+    simulator, tmp_path, monkeypatch, capfd
+):
     """A world whose numbers are lost half-way is flagged and keeps what it had measured; its neighbour goes on."""
     sim = simulator(spine="stride_extension")
-    batch = sim.prepare({name: values[:2] for name, values in WALKS.items()}, Run(cycles=3, warmup_cycles=1))
+    batch = sim.prepare(
+        {name: values[:2] for name, values in WALKS.items()}, Run(cycles=3, warmup_cycles=1)
+    )
     broken, whole = (sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2))
     for session in (broken, whole):
         session.advance(200)
@@ -61,7 +65,9 @@ def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator,
     np.testing.assert_array_equal(broken.loop_state.metrics.diverged, [False, True])
     np.testing.assert_array_equal(broken.qpos[0], whole.qpos[0])
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.loop_state.metrics))
-    assert broken.loop_state.metrics.time[1] == pytest.approx(0.75, abs=0.03)  # measured from 1.25 s to 2.0 s
+    assert broken.loop_state.metrics.time[1] == pytest.approx(
+        0.75, abs=0.03
+    )  # measured from 1.25 s to 2.0 s
 
 
 @pytest.mark.release
@@ -123,7 +129,9 @@ def test_mjx_and_c_measure_the_same_gait(walks):
         for statistic in ("mean", "std", "min", "max"):
             name = f"{angle}_{statistic}"
             ours, reference = mjx.metrics[name], c.metrics[name]
-            np.testing.assert_allclose(ours, reference, rtol=0.03, atol=np.radians(0.1), err_msg=name)
+            np.testing.assert_allclose(
+                ours, reference, rtol=0.03, atol=np.radians(0.1), err_msg=name
+            )
 
 
 @pytest.mark.release
@@ -144,12 +152,17 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator, compilations):
         "servo.kp": np.array([5.0, 6.3, 8.0]),
     }
     run = Run(cycles=2, warmup_cycles=1)
-    c, mjx = (simulator(engine, spine="stride_extension").run(values, run).metrics for engine in ("c", "mjx"))
+    c, mjx = (
+        simulator(engine, spine="stride_extension").run(values, run).metrics
+        for engine in ("c", "mjx")
+    )
     for name in ("speed", "servo_work", "roll_std"):
         np.testing.assert_allclose(mjx[name], c[name], rtol=0.01, err_msg=name)
         assert np.ptp(c[name]) > 0.05 * c[name].mean()
     compilations.clear()
-    others = simulator("mjx", spine="stride_extension").run({name: 0.99 * value for name, value in values.items()}, run)
+    others = simulator("mjx", spine="stride_extension").run(
+        {name: 0.99 * value for name, value in values.items()}, run
+    )
     assert compilations == []
     assert not np.array_equal(others.metrics["speed"], mjx["speed"])
 
@@ -160,8 +173,14 @@ def test_a_run_that_may_end_early_measures_its_last_tick(walks, simulator, engin
     """Whatever is beside it: runs that end within the same tick, the last one of a block, or later ones."""
     walks(engine)
     sim, warmup = simulator(engine, spine="stride_extension"), np.full(8, 0.05)
-    alike, mixed = np.full(8, 0.245), 0.01 * np.array([24.5, 24.0, 25.0, 30.0, 49.5, 24.5, 26.0, 20.0])
-    found = [sim.run(WALKS, Run(duration=end, warmup=warmup, distance=1.0), record=True) for end in (alike, mixed)]
+    alike, mixed = (
+        np.full(8, 0.245),
+        0.01 * np.array([24.5, 24.0, 25.0, 30.0, 49.5, 24.5, 26.0, 20.0]),
+    )
+    found = [
+        sim.run(WALKS, Run(duration=end, warmup=warmup, distance=1.0), record=True)
+        for end in (alike, mixed)
+    ]
     for result, end in zip(found, (alike, mixed), strict=True):
         np.testing.assert_allclose(result.metrics["duration"], end - warmup, atol=1e-6)
     for name in found[0].metrics:
@@ -175,7 +194,11 @@ def test_new_values_never_recompile_on_mjx(walks, simulator, compilations):
     walks("mjx")
     sim = simulator("mjx", spine="stride_extension")
     compilations.clear()
-    sim.run({name: 0.99 * values for name, values in WALKS.items()}, Run(cycles=1, warmup_cycles=0), record=True)
+    sim.run(
+        {name: 0.99 * values for name, values in WALKS.items()},
+        Run(cycles=1, warmup_cycles=0),
+        record=True,
+    )
     assert compilations == []
 
 
@@ -185,7 +208,9 @@ def test_a_world_is_small_in_the_scan(simulator):
     sim = simulator("mjx", spine="stride_extension")
     batch = sim.prepare({"frequency": 0.8})
     params, qpos = jax.tree.map(lambda leaf: leaf[0], (batch.params, np.float32(batch.qpos)))
-    qvel, readings = (np.zeros(n, np.float32) for n in (sim.robot.model.nv, sim.robot.model.nsensordata))
+    qvel, readings = (
+        np.zeros(n, np.float32) for n in (sim.robot.model.nv, sim.robot.model.nsensordata)
+    )
     carry = jax.eval_shape(sim.engine.start, params, qpos, qvel, readings)
     assert 1024 < sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(carry)) < 4096
 
@@ -204,15 +229,24 @@ print(json.dumps(counts | {{"ok": int((result.status == "ok").sum())}}))
 
 
 def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str, int]:
-    environment = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "PJRT_"))}
-    environment |= {"NERMO_MJX_CACHE": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    environment = {
+        key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "PJRT_"))
+    }
+    environment |= {
+        "NERMO_MJX_CACHE": str(cache),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
     command = [sys.executable, "-c", CACHED.format(engine=engine, worlds=worlds)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True, timeout=540)
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, check=True, timeout=540
+    )
     return json.loads(done.stdout)
 
 
 @pytest.mark.release
-@pytest.mark.parametrize(("engine", "worlds"), [("c", 2), pytest.param("mjx", 64, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("engine", "worlds"), [("c", 2), pytest.param("mjx", 64, marks=pytest.mark.long)]
+)
 def test_the_next_process_reuses_compiled_programs(tmp_path, engine, worlds):
     """The first process fills the persistent cache, the second finds every program there, and neither hangs.
 
@@ -242,7 +276,9 @@ def test_sparse_jacobians_are_the_dense_ones(simulator):
                 data.ctrl[:] = trace.ctrl[world, tick]
                 mujoco.mj_forward(model, data)
             assert sparse.ncon > 0
-            np.testing.assert_allclose(sparse.qacc, other.qacc, atol=1e-6 * np.abs(other.qacc).max())
+            np.testing.assert_allclose(
+                sparse.qacc, other.qacc, atol=1e-6 * np.abs(other.qacc).max()
+            )
 
 
 @pytest.mark.release
@@ -261,7 +297,9 @@ def test_c_engine_does_not_depend_on_the_number_of_threads(simulator):
     sim = simulator(spine="stride_extension")
     batch = sim.prepare(WALKS)
     one, two = (
-        CEngine(sim.robot, sim.loop, threads=threads).open(batch.params, batch.qpos, batch.fields).record(50)
+        CEngine(sim.robot, sim.loop, threads=threads)
+        .open(batch.params, batch.qpos, batch.fields)
+        .record(50)
         for threads in (1, 2)
     )
     np.testing.assert_array_equal(one.qpos, two.qpos)

@@ -30,9 +30,13 @@ TENDON = '<tendon><spatial {0}><site site="fixed"/><site site="tip"/></spatial><
 MODELS = {
     **IN_THEIR_PLACE,
     "a box on the ground": mjcf(PLANE + FREE.format(z=0.1, kind="box")),
-    "an elliptic contact": mjcf(PLANE + FREE.format(z=0.1, kind="ellipsoid"), option='cone="elliptic" impratio="10"'),
+    "an elliptic contact": mjcf(
+        PLANE + FREE.format(z=0.1, kind="ellipsoid"), option='cone="elliptic" impratio="10"'
+    ),
     "a limit at rest": mjcf(CHAIN.format(a='limited="true" range="-60 20"', b=""), MOTOR),
-    "a ball joint": mjcf('<body pos="0 0 1"><joint type="ball" stiffness="1"/><geom size=".1" pos=".1 .2 .3"/></body>'),
+    "a ball joint": mjcf(
+        '<body pos="0 0 1"><joint type="ball" stiffness="1"/><geom size=".1" pos=".1 .2 .3"/></body>'
+    ),
     "dry friction": mjcf(CHAIN.format(a='frictionloss=".3"', b=""), MOTOR),
     "implicitfast": mjcf(
         CHAIN.format(a="", b=""),
@@ -46,10 +50,14 @@ MODELS = {
         'integrator="implicit" density="1000"',
     ),
     "Runge-Kutta": mjcf(CHAIN.format(a="", b='stiffness="5"'), MOTOR, 'integrator="RK4"'),
-    "a tendon": mjcf(CHAIN.format(a="", b=""), TENDON.format('limited="true" range="0 .5" stiffness="20"') + MOTOR),
+    "a tendon": mjcf(
+        CHAIN.format(a="", b=""),
+        TENDON.format('limited="true" range="0 .5" stiffness="20"') + MOTOR,
+    ),
     "a muscle": mjcf(
         CHAIN.format(a="", b=""),
-        TENDON.format('name="t"') + '<actuator><muscle tendon="t" ctrlrange="0 1" lengthrange=".1 .8"/></actuator>',
+        TENDON.format('name="t"')
+        + '<actuator><muscle tendon="t" ctrlrange="0 1" lengthrange=".1 .8"/></actuator>',
     ),
     "activations": mjcf(
         CHAIN.format(a="", b=""),
@@ -57,15 +65,22 @@ MODELS = {
         'dynprm=".05" gainprm="3" actearly="true"/><general joint="a" dyntype="filter" dynprm=".1"/></actuator>',
     ),
     "an equality": mjcf(
-        CHAIN.format(a="", b=""), '<equality><joint joint1="a" joint2="b" polycoef=".1 .5"/></equality>' + MOTOR
+        CHAIN.format(a="", b=""),
+        '<equality><joint joint1="a" joint2="b" polycoef=".1 .5"/></equality>' + MOTOR,
     ),
     "a weld": mjcf(
         FREE.format(z=1, kind="box").replace("<body", '<body name="box"'),
         '<equality><weld body1="box" relpose="0 0 1 1 0 0 0"/></equality>',
     ),
-    "noslip": mjcf(PLANE + FREE.format(z=0.1, kind="box"), option='noslip_iterations="3" cone="elliptic"'),
+    "noslip": mjcf(
+        PLANE + FREE.format(z=0.1, kind="box"), option='noslip_iterations="3" cone="elliptic"'
+    ),
 }
-PUBLIC = Path(next(iter(importlib.util.find_spec("mujoco").submodule_search_locations))) / "mjx" / "test_data"
+PUBLIC = (
+    Path(next(iter(importlib.util.find_spec("mujoco").submodule_search_locations)))
+    / "mjx"
+    / "test_data"
+)
 FILES = (
     "humanoid/humanoid.xml",
     "barkour_v0/assets/barkour_v0_mjx.xml",
@@ -79,7 +94,9 @@ FILES = (
 def moved(model: mujoco.MjModel, steps: int) -> tuple[np.ndarray, ...]:
     """A state on the way, and controls within their ranges."""
     data, random = mujoco.MjData(model), np.random.default_rng(0)
-    low, high = np.where(model.actuator_ctrllimited[:, None] > 0, model.actuator_ctrlrange, [-1.0, 1.0]).T
+    low, high = np.where(
+        model.actuator_ctrllimited[:, None] > 0, model.actuator_ctrlrange, [-1.0, 1.0]
+    ).T
     data.qvel[:] = 0.1 * random.standard_normal(model.nv)
     data.ctrl[:] = low + (high - low) * random.uniform(0.3, 0.7, model.nu)
     mujoco.mj_step(model, data, 150)
@@ -93,7 +110,9 @@ def error(model: mujoco.MjModel, steps: int = 5) -> float:
     random = np.random.default_rng(1)
     motion, step = trajectory(model), 1e-6
     tight = motion.model
-    turn, *ways = (random.standard_normal(shape) for shape in (model.nv, model.nv, model.na, ctrl.shape))
+    turn, *ways = (
+        random.standard_normal(shape) for shape in (model.nv, model.nv, model.na, ctrl.shape)
+    )
     found = motion.linearized(qpos, qvel, ctrl, act)
     x = np.concatenate([turn, ways[0], ways[1]])
     for t in range(steps):
@@ -101,7 +120,11 @@ def error(model: mujoco.MjModel, steps: int = 5) -> float:
 
     def end(sign: float) -> mujoco.MjData:
         data = mujoco.MjData(tight)
-        data.qpos[:], data.qvel[:], data.act[:] = qpos, qvel + sign * step * ways[0], act + sign * step * ways[1]
+        data.qpos[:], data.qvel[:], data.act[:] = (
+            qpos,
+            qvel + sign * step * ways[0],
+            act + sign * step * ways[1],
+        )
         mujoco.mj_integratePos(tight, data.qpos, turn, sign * step)
         for t in range(steps):
             data.ctrl[:] = ctrl[t] + sign * step * ways[2][t]
@@ -110,7 +133,9 @@ def error(model: mujoco.MjModel, steps: int = 5) -> float:
 
     up, down, dq = end(1.0), end(-1.0), np.zeros(model.nv)
     mujoco.mj_differentiatePos(tight, dq, 2 * step, down.qpos, up.qpos)
-    expected = np.concatenate([dq, (up.qvel - down.qvel) / (2 * step), (up.act - down.act) / (2 * step)])
+    expected = np.concatenate(
+        [dq, (up.qvel - down.qvel) / (2 * step), (up.act - down.act) / (2 * step)]
+    )
     return float(np.abs(x - expected).max() / np.abs(expected).max())
 
 
@@ -167,7 +192,11 @@ def test_a_quaternion_is_differentiated_along_what_turns_it() -> None:
     motion = trajectory(model)
     with jax.enable_x64(True):
         slope = np.asarray(jax.jacrev(lambda start: motion(start, qvel, ctrl).qpos[-1])(qpos))
-        ends = [motion(qpos + 1e-6 * sign * way, qvel, ctrl).qpos[-1] for way in np.eye(4) for sign in (1, -1)]
+        ends = [
+            motion(qpos + 1e-6 * sign * way, qvel, ctrl).qpos[-1]
+            for way in np.eye(4)
+            for sign in (1, -1)
+        ]
     differences = np.reshape(ends, (4, 2, 4))
     expected = ((differences[:, 0] - differences[:, 1]) / 2e-6).T
     np.testing.assert_allclose(slope, expected, atol=1e-6)
@@ -177,14 +206,17 @@ def test_a_step_at_which_a_contact_begins_is_told() -> None:
     """A sphere that stands exactly on the border of its contact."""
     model = mujoco.MjModel.from_xml_string(
         mjcf(
-            PLANE + '<body pos="0 0 .1"><joint type="slide" axis="0 0 1"/><geom size=".1" solimp=".9 .95 .001"/></body>'
+            PLANE
+            + '<body pos="0 0 .1"><joint type="slide" axis="0 0 1"/><geom size=".1" solimp=".9 .95 .001"/></body>'
         )
     )
     motion, ctrl = trajectory(model), np.zeros((1, 0))
     assert motion.linearized([0.0], [0.0], ctrl).kinks.tolist() == [True]
     assert motion.linearized([0.01], [0.0], ctrl).kinks.tolist() == [False]
     with jax.enable_x64(True):
-        with pytest.warns(UserWarning, match=r"active contacts or limits changes within 1e-08 at 1 steps \(0\)"):
+        with pytest.warns(
+            UserWarning, match=r"active contacts or limits changes within 1e-08 at 1 steps \(0\)"
+        ):
             jax.grad(lambda z: motion(z, jnp.zeros(1), ctrl).qvel[-1, 0])(jnp.zeros(1))
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -193,7 +225,10 @@ def test_a_step_at_which_a_contact_begins_is_told() -> None:
 
 def test_a_control_at_the_end_of_its_range_has_the_slope_within() -> None:
     model = mujoco.MjModel.from_xml_string(MODELS["implicitfast"])
-    at = [trajectory(model).linearized([0.1, 0.2], [0.0, 0.0], [[u]]).b[0, 2, 0] for u in (0.5, 1.0, 1.5)]
+    at = [
+        trajectory(model).linearized([0.1, 0.2], [0.0, 0.0], [[u]]).b[0, 2, 0]
+        for u in (0.5, 1.0, 1.5)
+    ]
     assert at[1] == pytest.approx(at[0], rel=1e-4)
     assert at[2] == 0.0
 

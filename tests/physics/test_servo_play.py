@@ -30,7 +30,9 @@ def moved(target: float, load: float, steps: int, dead_band: float = 0.0, backla
     data.qfrc_applied[:] = load
     rows = []
     for _ in range(steps):
-        data.ctrl[:], motor = played(play, motor, np.array([target]), data.qpos, data.qvel, STEP, np)
+        data.ctrl[:], motor = played(
+            play, motor, np.array([target]), data.qpos, data.qvel, STEP, np
+        )
         mujoco.mj_step(model, data)
         rows.append((data.qpos[0], data.actuator_force[0]))
     return np.array(rows).T
@@ -92,11 +94,17 @@ def test_a_batch_has_servos_with_and_without_play(simulator):
     """
     damped = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
     sim, run = simulator(spine="stride_extension"), Run(cycles=3, warmup_cycles=1)
-    names = {"servo.dead_band": [0.0, 0.05, 0.0], "servo.backlash": [0.0, 0.0, 0.02], "servo.supply_voltage": 6.0}
+    names = {
+        "servo.dead_band": [0.0, 0.05, 0.0],
+        "servo.backlash": [0.0, 0.0, 0.02],
+        "servo.supply_voltage": 6.0,
+    }
     play = sim({"frequency": 0.8, **names, **damped}, run)
     motor = {"servo.supply_voltage": [6.0, 4.8], "servo.back_emf": [0.0, 0.4]}
     plain, weak = sim({"frequency": 0.8, **motor, **damped}, run)["speed"]
-    assert play["speed"][0] == pytest.approx(plain, rel=2e-2)  # rounding in float32 grows at contacts
+    assert play["speed"][0] == pytest.approx(
+        plain, rel=2e-2
+    )  # rounding in float32 grows at contacts
     assert max(play["speed"][1], weak) < 0.98 * plain
     assert play["servo_current"][1] < 0.8 * play["servo_current"][0]
 
@@ -111,7 +119,9 @@ def test_servos_of_either_end_of_their_ranges_can_be_simulated(simulator):
         for end in ("low", "high"):
             for name, column in ends.items():
                 about = known[name]
-                column.append(getattr(about, end) if chosen in ("all", name.split(".")[1]) else about.default)
+                column.append(
+                    getattr(about, end) if chosen in ("all", name.split(".")[1]) else about.default
+                )
     result = simulator().run(ends, Run(duration=0.6, warmup=0.0))
     assert "diverged" not in result.status
     assert (result.metrics["battery_time"] > 0.0).all()
@@ -122,10 +132,14 @@ def test_servos_of_either_end_of_their_ranges_can_be_simulated(simulator):
 def test_the_battery_changes_nothing_but_its_time(simulator):
     """Run time is its capacity over what servos and electronics draw."""
     run = Run(duration=0.5, warmup=0.0)
-    found = simulator()({"battery.capacity": [1.0, 0.5], "battery.electronics_current": [0.3, 0.0]}, run)
+    found = simulator()(
+        {"battery.capacity": [1.0, 0.5], "battery.electronics_current": [0.3, 0.0]}, run
+    )
     np.testing.assert_array_equal(*found["speed"])
     drawn = found["servo_current"] + [0.3, 0.0]
-    np.testing.assert_allclose(found["battery_time"], 3600.0 * np.array([1.0, 0.5]) / drawn, rtol=1e-5)
+    np.testing.assert_allclose(
+        found["battery_time"], 3600.0 * np.array([1.0, 0.5]) / drawn, rtol=1e-5
+    )
 
 
 @pytest.mark.release

@@ -60,7 +60,9 @@ def assert_same_model(one: mujoco.MjModel, other: mujoco.MjModel, rtol: float = 
     for name in (name for name in dir(one) if not name.startswith("_")):
         value = getattr(one, name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-            np.testing.assert_allclose(value, getattr(other, name), rtol=rtol, atol=1e-12, err_msg=name)
+            np.testing.assert_allclose(
+                value, getattr(other, name), rtol=rtol, atol=1e-12, err_msg=name
+            )
 
 
 def scaled(robot: Robot, front: float, rear: float) -> mujoco.MjModel:
@@ -77,7 +79,12 @@ def test_nothing_named_gives_no_fields():
     """A batch that names no body parameter leaves the model alone, whatever else it names."""
     variation = Variation(load_robot())
     assert variation.batch(ModelParameters(), 4, ()) == {}
-    assert variation.batch(ModelParameters(), 4, ("frequency", "spine.phase", "start.yaw", "stance.front_z")) == {}
+    assert (
+        variation.batch(
+            ModelParameters(), 4, ("frequency", "spine.phase", "start.yaw", "stance.front_z")
+        )
+        == {}
+    )
 
 
 @pytest.mark.release
@@ -92,7 +99,9 @@ def test_defaults_are_the_values_of_the_compiled_model(tail):
             continue
         base = attrgetter(name)(robot.physical)
         assert values.shape == (3, *base.shape)
-        np.testing.assert_allclose(values, np.broadcast_to(base, values.shape), rtol=1e-12, atol=1e-15, err_msg=name)
+        np.testing.assert_allclose(
+            values, np.broadcast_to(base, values.shape), rtol=1e-12, atol=1e-15, err_msg=name
+        )
     assert_same_model(compile_model(robot, ALL), robot.model)
 
 
@@ -110,7 +119,12 @@ def test_which_fields_vary_depends_on_names_alone():
 def test_contact_parameters_reach_what_they_name(scene):
     """Solref and solimp of soles and tail on the ground change world by world, and friction of each kind of pair."""
     robot, worlds = load_robot(scene=scene), np.array([0.5, 1.5])
-    friction = {"sole": worlds, "tail": np.array([0.2, 0.7]), "trunk": np.array([0.3, 0.8]), "obstacle": worlds / 4}
+    friction = {
+        "sole": worlds,
+        "tail": np.array([0.2, 0.7]),
+        "trunk": np.array([0.3, 0.8]),
+        "obstacle": worlds / 4,
+    }
     values = {
         "contact.friction": friction["sole"],
         "contact.tail_friction": friction["tail"],
@@ -124,21 +138,34 @@ def test_contact_parameters_reach_what_they_name(scene):
     fields = varied(robot, values, 2)
     for i in range(robot.model.npair):
         ground, _, part = robot.model.pair(i).name.partition("_")
-        kind = "obstacle" if ground != "floor" else "sole" if part.endswith("sole") else part.partition("_")[0]
+        kind = (
+            "obstacle"
+            if ground != "floor"
+            else "sole"
+            if part.endswith("sole")
+            else part.partition("_")[0]
+        )
         wanted = friction[kind if kind in friction else "trunk"]
         np.testing.assert_allclose(fields["pair_friction"][:, i, :2], np.stack([wanted, wanted], 1))
         if kind in ("sole", "tail"):
             np.testing.assert_allclose(fields["pair_solref"][:, i], [(0.008, 0.5), (0.02, 1.5)])
-            np.testing.assert_allclose(fields["pair_solimp"][:, i, :3], [(0, 0.9, 0.002), (0, 0.99, 0.003)])
+            np.testing.assert_allclose(
+                fields["pair_solimp"][:, i, :3], [(0, 0.9, 0.002), (0, 0.99, 0.003)]
+            )
         else:
             for name in ("pair_solref", "pair_solimp"):
-                np.testing.assert_array_equal(fields[name][:, i], [getattr(robot.model, name)[i]] * 2)
+                np.testing.assert_array_equal(
+                    fields[name][:, i], [getattr(robot.model, name)[i]] * 2
+                )
 
 
 def test_springs_and_dampers_reach_their_joints():
     """Every spring and damper changes in the joints it names, left and right, and in no other."""
     robot = load_robot(tail="articulated")
-    model, names = robot.model, [name for name in OTHER if name.startswith(("stiffness", "damping"))]
+    model, names = (
+        robot.model,
+        [name for name in OTHER if name.startswith(("stiffness", "damping"))],
+    )
     fields = varied(robot, {name: OTHER[name] for name in names}, 1)
     for i in range(1, model.njnt):
         joint, dof = model.joint(i).name, model.jnt_dofadr[i]
@@ -157,7 +184,9 @@ def test_servo_parameters_reach_all_servos():
     """Gain, torque limit and damping of the servos change in every actuator and on every joint with a servo."""
     robot = load_robot()
     model = robot.model
-    fields = varied(robot, {"servo.kp": np.array([3.0, 9.0]), "servo.torque_limit": 0.1, "servo.kv": 0.05}, 2)
+    fields = varied(
+        robot, {"servo.kp": np.array([3.0, 9.0]), "servo.torque_limit": 0.1, "servo.kv": 0.05}, 2
+    )
     more = 0.05 - float(ModelParameters().servo.kv)
     damping = fields.get("dof_damping", np.stack([model.dof_damping] * 2))
     for world, kp in enumerate((3.0, 9.0)):
@@ -175,15 +204,21 @@ def test_faults_of_the_built_robot_reach_what_they_name():
     """Slack lengthens the tendons of legs or spine alone; the asymmetry stiffens left knees and softens right ones."""
     robot = load_robot(tail="articulated")
     model = robot.model
-    fields = varied(robot, {"build.leg_slack": 0.001, "build.spine_slack": 0.002, "build.asymmetry": 0.2}, 1)
+    fields = varied(
+        robot, {"build.leg_slack": 0.001, "build.spine_slack": 0.002, "build.asymmetry": 0.2}, 1
+    )
     for i in range(model.ntendon):
         kind = model.tendon(i).name.split("_")[0]
         slack = {"front": 0.001, "rear": 0.001, "spine": 0.002, "tail": 0.0}[kind]
-        np.testing.assert_allclose(fields["tendon_range"][0, i], model.tendon_range[i] + [0.0, slack], atol=1e-12)
+        np.testing.assert_allclose(
+            fields["tendon_range"][0, i], model.tendon_range[i] + [0.0, slack], atol=1e-12
+        )
     for i in range(1, model.njnt):
         name = model.joint(i).name
         share = {"left": 1.2, "right": 0.8}[name.split("_")[1]] if name.endswith("_knee") else 1.0
-        assert fields["jnt_stiffness"][0, i] == pytest.approx(share * model.jnt_stiffness[i], rel=1e-12), name
+        assert fields["jnt_stiffness"][0, i] == pytest.approx(
+            share * model.jnt_stiffness[i], rel=1e-12
+        ), name
 
 
 @pytest.mark.release
@@ -195,7 +230,9 @@ def test_slack_and_another_geometry_add_up():
     reach = assemble(robot.config, parameters).compile().tendon_range
     np.testing.assert_allclose(varied(robot, values, 1)["tendon_range"][0], reach, atol=1e-9)
     np.testing.assert_allclose(
-        compile_model(robot, {key: float(value) for key, value in values.items()}).tendon_range, reach, atol=1e-12
+        compile_model(robot, {key: float(value) for key, value in values.items()}).tendon_range,
+        reach,
+        atol=1e-12,
     )
 
 
@@ -203,14 +240,20 @@ def test_masses_scale_in_proportion():
     """Front and rear take the wanted mass; parts keep their shares, inertias scale along."""
     robot = load_robot()
     model = robot.model
-    fields = varied(robot, {"mass.front": np.array([0.2, 0.1]), "mass.rear": np.array([0.1053, 0.2])}, 2)
+    fields = varied(
+        robot, {"mass.front": np.array([0.2, 0.1]), "mass.rear": np.array([0.1053, 0.2])}, 2
+    )
     front = np.array([is_front(model.body(i).name) for i in range(model.nbody)])
     for world, (ahead, behind) in enumerate([(0.2, 0.1053), (0.1, 0.2)]):
         mass, inertia = fields["body_mass"][world], fields["body_inertia"][world]
         assert mass[front].sum() == pytest.approx(ahead)
         assert mass[~front].sum() == pytest.approx(behind)
-        np.testing.assert_allclose(mass[front] / ahead, model.body_mass[front] / model.body_mass[front].sum())
-        np.testing.assert_allclose(inertia[1:] / mass[1:, None], model.body_inertia[1:] / model.body_mass[1:, None])
+        np.testing.assert_allclose(
+            mass[front] / ahead, model.body_mass[front] / model.body_mass[front].sum()
+        )
+        np.testing.assert_allclose(
+            inertia[1:] / mass[1:, None], model.body_inertia[1:] / model.body_mass[1:, None]
+        )
 
 
 def test_varied_masses_are_those_of_a_model_compiled_with_them():
@@ -221,7 +264,9 @@ def test_varied_masses_are_those_of_a_model_compiled_with_them():
     assert robot.model.body_mass.sum() == pytest.approx(0.270)  # the robot's own model is untouched
 
 
-@pytest.mark.parametrize("group", ["servo", "contact", "stiffness", "damping", "mass", "build", "ground"])
+@pytest.mark.parametrize(
+    "group", ["servo", "contact", "stiffness", "damping", "mass", "build", "ground"]
+)
 def test_varied_and_assembled_parameters_agree(group):
     """Every parameter gives the same model whether it is varied in a batch or handed to assembly."""
     robot = load_robot()
@@ -271,9 +316,13 @@ def test_mjx_worlds_have_the_constants_of_models_compiled_for_them():
     for world in range(2):
         model = compile_model(robot, {name: value[world] for name, value in masses.items()})
         for name, values in session.fields.items():
-            np.testing.assert_allclose(values[world], getattr(model, name), rtol=1e-5, atol=1e-9, err_msg=name)
+            np.testing.assert_allclose(
+                values[world], getattr(model, name), rtol=1e-5, atol=1e-9, err_msg=name
+            )
     # Nothing is derived from friction, and nothing varied leaves the model as it was compiled.
-    friction = engine.open(swing, qpos, varied(robot, {"contact.friction": np.array([0.5, 1.5])}, 2))
+    friction = engine.open(
+        swing, qpos, varied(robot, {"contact.friction": np.array([0.5, 1.5])}, 2)
+    )
     assert set(friction.fields) == {"pair_friction", "pair_solref", "pair_solimp"}
     assert engine.open(swing, qpos, {}).fields == {}
 
@@ -284,7 +333,9 @@ def test_no_constant_that_mjx_reads_is_left_out():
     other = compile_model(robot, {"mass.front": 0.2, "mass.rear": 0.09})
     changed = {
         name
-        for name, value in ((name, getattr(other, name)) for name in dir(other) if not name.startswith("_"))
+        for name, value in (
+            (name, getattr(other, name)) for name in dir(other) if not name.startswith("_")
+        )
         if isinstance(value, np.ndarray) and value.dtype.kind == "f"
         if not np.allclose(value, getattr(robot.model, name), rtol=1e-9, atol=0.0)
     }
@@ -307,7 +358,10 @@ def test_a_slope_turns_gravity_in_mjx_and_has_a_derivative():
     push = jax.vmap(lambda way: jax.jvp(velocity, (at,), (way,)), out_axes=(None, -1))
     value, slopes = jax.jit(push)(np.eye(3))
     np.testing.assert_allclose(value, dt * gravity_vector(*at), rtol=1e-5)
-    differences = [(gravity_vector(*(at + d)) - gravity_vector(*(at - d))) * dt / 2e-6 for d in 1e-6 * np.eye(3)]
+    differences = [
+        (gravity_vector(*(at + d)) - gravity_vector(*(at - d))) * dt / 2e-6
+        for d in 1e-6 * np.eye(3)
+    ]
     np.testing.assert_allclose(slopes, np.array(differences).T, rtol=1e-4, atol=1e-7)
 
 
@@ -332,14 +386,26 @@ def test_a_built_robot_is_the_same_in_a_batch_and_assembled(routing, tail):
     values = {name: np.array(value) for name, value in (BUILT | {"geometry.hip.z": -0.011}).items()}
     assembled = varied_model(robot, values)
     fields = varied(robot, values, 1)
-    assert {"body_pos", "body_quat", "site_pos", "tendon_range", "tendon_solref_lim"} <= fields.keys()
+    assert {
+        "body_pos",
+        "body_quat",
+        "site_pos",
+        "tendon_range",
+        "tendon_solref_lim",
+    } <= fields.keys()
     for name in ("body_pos", "body_quat", "site_pos", "tendon_range", "tendon_solref_lim"):
-        np.testing.assert_allclose(fields[name][0], getattr(assembled, name), atol=1e-9, err_msg=name)
-    parameters = replace_quantities(ModelParameters(), {name: np.array(value) for name, value in BUILT.items()})
+        np.testing.assert_allclose(
+            fields[name][0], getattr(assembled, name), atol=1e-9, err_msg=name
+        )
+    parameters = replace_quantities(
+        ModelParameters(), {name: np.array(value) for name, value in BUILT.items()}
+    )
     assert_same_model(compile_model(robot, BUILT), assemble(robot.config, parameters).compile())
     unchanged = varied(robot, {"build.rear_tilt": np.array(0.0)}, 1)
     for name, field in unchanged.items():
-        np.testing.assert_allclose(field[0], getattr(robot.physical, name), atol=1e-15, err_msg=name)
+        np.testing.assert_allclose(
+            field[0], getattr(robot.physical, name), atol=1e-15, err_msg=name
+        )
 
 
 @pytest.mark.release
@@ -350,13 +416,17 @@ def test_turned_mounts_carry_the_feet_and_slack_lowers_them():
 
     def feet(**build: float) -> np.ndarray:
         values = still | {f"build.{name}": value for name, value in build.items()}
-        model = compile_model(simulator.robot, {f"build.{name}": value for name, value in build.items()})
+        model = compile_model(
+            simulator.robot, {f"build.{name}": value for name, value in build.items()}
+        )
         data = mujoco.MjData(model)
         data.qpos[:] = simulator.prepare(values).qpos[0]
         mujoco.mj_kinematics(model, data)
         soles = [data.geom(f"{limb}_sole").xpos[2] - FOOT_RADIUS for limb in LIMBS]
         assert min(soles) == pytest.approx(-1e-5, abs=2e-6)
-        return np.array([data.site(f"{limb}_foot").xpos - data.body("torso").xpos for limb in LIMBS])
+        return np.array(
+            [data.site(f"{limb}_foot").xpos - data.body("torso").xpos for limb in LIMBS]
+        )
 
     drawn, turned, slack = feet(), feet(rear_tilt=-0.0855), feet(rear_slack=0.001)
     np.testing.assert_allclose(turned[:2, 1:], drawn[:2, 1:], atol=1e-6)
@@ -381,17 +451,30 @@ def test_derivatives_by_the_build_are_those_of_compiled_models():
         slopes = jax.jit(jax.jacfwd(fields))(first)
     for i in range(len(names)):
         low, high = (
-            varied_model(robot, dict(zip(names, first + sign * widths[i] * np.eye(3)[i], strict=True)))
+            varied_model(
+                robot, dict(zip(names, first + sign * widths[i] * np.eye(3)[i], strict=True))
+            )
             for sign in (-1.0, 1.0)
         )
-        for name in ("body_pos", "body_quat", "site_pos", "tendon_range", "tendon_solref_lim", "tendon_invweight0"):
+        for name in (
+            "body_pos",
+            "body_quat",
+            "site_pos",
+            "tendon_range",
+            "tendon_solref_lim",
+            "tendon_invweight0",
+        ):
             difference = (getattr(high, name) - getattr(low, name)) / (2.0 * widths[i])
             scale = max(np.abs(difference).max(), 1e-9)
-            np.testing.assert_allclose(slopes[name][..., i], difference, atol=1e-4 * scale, err_msg=name)
+            np.testing.assert_allclose(
+                slopes[name][..., i], difference, atol=1e-4 * scale, err_msg=name
+            )
 
 
 def varied_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     """The model that engines step, assembled with these values."""
     known = [robot.physical.site(i).name for i in range(robot.physical.nsite)]
-    parameters = replace_quantities(ModelParameters(), {name: np.array(value) for name, value in values.items()})
+    parameters = replace_quantities(
+        ModelParameters(), {name: np.array(value) for name, value in values.items()}
+    )
     return reduced_model(assemble(robot.config, parameters), known)

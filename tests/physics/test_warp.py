@@ -21,7 +21,8 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.loop import ClosedLoop
 
 installed = pytest.mark.skipif(
-    importlib.util.find_spec("warp") is None, reason="warp-lang is not installed (pip install 'nermo-mjx[warp]')"
+    importlib.util.find_spec("warp") is None,
+    reason="warp-lang is not installed (pip install 'nermo-mjx[warp]')",
 )
 
 
@@ -31,10 +32,14 @@ def machine(monkeypatch):
 
     def seem(backend: str, cuda: bool, warp: bool) -> None:
         monkeypatch.setattr(jax, "default_backend", lambda: backend)
-        monkeypatch.setattr(mjx_engine.backend, "backends", lambda: {"cpu": None} | ({"cuda": None} if cuda else {}))
+        monkeypatch.setattr(
+            mjx_engine.backend, "backends", lambda: {"cpu": None} | ({"cuda": None} if cuda else {})
+        )
         find = importlib.util.find_spec
         spec = find("numpy") if warp else None
-        monkeypatch.setattr(importlib.util, "find_spec", lambda name: spec if name == "warp" else find(name))
+        monkeypatch.setattr(
+            importlib.util, "find_spec", lambda name: spec if name == "warp" else find(name)
+        )
 
     return seem
 
@@ -67,7 +72,12 @@ def test_auto_takes_mjx_on_every_accelerator(machine, backend, cuda, warp, taken
             "install nermo-mjx[cuda,warp] on a machine that has one.",
         ),
         ("tpu", False, True, "it needs an NVIDIA GPU, and JAX computes on tpu here; "),
-        ("gpu", True, False, "the package warp-lang is not installed; install the package with its extra warp."),
+        (
+            "gpu",
+            True,
+            False,
+            "the package warp-lang is not installed; install the package with its extra warp.",
+        ),
     ],
 )
 def test_warp_says_in_a_sentence_why_it_cannot_run(machine, backend, cuda, warp, sentence):
@@ -78,7 +88,10 @@ def test_warp_says_in_a_sentence_why_it_cannot_run(machine, backend, cuda, warp,
 
 def test_warp_computes_in_single_precision_only(machine):
     machine("gpu", True, True)
-    with jax.enable_x64(True), pytest.raises(ParameterError, match="engine is 'warp': it computes in single precision"):
+    with (
+        jax.enable_x64(True),
+        pytest.raises(ParameterError, match="engine is 'warp': it computes in single precision"),
+    ):
         resolve_engine("warp")
     assert resolve_engine("warp") == "warp"
 
@@ -99,7 +112,8 @@ def test_warp_swings_as_mjx_does():
 
 @installed
 @pytest.mark.parametrize(
-    ("fault", "sentence"), [(0.1, "of 3 walks are not where MuJoCo C has them"), (np.nan, "nan m away")]
+    ("fault", "sentence"),
+    [(0.1, "of 3 walks are not where MuJoCo C has them"), (np.nan, "nan m away")],
 )
 def test_warp_is_refused_where_it_is_not_where_c_is(simulator, monkeypatch, fault, sentence):
     """From the first ticks on; without the fault the same walks pass."""
@@ -114,7 +128,9 @@ def test_warp_is_refused_where_it_is_not_where_c_is(simulator, monkeypatch, faul
 
     monkeypatch.setattr(mjx_engine, "_step", wrong)
     session = WarpEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
-    with pytest.raises(ParameterError, match=f"engine is 'warp': after 2 control ticks .*{sentence}"):
+    with pytest.raises(
+        ParameterError, match=f"engine is 'warp': after 2 control ticks .*{sentence}"
+    ):
         session.advance(2)
 
 
@@ -122,8 +138,12 @@ def test_warp_is_refused_where_it_is_not_where_c_is(simulator, monkeypatch, faul
 def test_warp_refuses_gradients():
     """In a sentence, whoever asks."""
     engine = WarpEngine(swinging.robot(), swinging.SwayLoop())
-    with pytest.raises(ParameterError, match="engine is 'warp': it has no derivatives; take the engine mjx"):
-        jax.grad(lambda q: engine.physics_step(engine.model, engine.data.replace(qpos=q)).qpos[0])(engine.data.qpos)
+    with pytest.raises(
+        ParameterError, match="engine is 'warp': it has no derivatives; take the engine mjx"
+    ):
+        jax.grad(lambda q: engine.physics_step(engine.model, engine.data.replace(qpos=q)).qpos[0])(
+            engine.data.qpos
+        )
 
 
 @installed
@@ -135,7 +155,9 @@ def test_warp_has_room_for_all_contacts_and_rows(simulator):
     for worlds in (1, 64):
         data = engine.data_among(worlds)
         assert (data._impl.naconmax, data._impl.njmax) == (8 * worlds, 6 + 8 * 3)
-    assert engine.model.opt.ls_iterations == sim.robot.model.opt.ls_iterations, "not the shorter search of MJX-JAX"
+    assert engine.model.opt.ls_iterations == sim.robot.model.opt.ls_iterations, (
+        "not the shorter search of MJX-JAX"
+    )
 
 
 @installed
@@ -143,7 +165,10 @@ def test_warp_follows_c_from_the_same_state_with_the_same_controls(simulator):
     """200 steps of the robot, each world with its own friction and mass, stay within 1e-5 of C."""
     sim = simulator(spine="stride_extension")
     values = {name: column[:3] for name, column in WALKS.items()}
-    values |= {"contact.friction": np.array([0.6, 1.0, 1.4]), "mass.front": np.array([0.2, 0.1647, 0.15])}
+    values |= {
+        "contact.friction": np.array([0.6, 1.0, 1.4]),
+        "mass.front": np.array([0.2, 0.1647, 0.15]),
+    }
     batch = sim.prepare(values)
     trace = WarpEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields).record(40)
     c = Batch(sim.robot.physical, 3)

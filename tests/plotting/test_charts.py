@@ -13,7 +13,9 @@ from nermo_mjx.plotting.shown import half_width
 
 def test_cells_end_half_way_between_their_centres():
     """The first cell and the last reach as far outward as inward, also on a logarithmic axis."""
-    np.testing.assert_allclose(cell_edges(np.array([1.0, 2.0, 4.0]), log=False), [0.5, 1.5, 3.0, 5.0])
+    np.testing.assert_allclose(
+        cell_edges(np.array([1.0, 2.0, 4.0]), log=False), [0.5, 1.5, 3.0, 5.0]
+    )
     edges = cell_edges(np.array([1.0, 10.0, 1000.0]), log=True)
     np.testing.assert_allclose(np.log10(edges), [-0.5, 0.5, 2.0, 4.0])
     low, high = cell_edges(np.array([5.0]), log=False)
@@ -23,7 +25,13 @@ def test_cells_end_half_way_between_their_centres():
 def test_values_of_a_cell_are_averaged_and_an_empty_cell_is_empty():
     """Three columns and two rows; a lost run does not count."""
     x, y = np.array([0.0, 0.0, 1.0, 2.0, 2.0]), np.array([5.0, 5.0, 5.0, 6.0, 6.0])
-    means = cell_means(x, y, np.array([1.0, 3.0, 4.0, np.nan, 7.0]), np.array([0.0, 1.0, 2.0]), np.array([5.0, 6.0]))
+    means = cell_means(
+        x,
+        y,
+        np.array([1.0, 3.0, 4.0, np.nan, 7.0]),
+        np.array([0.0, 1.0, 2.0]),
+        np.array([5.0, 6.0]),
+    )
     np.testing.assert_array_equal(means, [[2.0, np.nan], [4.0, np.nan], [np.nan, 7.0]])
 
 

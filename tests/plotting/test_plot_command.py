@@ -104,7 +104,17 @@ def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
 
 @pytest.mark.release
 def test_columns_of_choice(sweep: Path, tmp_path: Path) -> None:
-    result = plot(sweep, "--x", "frequency", "--y", "spine.phase", "--color", "roll_std", "--out", tmp_path / "a")
+    result = plot(
+        sweep,
+        "--x",
+        "frequency",
+        "--y",
+        "spine.phase",
+        "--color",
+        "roll_std",
+        "--out",
+        tmp_path / "a",
+    )
     assert sorted(content(tmp_path / "a")) == [
         f"roll_std-over-frequency-and-spine.phase.{form}" for form in ("png", "svg")
     ]
@@ -125,7 +135,9 @@ def test_columns_of_choice(sweep: Path, tmp_path: Path) -> None:
         (["--format", "pdf"], "'png', 'svg'"),
     ],
 )
-def test_wrong_columns_are_refused_in_a_sentence(sweep: Path, options: list[str], sentence: str) -> None:
+def test_wrong_columns_are_refused_in_a_sentence(
+    sweep: Path, options: list[str], sentence: str
+) -> None:
     result = plot(sweep, *options)
     assert result.exit_code == 2
     assert sentence in result.stderr
@@ -163,12 +175,17 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "not a recording of nermo_mjx" in result.stderr
     assert not (tmp_path / "plots").exists()
-    assert "choose columns of a sweep" in plot(tmp_path / "walk.npz", "--x", "speed", "--out", tmp_path / "a").stderr
+    assert (
+        "choose columns of a sweep"
+        in plot(tmp_path / "walk.npz", "--x", "speed", "--out", tmp_path / "a").stderr
+    )
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("walker", [FakeWalker(), None])
-def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(walker: FakeWalker | None, tmp_path: Path) -> None:
+def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(
+    walker: FakeWalker | None, tmp_path: Path
+) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC | {"plots": True})
     run_tuning(tuning, tmp_path / "tuned", problem=FakeProblem(tuning), simulator=walker)
     result = plot(tmp_path / "tuned", "--out", tmp_path / "again")
@@ -182,7 +199,13 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
     outcome, out = walked(), tmp_path / "experiments"
     with RunDirectory(out, "experiments") as held:
-        about = {"settings": {}, "engine": "fake", "code": "0a1b2c3d", "started": "2026-11-25", "wall_seconds": 1.0}
+        about = {
+            "settings": {},
+            "engine": "fake",
+            "code": "0a1b2c3d",
+            "started": "2026-11-25",
+            "wall_seconds": 1.0,
+        }
         Directory(out).save(outcome, about, Written(held))
         held.note_session({})
     result = plot(out)

@@ -29,10 +29,16 @@ from nermo_mjx.sweep.plots import (
 )
 from nermo_mjx.sweep.table import Columns
 
-PARAMETERS = {"frequency": ("Hz", 0.4, 1.2), "spine.phase": ("rad", -3.0, 3.0), "contact.friction": ("1", 0.5, 2.0)}
+PARAMETERS = {
+    "frequency": ("Hz", 0.4, 1.2),
+    "spine.phase": ("rad", -3.0, 3.0),
+    "contact.friction": ("1", 0.5, 2.0),
+}
 
 
-def table(rows: int = 200, parameters: dict = PARAMETERS, sampler: str = "sobol", repeats: int = 1) -> pa.Table:
+def table(
+    rows: int = 200, parameters: dict = PARAMETERS, sampler: str = "sobol", repeats: int = 1
+) -> pa.Table:
     """A sampled sweep in closed form; some runs fell."""
     random, columns = np.random.default_rng(0), Columns()
     variants = rows // repeats
@@ -45,7 +51,13 @@ def table(rows: int = 200, parameters: dict = PARAMETERS, sampler: str = "sobol"
         columns.add(name, values[name], "varied", unit, "", scale="linear")
     noise = random.normal(0, 0.002, rows)
     columns.add("speed", 0.1 * values["frequency"] + noise, "metric", "m/s", "")
-    columns.add("roll_std", 0.05 + 0.1 * values["frequency"] + random.normal(0, 0.03, rows), "metric", "rad", "")
+    columns.add(
+        "roll_std",
+        0.05 + 0.1 * values["frequency"] + random.normal(0, 0.03, rows),
+        "metric",
+        "rad",
+        "",
+    )
     columns.add("slip", random.uniform(0, 0.1, rows), "metric", "m/s", "")
     columns.add("duration", random.uniform(5, 9, rows), "metric", "s", "")
     columns.add("status", np.where(np.arange(rows) % 17 == 3, "fell", "ok"), "status", "1", "")
@@ -53,7 +65,9 @@ def table(rows: int = 200, parameters: dict = PARAMETERS, sampler: str = "sobol"
 
 
 def texts(figure: matplotlib.figure.Figure) -> str:
-    return " ".join(text.get_text().replace("\n", " ") for text in figure.findobj(matplotlib.text.Text))
+    return " ".join(
+        text.get_text().replace("\n", " ") for text in figure.findobj(matplotlib.text.Text)
+    )
 
 
 # --- the front
@@ -61,7 +75,11 @@ def texts(figure: matplotlib.figure.Figure) -> str:
 
 def beaten(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Whether some other point beats each, by comparing all pairs."""
-    better = (x[None] <= x[:, None]) & (y[None] <= y[:, None]) & ((x[None] < x[:, None]) | (y[None] < y[:, None]))
+    better = (
+        (x[None] <= x[:, None])
+        & (y[None] <= y[:, None])
+        & ((x[None] < x[:, None]) | (y[None] < y[:, None]))
+    )
     return better.any(axis=1)
 
 
@@ -123,7 +141,9 @@ def test_repeats_are_one_point_at_their_mean() -> None:
     np.testing.assert_allclose(points.metrics["speed"].values, 1e3 * np.nanmean(speed, axis=1))
     assert points.what == "40 variants, each the mean of its runs"
     frequency = data.column("frequency").to_numpy()[::3]
-    np.testing.assert_allclose(points.of(["frequency"], np.array([4, 7]))[0].values, frequency[[4, 7]])
+    np.testing.assert_allclose(
+        points.of(["frequency"], np.array([4, 7]))[0].values, frequency[[4, 7]]
+    )
 
 
 # --- parallel coordinates
@@ -154,7 +174,8 @@ def test_too_many_lines_are_chosen_evenly_and_nothing_is_dropped_silently() -> N
     assert len(chosen) == MOST_LINES + BEST_LINES == len(np.unique(chosen))
     assert np.isfinite(costs[chosen]).all()
     assert (
-        chosen[-BEST_LINES:].tolist() == np.argsort(np.where(np.isnan(costs), 9, costs))[BEST_LINES - 1 :: -1].tolist()
+        chosen[-BEST_LINES:].tolist()
+        == np.argsort(np.where(np.isnan(costs), 9, costs))[BEST_LINES - 1 :: -1].tolist()
     )
     assert np.median(costs[chosen]) == pytest.approx(np.nanmedian(costs), abs=0.01)
     text = texts(figures(table(3000))["speed-parallel"])
@@ -168,7 +189,9 @@ def test_a_hundred_thousand_rows_are_drawn_as_a_sample_in_small_files(tmp_path: 
         for _, figure in found:
             figure.savefig(tmp_path / "a.svg")
             assert (tmp_path / "a.svg").stat().st_size < 3e6
-    assert "20,000 of 94,117 runs, and the whole front" in texts(dict(found)["speed-against-roll_std"])
+    assert "20,000 of 94,117 runs, and the whole front" in texts(
+        dict(found)["speed-against-roll_std"]
+    )
 
 
 def test_one_parameter_has_no_survey() -> None:
@@ -209,14 +232,18 @@ def test_two_parameters_of_a_grid_give_a_heat_map_whose_star_is_the_best(tmp_pat
     columns.add("slip", 0.02 + 0.01 * x * y, "metric", "m/s", "")
     columns.add("status", np.full(6, "ok"), "status", "1", "")
     results = Results(columns.table({"sampler": "grid"}))
-    svg = write_figures(chosen_figure(results, "frequency", "stride", "slip"), tmp_path)[1].read_text()
+    svg = write_figures(chosen_figure(results, "frequency", "stride", "slip"), tmp_path)[
+        1
+    ].read_text()
     assert "star: best, 22 mm/s" in svg
     svg = write_figures(chosen_figure(results, "frequency", "stride"), tmp_path)[1].read_text()
     assert "star: best, 120 mm/s" in svg
 
 
 def test_a_column_that_is_none_is_refused_with_the_nearest() -> None:
-    with pytest.raises(ParameterError, match=r"y is 'rol_std', no column of the table; did you mean 'roll_std'\?"):
+    with pytest.raises(
+        ParameterError, match=r"y is 'rol_std', no column of the table; did you mean 'roll_std'\?"
+    ):
         chosen_figure(Results(table()), "speed", "rol_std")
     fallen = table().filter(pa.compute.equal(table().column("status"), "fell"))
     with pytest.raises(ParameterError, match="no run in the table succeeded"):
@@ -224,7 +251,9 @@ def test_a_column_that_is_none_is_refused_with_the_nearest() -> None:
 
 
 @pytest.mark.parametrize(("count", "crowd"), [(CROWD - 1, False), (CROWD, True)])
-def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(count: int, crowd: bool) -> None:
+def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(
+    count: int, crowd: bool
+) -> None:
     """Tens of thousands of dots would be one solid block."""
     values = np.random.default_rng(0)
     x = ShownValues("stiffness.ankle", "N m/rad", 10.0 ** values.uniform(-2, 0, count), log=True)
@@ -243,12 +272,16 @@ def test_less_is_better_where_it_is() -> None:
     data = table()
     text = texts(figures(data, "slip")["slip-parallel"])
     well = np.array(data.column("status").to_pylist()) == "ok"
-    assert f"of which the first is {1e3 * data.column('slip').to_numpy()[well].min():.4g} mm/s" in text
+    assert (
+        f"of which the first is {1e3 * data.column('slip').to_numpy()[well].min():.4g} mm/s" in text
+    )
     assert "highest" in texts(figures(data, "duration")["duration-parallel"])
 
 
 @pytest.mark.release
-def test_a_scatter_of_too_many_points_is_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scatter_of_too_many_points_is_thinned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The note says how many of all are drawn; correlations and the star still count all of them."""
     monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)
     data = table(1000)
@@ -261,4 +294,7 @@ def test_a_scatter_of_too_many_points_is_thinned(tmp_path: Path, monkeypatch: py
     assert f"star: best, {1e3 * speed.max():.4g} mm/s" in svg["speed-over-pairs.svg"]
     for name in ("speed-over-each.svg", "speed-over-pairs.svg"):
         assert "20 of 941 runs" in svg[name]
-    assert f"rank correlation {stats.spearmanr(frequency, speed).statistic:+.2f}" in svg["speed-over-each.svg"]
+    assert (
+        f"rank correlation {stats.spearmanr(frequency, speed).statistic:+.2f}"
+        in svg["speed-over-each.svg"]
+    )

@@ -39,19 +39,32 @@ GRID = pd.read_csv(DATA / "author_model_grid.csv", comment="#")
 HIS_FEET = ((-0.00377, -0.03960), (0.12699, -0.03718))
 #: His `compute_leg_offset` at 0.4 rad, left and right [m]; feet as committed at 736e7ec.
 HIS_OFFSETS = (-0.0061911, 0.0039782)
-CASES = [key for key, _ in STREAM.groupby(["gait", "frequency", "stride_extension", "offset_compensation"])]
+CASES = [
+    key
+    for key, _ in STREAM.groupby(["gait", "frequency", "stride_extension", "offset_compensation"])
+]
 
 
-def commanded(gait: str, frequency: float, extends: int, offset: int, gain: float, at: np.ndarray) -> np.ndarray:
+def commanded(
+    gait: str, frequency: float, extends: int, offset: int, gain: float, at: np.ndarray
+) -> np.ndarray:
     """Servo angles of 100 Hz ticks on the author's clock, at times, in his order, (n, 9)."""
-    controller = published_controller("stride_extension" if extends else "none", "open_loop", pilot_rate=100.0)
-    values = {"tracking.clock_ratio": 1.0, "tracking.foot_gain": gain, "spine.offset_compensation": float(offset)}
+    controller = published_controller(
+        "stride_extension" if extends else "none", "open_loop", pilot_rate=100.0
+    )
+    values = {
+        "tracking.clock_ratio": 1.0,
+        "tracking.foot_gain": gain,
+        "spine.offset_compensation": float(offset),
+    }
     params = control_parameters(gait, profile="as_published", frequency=frequency, **values)
     # His first tick is 3 ms after his clock's zero.
     states, servos = walk(controller, params, ticks=2400, phase=frequency * 0.003)
     legs = np.stack([servos.hip, servos.knee], axis=-1).reshape(-1, 8)
     ours = np.column_stack([legs, servos.spine])
-    return np.column_stack([np.interp(at, np.asarray(states.time) + 0.003, column) for column in ours.T])
+    return np.column_stack(
+        [np.interp(at, np.asarray(states.time) + 0.003, column) for column in ours.T]
+    )
 
 
 @pytest.mark.release(cases=("trt-0.5-0-0", "lat-0.8-1-1"))
@@ -61,7 +74,11 @@ def test_the_servos_are_commanded_as_by_the_authors_controller(case):
 
     With 0.11 of the foot error closed per tick, as his code reads at first sight, legs are 1.25 ticks late.
     """
-    rows = STREAM[(STREAM[["gait", "frequency", "stride_extension", "offset_compensation"]] == case).all(axis=1)]
+    rows = STREAM[
+        (STREAM[["gait", "frequency", "stride_extension", "offset_compensation"]] == case).all(
+            axis=1
+        )
+    ]
     his, time = rows.iloc[:, 5:].to_numpy(), rows["time"].to_numpy()
     shifts = np.arange(-2.0, 2.01, 0.25)
 
@@ -72,15 +89,23 @@ def test_the_servos_are_commanded_as_by_the_authors_controller(case):
     ours = commanded(*case, AS_PUBLISHED["tracking.foot_gain"], time)
     np.testing.assert_allclose(ours[:, 8], his[:, 8], atol=2e-3)
     assert rms(AS_PUBLISHED["tracking.foot_gain"], 0.0) < 1.0
-    assert abs(shifts[np.argmin([rms(AS_PUBLISHED["tracking.foot_gain"], s) for s in shifts])]) <= 0.5
+    assert (
+        abs(shifts[np.argmin([rms(AS_PUBLISHED["tracking.foot_gain"], s) for s in shifts])]) <= 0.5
+    )
     assert shifts[np.argmin([rms(0.11, s) for s in shifts])] >= 1.0
 
 
 @pytest.mark.release
 def test_his_offset_compensation_takes_the_feet():
     """His function's offsets at 0.4 rad, of the left and the right foot, with the neutral feet of his tests [m]."""
-    stance = {name.split(".")[1]: value for name, value in AS_PUBLISHED.items() if name.startswith("stance.")}
-    feet = np.array([[stance[f"{pair}_y"], stance[f"{pair}_z"]] for pair in ("front", "front", "rear", "rear")])
+    stance = {
+        name.split(".")[1]: value
+        for name, value in AS_PUBLISHED.items()
+        if name.startswith("stance.")
+    }
+    feet = np.array(
+        [[stance[f"{pair}_y"], stance[f"{pair}_z"]] for pair in ("front", "front", "rear", "rear")]
+    )
     theta = joint_angle(0.4, Geometry())
     rise = hip_height_offset(theta, Geometry(), feet)
     np.testing.assert_allclose(-rise, HIS_OFFSETS, atol=1e-4)
@@ -97,7 +122,11 @@ def body(built: bool = True) -> tuple[mujoco.MjModel, list[int]]:
     robot = Setup(profile="as_published").load()
     values = AS_PUBLISHED_BODY
     if not built:
-        values = {name: value for name, value in values.items() if not name.startswith(("build.", "geometry."))}
+        values = {
+            name: value
+            for name, value in values.items()
+            if not name.startswith(("build.", "geometry."))
+        }
     model = compile_model(robot, values)
     servos = [f"{limb}_{joint}" for limb in LIMBS for joint in ("hip", "knee")]
     return model, [robot.servos.index(name) for name in (*servos, "spine")]
@@ -105,9 +134,13 @@ def body(built: bool = True) -> tuple[mujoco.MjModel, list[int]]:
 
 def neutral(spine: float = 0.0) -> np.ndarray:
     """Servo angles that ask for the neutral feet of his tests."""
-    feet = np.array([AS_PUBLISHED[f"stance.{pair}_{axis}"] for pair in ("front", "rear") for axis in "yz"])
+    feet = np.array(
+        [AS_PUBLISHED[f"stance.{pair}_{axis}"] for pair in ("front", "rear") for axis in "yz"]
+    )
     with jax.enable_x64(True):
-        servo = inverse_kinematics(four_legs(Geometry()), feet.reshape(2, 2).repeat(2, axis=0), "type3").servo
+        servo = inverse_kinematics(
+            four_legs(Geometry()), feet.reshape(2, 2).repeat(2, axis=0), "type3"
+        ).servo
     return np.append(np.ravel(servo), spine)
 
 
@@ -132,15 +165,21 @@ def test_the_neutral_feet_are_where_his_model_has_them():
         data = settled(model, order, neutral())
         axes = [data.body(f"{limb}_upper").xpos for limb in LIMBS[:2]]
         frame, middle = data.body("torso").xmat.reshape(3, 3), np.mean(axes, axis=0)
-        feet = np.array([frame.T @ (data.site(f"{limb}_foot").xpos - middle) for limb in LIMBS])[:, 1:]
-        errors.append(np.linalg.norm(feet - np.repeat(HIS_FEET, 2, axis=0), axis=1).reshape(2, 2).max(axis=1))
+        feet = np.array([frame.T @ (data.site(f"{limb}_foot").xpos - middle) for limb in LIMBS])[
+            :, 1:
+        ]
+        errors.append(
+            np.linalg.norm(feet - np.repeat(HIS_FEET, 2, axis=0), axis=1).reshape(2, 2).max(axis=1)
+        )
     assert errors[0].max() < 2e-4
     assert errors[1].min() > 1.5e-3
 
 
 @pytest.mark.release
 @pytest.mark.parametrize(("built", "lifted", "margin"), [(True, 1, -0.0031), (False, 2, 0.0031)])
-def test_bent_to_the_left_the_robot_stands_on_the_side_of_the_diagonal_on_which_his_does(built, lifted, margin):
+def test_bent_to_the_left_the_robot_stands_on_the_side_of_the_diagonal_on_which_his_does(
+    built, lifted, margin
+):
     """The centre of mass is behind the diagonal from front left to rear right, by 3.1 mm in his model, 2.6 mm here, and
     the front right foot is in the air. As drawn, the robot falls to the other side, and its rear left foot is."""
     model, order = body(built)
@@ -153,7 +192,9 @@ def test_bent_to_the_left_the_robot_stands_on_the_side_of_the_diagonal_on_which_
     assert feet[lifted, 2] > 0.005
 
 
-def walked(model: mujoco.MjModel, order: list[int], compensated: int, cycles: int = 7) -> tuple[float, float]:
+def walked(
+    model: mujoco.MjModel, order: list[int], compensated: int, cycles: int = 7
+) -> tuple[float, float]:
     """Speed [mm/s of the controller's clock] and roll std [degrees] under his commands at a clock of 0.4."""
     of = CYCLE[CYCLE["offset_compensation"] == compensated].to_numpy()[:, 1:]
     period = 0.4 / 0.67
@@ -161,13 +202,17 @@ def walked(model: mujoco.MjModel, order: list[int], compensated: int, cycles: in
     begin, step, rows = data.time, model.opt.timestep, []
     for tick in range(round(cycles * period / 0.004)):
         phase = tick * 0.004 / period % 1.0
-        data.ctrl[order] = [np.interp(phase, of[:, 0], column, period=1.0) for column in of[:, 1:].T]
+        data.ctrl[order] = [
+            np.interp(phase, of[:, 0], column, period=1.0) for column in of[:, 1:].T
+        ]
         mujoco.mj_step(model, data, round(0.004 / step))
         frame = data.body("torso").xmat.reshape(3, 3)
         rows.append((*data.body("torso").xpos[:2], np.arctan2(-frame[2, 0], frame[2, 2])))
     assert data.time > begin
     x, y, roll = np.array(rows[len(rows) * 2 // cycles :]).T
-    return 400.0 * np.hypot(x[-1] - x[0], y[-1] - y[0]) / (0.004 * (len(x) - 1)), float(np.degrees(roll.std()))
+    return 400.0 * np.hypot(x[-1] - x[0], y[-1] - y[0]) / (0.004 * (len(x) - 1)), float(
+        np.degrees(roll.std())
+    )
 
 
 @pytest.mark.release
@@ -188,9 +233,12 @@ def started(worlds: int, starts: int) -> dict[str, np.ndarray]:
     """The starts that `walk --seed` gives, in turn."""
     names = list(START_SPREAD)
     drawn = [
-        [np.random.default_rng(k).uniform(-START_SPREAD[n], START_SPREAD[n]) for n in names] for k in range(starts)
+        [np.random.default_rng(k).uniform(-START_SPREAD[n], START_SPREAD[n]) for n in names]
+        for k in range(starts)
     ]
-    return {name: np.tile([row[i] for row in drawn], worlds // starts) for i, name in enumerate(names)}
+    return {
+        name: np.tile([row[i] for row in drawn], worlds // starts) for i, name in enumerate(names)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -198,13 +246,21 @@ def published():
     """Means of three starts without a pilot, by frequency and spine: mm/s of the controller's clock, degrees."""
     setup = Setup(profile="as_published", pilot="open_loop", spine="stride_extension")
     assert setup.steering == "spine"
-    frequency, amplitude = (each.ravel() for each in np.meshgrid([0.5, 0.67, 0.8], [0.0, 0.4], indexing="ij"))
-    values = {"frequency": np.repeat(frequency, 3), "spine.amplitude": np.repeat(amplitude, 3)} | started(18, 3)
+    frequency, amplitude = (
+        each.ravel() for each in np.meshgrid([0.5, 0.67, 0.8], [0.0, 0.4], indexing="ij")
+    )
+    values = {
+        "frequency": np.repeat(frequency, 3),
+        "spine.amplitude": np.repeat(amplitude, 3),
+    } | started(18, 3)
     found = Simulator(setup, engine="c").run(values, Run(cycles=14.0, warmup_cycles=4.0)).metrics
     means = {
-        name: np.asarray(found[name]).reshape(3, 2, 3).mean(axis=-1) for name in ("speed", "roll_std", "pitch_std")
+        name: np.asarray(found[name]).reshape(3, 2, 3).mean(axis=-1)
+        for name in ("speed", "roll_std", "pitch_std")
     }
-    return {"speed": 400.0 * means.pop("speed")} | {name: np.degrees(value) for name, value in means.items()}
+    return {"speed": 400.0 * means.pop("speed")} | {
+        name: np.degrees(value) for name, value in means.items()
+    }
 
 
 @pytest.mark.release
@@ -226,10 +282,14 @@ def test_the_published_simulation_walks_as_published(published):
 @pytest.mark.release
 def test_the_published_robot_stands_with_its_nose_up():
     """The author's model: -0.55 degrees. Neutral feet, no gait."""
-    standing = {"commanded_speed": 0.0, "stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
-    found = Simulator(Setup(profile="as_published", pilot="open_loop", spine="stride_extension"), engine="c").run(
-        standing | {"spine.amplitude": 0.0}, Run(duration=3.0, warmup=1.5)
-    )
+    standing = {
+        "commanded_speed": 0.0,
+        "stance.swing_amplitude": 0.0,
+        "stance.stance_amplitude": 0.0,
+    }
+    found = Simulator(
+        Setup(profile="as_published", pilot="open_loop", spine="stride_extension"), engine="c"
+    ).run(standing | {"spine.amplitude": 0.0}, Run(duration=3.0, warmup=1.5))
     assert -0.8 < np.degrees(found.metrics["pitch_mean"][0]) < -0.3
 
 
@@ -246,7 +306,9 @@ def grid():
     values |= {"spine.amplitude": 0.4 * rows["spine"].to_numpy()}
     found = Simulator(setup, engine="c").run(values, Run(cycles=11.0, warmup_cycles=4.0)).metrics
     ours = {"speed_mm_s": 400.0 * np.asarray(found["speed"])}
-    ours |= {f"{axis}_std_deg": np.degrees(found[f"{axis}_std"]) for axis in ("roll", "pitch", "yaw")}
+    ours |= {
+        f"{axis}_std_deg": np.degrees(found[f"{axis}_std"]) for axis in ("roll", "pitch", "yaw")
+    }
     return rows, pd.DataFrame(ours)
 
 
@@ -282,9 +344,15 @@ def test_the_profile_is_what_his_repository_held():
     values = published_values("trot", profile="as_published")
     stance = tuple(values[f"stance.{each}"] for each in ("front_y", "front_z", "rear_y", "rear_z"))
     assert stance == (-0.005, -0.038, 0.01, -0.042)
-    assert (values["tracking.clock_ratio"], values["turning.leg"], values["turning.spine"]) == (0.4, 0.0, 1.0)
+    assert (values["tracking.clock_ratio"], values["turning.leg"], values["turning.spine"]) == (
+        0.4,
+        0.0,
+        1.0,
+    )
     assert values["tracking.foot_gain"] == pytest.approx(0.1258, abs=1e-4)
-    assert AS_PUBLISHED_BODY["servo.torque_limit"] * AS_PUBLISHED_BODY["servo.spine_torque"] == pytest.approx(0.157)
+    assert AS_PUBLISHED_BODY["servo.torque_limit"] * AS_PUBLISHED_BODY[
+        "servo.spine_torque"
+    ] == pytest.approx(0.157)
     assert (FRONT_LEG.neutral_foot, REAR_LEG.neutral_foot) == ((-0.005, -0.045), (0.0, -0.05))
     assert published_values("trot", profile="as_built")["stride"] == 0.8
     assert Setup(steering="leg", profile="as_published").steering == "leg"

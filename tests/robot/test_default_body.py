@@ -29,7 +29,9 @@ def test_the_speed_is_smooth_where_a_tuner_looks():
     with jax.enable_x64(True):
         simulator = Simulator(Setup(gait="trot", spine="stride_extension"), engine="c")
         walks = {"frequency": 0.72, "spine.amplitude": 0.22, "spine.phase": -0.4 + np.pi * steps}
-        speed = np.asarray(simulator.run(walks, Run(cycles=4, warmup_cycles=1)).metrics["speed"], float)
+        speed = np.asarray(
+            simulator.run(walks, Run(cycles=4, warmup_cycles=1)).metrics["speed"], float
+        )
     assert (speed - np.polyval(np.polyfit(steps, speed, 2), steps)).std() < 1e-6
 
 
@@ -47,7 +49,11 @@ def standing(values: dict[str, float]) -> float:
 @pytest.mark.release
 def test_soft_soles_stand_where_hard_ones_do():
     """A sole's centre is at most 0.1 mm lower than on balls of 2 mm that yield by 0.43 mm."""
-    hard = {"geometry.foot.radius": 0.002, "contact.time_constant": 0.008, "contact.damping_ratio": 2.0}
+    hard = {
+        "geometry.foot.radius": 0.002,
+        "contact.time_constant": 0.008,
+        "contact.damping_ratio": 2.0,
+    }
     hard |= {"contact.width": 0.0005, "build.tendon_impedance": 0.95}
     assert standing(hard) == pytest.approx(0.002 - 0.00043, abs=2e-5)
     assert abs(standing({}) - standing(hard)) < 1e-4
@@ -79,7 +85,9 @@ def trotting_in_place() -> tuple[Budget, Sensors]:
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data, budget, readings = mujoco.MjData(model), Budget(), []
     of_servo = np.isin(np.arange(model.nv), model.jnt_dofadr[model.actuator_trnid[:, 0]])
-    shares = np.array([[0.25, -0.25, -0.25, 0.25, 0.3, -0.3, 0.3, -0.3]]).T * np.sin(np.linspace(0, 14, 600) - 0.4)
+    shares = np.array([[0.25, -0.25, -0.25, 0.25, 0.3, -0.3, 0.3, -0.3]]).T * np.sin(
+        np.linspace(0, 14, 600) - 0.4
+    )
     neutral, energy = data.qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]].copy(), 0.0
     for step in range(600):
         data.ctrl[:] = neutral
@@ -116,7 +124,13 @@ def energies(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
     """Servos' work is what dampers, contact and tendons take and what the robot gains; the metrics have its parts."""
     budget, sensors = trotting_in_place()
-    taken = budget.servo_dampers + budget.other_dampers + budget.contact + budget.tendons + budget.gained
+    taken = (
+        budget.servo_dampers
+        + budget.other_dampers
+        + budget.contact
+        + budget.tendons
+        + budget.gained
+    )
     assert budget.servos > 0.1
     assert taken == pytest.approx(budget.servos, rel=1e-3)
     body = ModelParameters()

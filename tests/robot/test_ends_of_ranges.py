@@ -25,7 +25,9 @@ ALL = {
     "pilot": "arc",
     "physics": "fast",
 }
-LONG_TERRAINS = [pytest.param(scene, marks=pytest.mark.long) for scene in ("ramp", "logs", "stairs", "slalom")]
+LONG_TERRAINS = [
+    pytest.param(scene, marks=pytest.mark.long) for scene in ("ramp", "logs", "stairs", "slalom")
+]
 COMBINED = (
     {"spine": "stride_extension"},
     {"gait": "walking_trot", "spine": "balance", "steering": "spine", "pilot": "open_loop"},
@@ -38,7 +40,12 @@ COMBINED = (
     },
     {"gait": "bound", "trajectory": "linear", "tail": "articulated", "tail_motion": "counter_yaw"},
     {"gait": "gallop", "spine": "sagittal_extension", "robot": "nermo_41", "head": "gaze"},
-    {"spine": "stride_extension+pitch_balance", "robot": "nermo_41", "routing": "type1", "profile": "as_published"},
+    {
+        "spine": "stride_extension+pitch_balance",
+        "robot": "nermo_41",
+        "routing": "type1",
+        "profile": "as_published",
+    },
 )
 #: Without a number where nothing failed, turned, moved, swung or stood.
 WITHOUT = (
@@ -80,9 +87,16 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
     """Run worlds, and hold what is `ok` to what is true of every walk."""
     defaults, simulator = setup.defaults(), Simulator(setup, engine="c")
     named = sorted({name for world in worlds for name in world})
-    values = {name: np.array([world.get(name, defaults[name]) for world in worlds]) for name in named}
+    values = {
+        name: np.array([world.get(name, defaults[name]) for world in worlds]) for name in named
+    }
     result = simulator.run(values, Run(duration=seconds, warmup=0.2 * seconds), record=True)
-    metrics, trace, model, given = result.metrics, result.trace, simulator.robot.model, result.parameters
+    metrics, trace, model, given = (
+        result.metrics,
+        result.trace,
+        simulator.robot.model,
+        result.parameters,
+    )
     low, high = model.actuator_ctrlrange.T
     knees = np.array(["knee" in model.actuator(i).name for i in range(model.nu)])
     further = knees * np.asarray(given["servo.knee_range"])[:, None, None]
@@ -99,7 +113,9 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
         own = {name: column[i] for name, column in given.items()}
         feet = own["stride"] * own["stance.max_stride"] * own["frequency"] * own["gait_factor"]
         fastest = max(0.5, 1.5 * feet / own["tracking.clock_ratio"])
-        assert abs(metrics["speed"][i]) < fastest + 9.81 * seconds * ("ground.slope" in world), world
+        assert abs(metrics["speed"][i]) < fastest + 9.81 * seconds * ("ground.slope" in world), (
+            world
+        )
         body = [own[f"mass.{half}"] for half in ("front", "rear")]
         weight = own["ground.gravity"] * sum(body)
         if setup.scene == "flat" and "ground.slope" not in world:
@@ -109,7 +125,9 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
         power = metrics["electrical_power"][i] * metrics["duration"][i]
         assert power >= metrics["servo_work"][i] * (1 - 1e-6) >= 0.0, world
         # The robot's kinetic energy cannot exceed what servos, the fall from its start and the slope have given.
-        energy = 0.5 * sum(body) * np.sum(np.linalg.norm(trace.sensors["linear_velocity"][i, -1]) ** 2)
+        energy = (
+            0.5 * sum(body) * np.sum(np.linalg.norm(trace.sensors["linear_velocity"][i, -1]) ** 2)
+        )
         way = np.linalg.norm(trace.qpos[i, -1, :2] - trace.qpos[i, 0, :2])
         fallen = 0.2 + way * abs(np.sin(own["ground.slope"]))
         assert energy < metrics["servo_work"][i] / 0.8 + fallen * weight, world
@@ -128,10 +146,17 @@ def test_each_parameter_alone():
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("scene", [pytest.param("planks", marks=pytest.mark.release), "rough", *LONG_TERRAINS])
+@pytest.mark.parametrize(
+    "scene", [pytest.param("planks", marks=pytest.mark.release), "rough", *LONG_TERRAINS]
+)
 def test_each_parameter_of_a_terrain(scene):
     setup = Setup(scene=scene, physics="fast")
-    worlds = [{name: value} for name, both in ends(setup).items() if name.startswith("terrain") for value in both]
+    worlds = [
+        {name: value}
+        for name, both in ends(setup).items()
+        if name.startswith("terrain")
+        for value in both
+    ]
     chosen = [world for world in worlds if accepted(setup, world)]
     assert chosen
     check(setup, chosen, 1.0)

@@ -21,7 +21,10 @@ from nermo_mjx.rollout import Run, Setup
 
 CHAINS = (1, 2, 4, MOST_HINGES)
 #: Finite elements of Table A.1: angle under 0.125 N m [rad], and the stiffness that the joint has here [N m/rad].
-TORQUE, LEAVES = 0.125, {"front_left_knee": (0.95, 0.135), "rear_left_knee": (0.65, 0.19), "spine_joint": (0.42, 0.3)}
+TORQUE, LEAVES = (
+    0.125,
+    {"front_left_knee": (0.95, 0.135), "rear_left_knee": (0.65, 0.19), "spine_joint": (0.42, 0.3)},
+)
 
 
 def stand_of(joint: str, hinges: int) -> mujoco.MjSpec:
@@ -51,7 +54,11 @@ def settled(model: mujoco.MjModel, moment: dict[str, float]) -> mujoco.MjData:
 
 def angle(model: mujoco.MjModel, qpos: np.ndarray, joint: str) -> float:
     """Of a joint, or of all that begin so: the sum over the hinges [rad]."""
-    return sum(qpos[model.jnt_qposadr[i]] for i in range(model.njnt) if chain_of(model.joint(i).name).startswith(joint))
+    return sum(
+        qpos[model.jnt_qposadr[i]]
+        for i in range(model.njnt)
+        if chain_of(model.joint(i).name).startswith(joint)
+    )
 
 
 @pytest.mark.parametrize("hinges", CHAINS)
@@ -63,7 +70,11 @@ def test_a_chain_bends_as_its_leaf_under_a_moment(joint, hinges):
     """
     published, stiffness = LEAVES[joint]
     model = stand_of(joint, hinges).compile()
-    moment = {f"spine_joint_{i}": TORQUE for i in range(1, 5)} if joint == "spine_joint" else {joint: TORQUE}
+    moment = (
+        {f"spine_joint_{i}": TORQUE for i in range(1, 5)}
+        if joint == "spine_joint"
+        else {joint: TORQUE}
+    )
     loaded, free = (angle(model, settled(model, each).qpos, joint) for each in (moment, {}))
     assert loaded - free == pytest.approx(TORQUE / stiffness, rel=1e-3)
     assert loaded - free == pytest.approx(published, rel=0.04)
@@ -124,8 +135,12 @@ def test_a_knees_angle_is_the_sum_over_its_hinges():
     data.qpos[list(joints.hip)] = servo[:, 0]
     data.qpos[np.array(joints.knee)] = np.asarray(pose.knee_angle)[:, None] / 3
     mujoco.mj_forward(robot.model, data)
-    np.testing.assert_allclose(robot.sensors(data.sensordata).knee_angle, pose.knee_angle, rtol=1e-6)
-    feet = np.array([(data.site(f"{limb}_foot").xpos - data.site(f"{limb}_axis").xpos)[1:] for limb in LIMBS])
+    np.testing.assert_allclose(
+        robot.sensors(data.sensordata).knee_angle, pose.knee_angle, rtol=1e-6
+    )
+    feet = np.array(
+        [(data.site(f"{limb}_foot").xpos - data.site(f"{limb}_axis").xpos)[1:] for limb in LIMBS]
+    )
     np.testing.assert_allclose(feet, np.asarray(pose.foot), atol=1e-4)
     resting = robot.sensors(robot.sensordata_at_rest(np.float32(data.qpos)))
     np.testing.assert_allclose(resting.knee_angle, pose.knee_angle, rtol=1e-6)
@@ -134,7 +149,9 @@ def test_a_knees_angle_is_the_sum_over_its_hinges():
 def test_stiffness_and_damping_are_those_of_the_whole_joint():
     """A parameter of a chained joint is written to each hinge times their number."""
     robot = load_robot(hinges=2)
-    model = compile_model(robot, {"stiffness.rear_knee": 0.3, "damping.spine": 0.02, "damping.hip": 0.03})
+    model = compile_model(
+        robot, {"stiffness.rear_knee": 0.3, "damping.spine": 0.02, "damping.hip": 0.03}
+    )
     for joint, stiffness, damping in (
         ("rear_left_knee_hinge_2", 0.6, None),
         ("spine_joint_3_hinge_1", 2.4, 0.04),
@@ -148,7 +165,9 @@ def test_stiffness_and_damping_are_those_of_the_whole_joint():
 def test_a_walk_with_chains_is_that_with_hinges(simulator):
     """Leaves of 3 mm hardly differ from hinges: speed within 1 %, roll within 2 % (0.2 and 0.1 % in fact)."""
     run = Run(cycles=4, warmup_cycles=2)
-    one, chained = (simulator("c", spine="stride_extension", hinges=n).run({}, run).metrics for n in (1, 3))
+    one, chained = (
+        simulator("c", spine="stride_extension", hinges=n).run({}, run).metrics for n in (1, 3)
+    )
     assert one["speed"] != chained["speed"]
     np.testing.assert_allclose(chained["speed"], one["speed"], rtol=0.01)
     np.testing.assert_allclose(chained["roll_std"], one["roll_std"], rtol=0.02)

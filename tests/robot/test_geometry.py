@@ -24,7 +24,10 @@ from nermo_mjx.rollout.differentiable import Rollout
 #: Every parameter of the geometry, without its group.
 ALL: dict[str, Quantity] = dict(quantities(Geometry))
 #: A robot of which no number is the published one.
-OTHER = {name: about.low + (0.3 + 0.02 * i) * (about.high - about.low) for i, (name, about) in enumerate(ALL.items())}
+OTHER = {
+    name: about.low + (0.3 + 0.02 * i) * (about.high - about.low)
+    for i, (name, about) in enumerate(ALL.items())
+}
 #: A sweep of three numbers of different kinds.
 SWEPT = {
     "geometry.rear_leg.upper": np.array([0.0317, 0.029, 0.036]),
@@ -34,13 +37,17 @@ SWEPT = {
 
 
 def geometry(**values: float) -> Geometry:
-    return replace_quantities(Geometry(), {name: np.asarray(value) for name, value in values.items()})
+    return replace_quantities(
+        Geometry(), {name: np.asarray(value) for name, value in values.items()}
+    )
 
 
 @functools.cache
 def model_with(name: str, end: str) -> mujoco.MjModel:
     """The model that is assembled with one parameter at an end of its range, for all tests of this file."""
-    return load_robot(tail="articulated").physical_with_geometry(geometry(**{name: getattr(ALL[name], end)}))
+    return load_robot(tail="articulated").physical_with_geometry(
+        geometry(**{name: getattr(ALL[name], end)})
+    )
 
 
 @jax.jit
@@ -63,7 +70,13 @@ def at_rest(of: Geometry) -> jax.Array:
 
 
 @pytest.mark.release(
-    cases=("hip.z-low", "hip.z-high", "front_leg.upper-low", "tail.length-low", "front_leg.upper-high")
+    cases=(
+        "hip.z-low",
+        "hip.z-high",
+        "front_leg.upper-low",
+        "tail.length-low",
+        "front_leg.upper-high",
+    )
 )
 @pytest.mark.parametrize("end", ["low", "high"])
 @pytest.mark.parametrize("name", ALL)
@@ -110,7 +123,10 @@ def test_links_are_drawn_as_long_as_they_are():
     """From joint to joint: each link of a leg that is longer by 5 mm ends 5 mm farther from its joint; so the bracket
     reaches to wider hips."""
     robot = load_robot()
-    longer = {name: float(ALL[name].default) + 0.005 for name in ("rear_leg.upper", "rear_leg.lower", "hip.x")}
+    longer = {
+        name: float(ALL[name].default) + 0.005
+        for name in ("rear_leg.upper", "rear_leg.lower", "hip.x")
+    }
 
     def reach(model: mujoco.MjModel, mesh: str) -> np.ndarray:
         """Least and largest coordinates of a mesh in the frame of its file."""
@@ -135,17 +151,32 @@ def test_links_are_drawn_as_long_as_they_are():
 @pytest.mark.parametrize(
     ("tail", "names"),
     [
-        ("rigid", ("front_leg.upper", "rear_leg.foot", "hip.z", "foot.radius", "spine.pulley_radius", "tail.length")),
+        (
+            "rigid",
+            (
+                "front_leg.upper",
+                "rear_leg.foot",
+                "hip.z",
+                "foot.radius",
+                "spine.pulley_radius",
+                "tail.length",
+            ),
+        ),
         ("articulated", ("shoulder.x", "spine.segment", "tail.length")),
     ],
 )
 def test_a_world_of_a_batch_is_the_robot_assembled_with_its_geometry(tail, names):
     """Several numbers at once: every field that varies is that of a model compiled with them."""
     robot, own = load_robot(tail=tail), {name: OTHER[name] for name in names}
-    values = {f"geometry.{name}": np.array([float(ALL[name].default), value]) for name, value in own.items()}
+    values = {
+        f"geometry.{name}": np.array([float(ALL[name].default), value])
+        for name, value in own.items()
+    }
     fields = Variation(robot).batch(replace_quantities(ModelParameters(), values), 2, values)
     assembled = robot.physical_with_geometry(geometry(**own))
-    assert {"body_pos", "body_ipos", "body_inertia", "site_pos", "geom_pos", "tendon_range"} <= set(fields)
+    assert {"body_pos", "body_ipos", "body_inertia", "site_pos", "geom_pos", "tendon_range"} <= set(
+        fields
+    )
     assert ("body_iquat" in fields) == (tail == "rigid")  # its tail turns the hip's axes of inertia
     for name, (published, varied) in fields.items():
         known, wanted = getattr(robot.physical, name), getattr(assembled, name)
@@ -167,7 +198,9 @@ def test_constants_and_their_derivatives_are_those_of_assembled_models():
         return variation.differentiable(replace_quantities(ModelParameters(), own), own)
 
     def compiled(values: np.ndarray) -> mujoco.MjModel:
-        return compile_model(robot, {f"geometry.{name}": value for name, value in zip(names, values, strict=True)})
+        return compile_model(
+            robot, {f"geometry.{name}": value for name, value in zip(names, values, strict=True)}
+        )
 
     with jax.enable_x64(True):
         push = jax.vmap(lambda way: jax.jvp(fields, (first,), (way,)), out_axes=(None, -1))
@@ -178,10 +211,14 @@ def test_constants_and_their_derivatives_are_those_of_assembled_models():
         for name in set(DERIVED_FIELDS) | {"body_inertia", "body_ipos", "tendon_range"}:
             value, slope = (np.asarray(each) for each in (found[name], slopes[name][..., i]))
             scale = np.abs(getattr(known, name)).max()
-            np.testing.assert_allclose(value, getattr(known, name), rtol=1e-6, atol=1e-7 * scale, err_msg=name)
+            np.testing.assert_allclose(
+                value, getattr(known, name), rtol=1e-6, atol=1e-7 * scale, err_msg=name
+            )
             difference = (getattr(high, name) - getattr(low, name)) / (2 * width)
             bound = 1e-3 if name == "tendon_range" else 1e-4 * max(np.abs(difference).max(), 1e-9)
-            np.testing.assert_allclose(slope, difference, atol=bound, err_msg=f"{name} by {names[i]}")
+            np.testing.assert_allclose(
+                slope, difference, atol=bound, err_msg=f"{name} by {names[i]}"
+            )
 
 
 @pytest.mark.release
@@ -196,7 +233,11 @@ def test_worlds_stand_on_their_own_legs(simulator):
     }
     batch = sim.prepare(values)
     for world in range(3):
-        own = {name: float(numbers[world]) for name, numbers in values.items() if name.startswith("geometry.")}
+        own = {
+            name: float(numbers[world])
+            for name, numbers in values.items()
+            if name.startswith("geometry.")
+        }
         model = compile_model(sim.robot, own)
         data = mujoco.MjData(model)
         data.qpos[:] = batch.qpos[world]
@@ -214,7 +255,9 @@ def test_worlds_stand_on_their_own_legs(simulator):
 
 
 @pytest.mark.release
-def test_a_sweep_over_legs_spine_and_amplitude_is_one_batch_and_compiles_once(simulator, compilations):
+def test_a_sweep_over_legs_spine_and_amplitude_is_one_batch_and_compiles_once(
+    simulator, compilations
+):
     """Worlds of three robots walk in one batch; other numbers of the same names compile nothing."""
     sim, run = simulator(spine="stride_extension"), Run(cycles=1, warmup_cycles=0)
     speed = sim.run(SWEPT, run).metrics["speed"]
@@ -247,14 +290,21 @@ def test_the_balance_knows_where_other_robots_have_their_mass():
         com = np.asarray(body.centre_of_mass(masses, 0.0, of))
     common = data.subtree_com[0] - data.body("torso").xpos
     np.testing.assert_allclose(common, com, atol=1e-6)
-    assert np.abs(com - np.asarray(body.centre_of_mass(robot.mass_model, 0.0, Geometry()))).max() > 1e-3
+    assert (
+        np.abs(com - np.asarray(body.centre_of_mass(robot.mass_model, 0.0, Geometry()))).max()
+        > 1e-3
+    )
 
 
 @pytest.mark.long
 def test_gradients_of_a_walk_by_geometry_are_those_of_differences():
     """One gait cycle of three numbers: exact derivatives on `mjx` against differences of the engine `c`."""
     setup, run = Setup(spine="stride_extension"), Run(cycles=1, warmup_cycles=0)
-    start = {"geometry.rear_leg.upper": 0.033, "geometry.spine.segment": 0.015, "geometry.tail.length": 0.14}
+    start = {
+        "geometry.rear_leg.upper": 0.033,
+        "geometry.spine.segment": 0.015,
+        "geometry.tail.length": 0.14,
+    }
     fixed, first = {"spine.amplitude": 0.2, "frequency": 0.82}, np.array(list(start.values()))
     with jax.enable_x64(True):
         rollout = Rollout(setup, run, "mjx", slowest=0.8)

@@ -13,7 +13,9 @@ from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities
 
 
-@pytest.mark.parametrize("name", ["damping.knee", "damping.ankle", "damping.spine", "servo.kp", "servo.kv"])
+@pytest.mark.parametrize(
+    "name", ["damping.knee", "damping.ankle", "damping.spine", "servo.kp", "servo.kv"]
+)
 def test_the_default_body_is_among_the_identified_ones(name):
     """Within 90 % of the weight; the damping is the author's, which the identification knows nothing of."""
     values, weights = identified.bodies().values[name], identified.bodies().weights
@@ -61,7 +63,9 @@ def test_bodies_are_distinct_weighed_and_chosen_without_repeats_and_by_seed():
         rows[seed] = np.array(list(identified.choose(n, seed).values())).T
         assert rows[seed].shape == (n, len(ensemble.values))
         assert len(np.unique(rows[seed], axis=0)) == n >= 4
-        np.testing.assert_array_equal(rows[seed], np.array(list(identified.choose(n, seed).values())).T)
+        np.testing.assert_array_equal(
+            rows[seed], np.array(list(identified.choose(n, seed).values())).T
+        )
     np.testing.assert_array_equal(rows[5].T, list(ensemble.values.values()))  # all, in their order
     assert not np.array_equal(rows[1], rows[2])
     assert set(map(tuple, rows[1])) <= set(map(tuple, rows[5]))
@@ -75,12 +79,16 @@ def test_more_bodies_begin_with_those_of_fewer_and_the_first_is_drawn_by_weight(
     heaviest = ensemble.values["damping.knee"][np.argsort(ensemble.weights)[-8:]]
     first = np.array([identified.choose(1, seed)["damping.knee"][0] for seed in range(1000)])
     expected = np.sort(ensemble.weights)[-8:].sum()
-    assert np.isin(first, heaviest).mean() == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / 1000))
+    assert np.isin(first, heaviest).mean() == pytest.approx(
+        expected, abs=4 * np.sqrt(expected * (1 - expected) / 1000)
+    )
 
 
 @pytest.mark.parametrize("n", [0, 100_000])
 def test_more_bodies_than_there_are_is_refused_with_their_number(n):
-    with pytest.raises(ParameterError, match=rf"bodies is {n}: allowed is 1 to {len(identified.bodies())}"):
+    with pytest.raises(
+        ParameterError, match=rf"bodies is {n}: allowed is 1 to {len(identified.bodies())}"
+    ):
         identified.choose(n, 0)
 
 
@@ -94,7 +102,12 @@ servo.kp,contact.friction,objective,weight
 def test_even_shares_draw_bodies_by_weight_and_comments_do_not_count():
     """A quarter of the weight: the first quarter of the shares."""
     ensemble = identified.read_ensemble(FILE.splitlines())
-    np.testing.assert_array_equal(ensemble.at(np.array([0.0, 0.2499, 0.25, 0.999999])), [0, 0, 1, 1])
+    np.testing.assert_array_equal(
+        ensemble.at(np.array([0.0, 0.2499, 0.25, 0.999999])), [0, 0, 1, 1]
+    )
     assert ensemble.take(np.array([1, 1]))["servo.kp"].tolist() == [6.0, 6.0]
     assert identified.read_ensemble(FILE.splitlines()[1:]).fingerprint == ensemble.fingerprint
-    assert identified.read_ensemble(FILE.replace("6.0", "6.1").splitlines()).fingerprint != ensemble.fingerprint
+    assert (
+        identified.read_ensemble(FILE.replace("6.0", "6.1").splitlines()).fingerprint
+        != ensemble.fingerprint
+    )

@@ -99,7 +99,9 @@ def test_the_tendon_lies_in_the_pulleys_groove():
     x, y, z = grooved_pulley(MM * FRONT_LEG.pulley_radius, 1.5).vertices.T
     radius, outer = np.hypot(y, z), np.abs(x) < 0.6
     floor = radius[outer & (radius > 5.0)].max()
-    assert MM * FRONT_LEG.pulley_radius - TENDON - 0.2 < floor < MM * FRONT_LEG.pulley_radius - TENDON
+    assert (
+        MM * FRONT_LEG.pulley_radius - TENDON - 0.2 < floor < MM * FRONT_LEG.pulley_radius - TENDON
+    )
     assert radius.max() > MM * FRONT_LEG.pulley_radius + TENDON
     model = load_robot().model
     for limb in LIMBS:
@@ -208,7 +210,9 @@ def test_the_eyes_look_ahead_and_turn_with_the_head():
     assert ahead @ (0.0, -1.0, 0.0) > 0.99
     data.qpos[robot.joints.neck] = 0.5
     mujoco.mj_forward(robot.model, data)
-    assert -data.cam("eyes").xmat.reshape(3, 3)[:, 2] @ ahead == pytest.approx(np.cos(0.5), abs=0.01)
+    assert -data.cam("eyes").xmat.reshape(3, 3)[:, 2] @ ahead == pytest.approx(
+        np.cos(0.5), abs=0.01
+    )
 
 
 # --- light

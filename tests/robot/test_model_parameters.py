@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 from nermo_mjx.robot.model_parameters import gravity_values, gravity_vector
 
 
-@pytest.mark.parametrize(("slope", "direction"), [(0.2, 0.0), (0.2, np.pi / 2), (-0.3, 0.7), (0.5, -2.5)])
+@pytest.mark.parametrize(
+    ("slope", "direction"), [(0.2, 0.0), (0.2, np.pi / 2), (-0.3, 0.7), (0.5, -2.5)]
+)
 def test_gravity_on_a_slope_is_that_of_the_level_world_seen_from_the_slope(slope, direction):
     """The slope's frame is turned about the level line across the rise, so that its axis ahead points upward."""
     ahead = np.array([np.sin(direction), -np.cos(direction), 0.0])

@@ -49,7 +49,9 @@ def test_it_has_the_published_servos_mass_and_length(robot):
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_forward(model, data)
     nose = min(
-        (data.geom_xpos[i] + model.mesh_vert[at : at + count] @ data.geom_xmat[i].reshape(3, 3).T)[:, 1].min()
+        (data.geom_xpos[i] + model.mesh_vert[at : at + count] @ data.geom_xmat[i].reshape(3, 3).T)[
+            :, 1
+        ].min()
         for i in range(model.ngeom)
         if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH
         for mesh in [model.geom_dataid[i]]
@@ -67,13 +69,18 @@ def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
         mujoco.mj_resetData(model, data)
         data.qpos[:7] = [0.1, -0.2, 0.5, *rng.normal(size=4)]
         data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
-        data.qpos[np.ravel(joints.spine)], data.qpos[np.ravel(joints.spine_vertical)] = theta, vertical
+        data.qpos[np.ravel(joints.spine)], data.qpos[np.ravel(joints.spine_vertical)] = (
+            theta,
+            vertical,
+        )
         mujoco.mj_kinematics(model, data)
         with jax.enable_x64(True):
             pose = np.asarray(spine.transform(np.array(theta), ROBOT, np.full(4, vertical)))
             hips = np.asarray(body.hips(np.array(theta), ROBOT, np.array(vertical)))
             points = np.array([[0.0, 0.0], [0.0, 0.0], [0.003, -0.05], [-0.01, -0.045]])
-            feet = np.asarray(body.feet_positions(np.array(theta), points, ROBOT, np.array(vertical)))[2:]
+            feet = np.asarray(
+                body.feet_positions(np.array(theta), points, ROBOT, np.array(vertical))
+            )[2:]
         end = data.site("spine_end")
         np.testing.assert_allclose(seen_from_torso(data, end.xpos), pose[:3, 3], atol=1e-6)
         turn = data.body("torso").xmat.reshape(3, 3).T @ end.xmat.reshape(3, 3)
@@ -88,7 +95,11 @@ def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
 @pytest.mark.release
 def test_a_world_of_its_own_geometry_has_its_hips_where_the_kinematics_say(robot):
     """Longer segments, a smaller pulley and a wider hip: hip axis within 1e-6 m, and no tendon slack or tight."""
-    values = {"geometry.spine.segment": 0.018, "geometry.spine.pulley_radius": 0.0055, "geometry.hip.x": 0.045}
+    values = {
+        "geometry.spine.segment": 0.018,
+        "geometry.spine.pulley_radius": 0.0055,
+        "geometry.hip.x": 0.045,
+    }
     model, joints = compile_model(robot, values), robot.joints
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -96,10 +107,14 @@ def test_a_world_of_its_own_geometry_has_its_hips_where_the_kinematics_say(robot
     np.testing.assert_allclose(data.ten_length[spines], model.tendon_range[spines, 1], atol=1e-7)
     data.qpos[list(joints.spine)], data.qpos[list(joints.spine_vertical)] = 0.08, -0.06
     mujoco.mj_kinematics(model, data)
-    geometry = replace_quantities(Geometry(), {name.removeprefix("geometry."): each for name, each in values.items()})
+    geometry = replace_quantities(
+        Geometry(), {name.removeprefix("geometry."): each for name, each in values.items()}
+    )
     with jax.enable_x64(True):
         hips = np.asarray(body.hips(np.array(0.08), geometry, np.array(-0.06)))
-    np.testing.assert_allclose(seen_from_torso(data, data.site("rear_left_axis").xpos), hips[0], atol=1e-6)
+    np.testing.assert_allclose(
+        seen_from_torso(data, data.site("rear_left_axis").xpos), hips[0], atol=1e-6
+    )
 
 
 def test_each_servo_bends_its_own_plane_by_the_published_law():
@@ -167,7 +182,9 @@ def test_springs_dampers_and_masses_reach_what_it_has_more(robot):
 def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of_it():
     """-A cos(2 pi phase), clipped to q_max; of a turn rate of 0.5 steering leaves half, of full lock nothing (5.46)."""
     values = {"spine.sagittal_amplitude": 0.3, "spine.sagittal_phase": 0.0, "turning.spine": 1.0}
-    params = replace_quantities(ControlParameters(), {name: jnp.asarray(value) for name, value in values.items()})
+    params = replace_quantities(
+        ControlParameters(), {name: jnp.asarray(value) for name, value in values.items()}
+    )
     modes, level = SagittalModes("sagittal_extension"), jnp.zeros(())
 
     def angle(phase: float, turn_rate: float = 0.0) -> float:
@@ -181,7 +198,9 @@ def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of
 
 
 @pytest.mark.release
-@pytest.mark.parametrize(("mode", "least", "most"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)])
+@pytest.mark.parametrize(
+    ("mode", "least", "most"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)]
+)
 def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, least, most):
     """It neither falls nor stands. At 0.4 rad of servo the vertical joints bend by about 0.1 rad; held, they give way
     to the feet's impacts by a third of that at most: of docs/model.md's identified body (the default's by 0.042)."""
@@ -214,10 +233,14 @@ def test_it_starts_on_its_feet_whatever_the_spine_does(simulator):
     for qpos in sim.prepare({"start.phase": phases}, Run(cycles=0.05)).qpos:
         data.qpos[:] = qpos
         mujoco.mj_forward(model, data)
-        soles = [data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS]
+        soles = [
+            data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS
+        ]
         assert min(soles) == pytest.approx(-1e-5, abs=5e-6)
         assert min(data.contact.dist) > -1e-4
-    assert sim.run({"start.phase": phases}, Run(cycles=6, warmup_cycles=2)).status.tolist() == 3 * ["ok"]
+    assert sim.run({"start.phase": phases}, Run(cycles=6, warmup_cycles=2)).status.tolist() == 3 * [
+        "ok"
+    ]
 
 
 @pytest.mark.long  # this program of MJX compiles for a minute; test_walk_gradient.py has that of Nermo-Lite
@@ -242,11 +265,15 @@ def test_mjx_walks_as_c_does_and_its_slopes_are_those_of_c():
             ways = jnp.eye(len(point))
             return jax.vmap(lambda way: jax.jvp(speed, (values,), (way,)), out_axes=(None, 0))(ways)
 
-        value, slopes = jax.jit(with_slopes, compiler_options=compiler_options())(jnp.asarray(first))
+        value, slopes = jax.jit(with_slopes, compiler_options=compiler_options())(
+            jnp.asarray(first)
+        )
         points = first + first * share * np.concatenate([np.zeros((1, 5)), np.eye(5), -np.eye(5)])
         simulator = Simulator(setup, "c")
         simulator.engine.model.opt.tolerance = 0.0
-        reference, *ends = simulator.run(dict(zip(point, points.T, strict=True)), run).metrics["speed"]
+        reference, *ends = simulator.run(dict(zip(point, points.T, strict=True)), run).metrics[
+            "speed"
+        ]
     high, low = np.split(np.array(ends), 2)
     assert value == pytest.approx(reference, rel=1e-6)
     np.testing.assert_allclose(slopes, (high - low) / (2 * share * first), rtol=1e-3)

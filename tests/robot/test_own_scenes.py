@@ -47,7 +47,9 @@ def scene(inside: str = PLANE.format(height=0), model: str = "own") -> str:
 def standing(simulator: Simulator, **start: float) -> mujoco.MjData:
     """The robot as a run puts it down."""
     data = mujoco.MjData(simulator.robot.model)
-    data.qpos[:] = simulator.prepare({f"start.{name}": value for name, value in start.items()}).qpos[0]
+    data.qpos[:] = simulator.prepare(
+        {f"start.{name}": value for name, value in start.items()}
+    ).qpos[0]
     mujoco.mj_forward(simulator.robot.model, data)
     return data
 
@@ -58,7 +60,9 @@ def standing(simulator: Simulator, **start: float) -> mujoco.MjData:
 def test_a_scene_without_sky_lights_and_colours_has_those_of_the_bundled_ones():
     """And one with its own keeps them; what the robot touches, and the text, are the same."""
     bare = load_robot(scene=scene()).model
-    assert [bare.tex_type[i] for i in range(bare.ntex)].count(mujoco.mjtTexture.mjTEXTURE_SKYBOX) == 1
+    assert [bare.tex_type[i] for i in range(bare.ntex)].count(
+        mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    ) == 1
     assert bare.nlight == load_robot().model.nlight
     assert bare.geom_matid[bare.geom("floor").id] >= 0
     own = """<mujoco><asset><texture name="sky" type="skybox" builtin="flat" rgb1="0 0 0" width="8" height="8"/></asset>
@@ -66,7 +70,9 @@ def test_a_scene_without_sky_lights_and_colours_has_those_of_the_bundled_ones():
       </worldbody></mujoco>"""
     dressed = load_robot(scene=own).model
     assert dressed.nlight == 1
-    assert [dressed.tex_type[i] for i in range(dressed.ntex)].count(mujoco.mjtTexture.mjTEXTURE_SKYBOX) == 1
+    assert [dressed.tex_type[i] for i in range(dressed.ntex)].count(
+        mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    ) == 1
     np.testing.assert_allclose(dressed.geom_rgba[dressed.geom("floor").id], [1, 0, 0, 1])
     assert "nermo_sky" not in resolve_scene(scene())
 
@@ -91,7 +97,9 @@ def test_only_ground_and_obstacles_touch_the_robot():
     model = robot.model
     assert scene_geoms(robot.config.scene).ground == ("floor", "ground_0")
     assert {model.geom(i).name for i in robot.obstacles} == {"leg", "seat"}
-    assert model.nbody == load_robot(tail="articulated").model.nbody  # the bench is called as the robot's torso
+    assert (
+        model.nbody == load_robot(tail="articulated").model.nbody
+    )  # the bench is called as the robot's torso
     np.testing.assert_allclose(model.geom("seat").pos, [0, -1, 0.71])
     touching = {model.geom(i).name for both in (model.pair_geom1, model.pair_geom2) for i in both}
     assert "lawn" not in touching
@@ -124,7 +132,11 @@ def test_settings_of_a_scene_do_not_reach_the_robot():
     assert own.opt.gravity[2] == -5
     assert own.body_mass.sum() == flat.body_mass.sum() == load_robot().model.body_mass.sum()
     for option in ("solver", "iterations", "disableflags", "timestep"):
-        assert getattr(own.opt, option) == getattr(flat.opt, option) == getattr(load_robot().model.opt, option), option
+        assert (
+            getattr(own.opt, option)
+            == getattr(flat.opt, option)
+            == getattr(load_robot().model.opt, option)
+        ), option
     assert own.ngeom == flat.ngeom
 
 
@@ -135,10 +147,14 @@ def test_meshes_are_found_beside_the_file(tmp_path):
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     )
     text = scene(PLANE.format(height=0) + "<geom name='wedge' type='mesh' mesh='wedge'/>").replace(
-        "<worldbody>", "<compiler meshdir='shapes'/><asset><mesh name='wedge' file='wedge.obj'/></asset><worldbody>"
+        "<worldbody>",
+        "<compiler meshdir='shapes'/><asset><mesh name='wedge' file='wedge.obj'/></asset><worldbody>",
     )
     (tmp_path / "own.xml").write_text(text)
-    assert load_robot(scene=tmp_path / "own.xml").model.geom("wedge").type == mujoco.mjtGeom.mjGEOM_MESH
+    assert (
+        load_robot(scene=tmp_path / "own.xml").model.geom("wedge").type
+        == mujoco.mjtGeom.mjGEOM_MESH
+    )
 
 
 def test_what_a_text_becomes_is_read_as_itself():
@@ -149,16 +165,30 @@ def test_what_a_text_becomes_is_read_as_itself():
 
 
 WRONG = {
-    "no name": ("yard", "scene is 'yard': allowed is 'balance_stand' or .* or the path of an MJCF file"),
+    "no name": (
+        "yard",
+        "scene is 'yard': allowed is 'balance_stand' or .* or the path of an MJCF file",
+    ),
     "no file": ("yard.xml", "scene is 'yard.xml': there is no such file"),
     "no MJCF": (scene("<ball/>"), "MuJoCo refuses it: XML Error: .*'ball', line 1"),
     "no mesh": (
-        scene().replace("<worldbody>", "<asset><mesh name='m' file='gone.obj'/></asset><worldbody>"),
+        scene().replace(
+            "<worldbody>", "<asset><mesh name='m' file='gone.obj'/></asset><worldbody>"
+        ),
         "gone.obj",
     ),
-    "no ground": (scene("<geom size='1'/>"), "it has no ground: .* class 'ground', or the name 'floor'"),
-    "round ground": (scene("<geom name='floor' size='1'/>"), "the ground 'floor', a sphere; allowed is a plane, a box"),
-    "steep ground": (scene("<geom name='floor' type='plane' size='1 1 1' euler='90 0 0'/>"), "'floor', .* too steep"),
+    "no ground": (
+        scene("<geom size='1'/>"),
+        "it has no ground: .* class 'ground', or the name 'floor'",
+    ),
+    "round ground": (
+        scene("<geom name='floor' size='1'/>"),
+        "the ground 'floor', a sphere; allowed is a plane, a box",
+    ),
+    "steep ground": (
+        scene("<geom name='floor' type='plane' size='1 1 1' euler='90 0 0'/>"),
+        "'floor', .* too steep",
+    ),
     "a joint": (
         scene(PLANE.format(height=0) + "<body><joint name='hinge'/><geom size='1'/></body>"),
         "it has a joint 'hinge', and only the robot may",
@@ -209,7 +239,11 @@ def test_a_sweep_finds_a_scene_beside_its_file_and_keeps_it(tmp_path):
     assert Sweep.from_file(path).digest() != sweep.digest()
     assert (
         Sweep.from_dict(
-            {"scene": mujoco.MjSpec.from_string(YARD), "vary": {"frequency": [0.5, 0.8]}, "run": {"cycles": 3}}
+            {
+                "scene": mujoco.MjSpec.from_string(YARD),
+                "vary": {"frequency": [0.5, 0.8]},
+                "run": {"cycles": 3},
+            }
         ).digest()
         == sweep.digest()
     )
@@ -219,7 +253,9 @@ def test_a_sweep_finds_a_scene_beside_its_file_and_keeps_it(tmp_path):
 def test_a_file_says_where_a_wrong_scene_stands(wrong):
     """With the line and the field."""
     with pytest.raises(SpecError, match=r"^s\.yaml:2: field 'scene' "):
-        Sweep.from_text(f"gait: trot\nscene: {wrong!r}\nvary: {{frequency: [0.5, 0.8]}}\n", "s.yaml")
+        Sweep.from_text(
+            f"gait: trot\nscene: {wrong!r}\nvary: {{frequency: [0.5, 0.8]}}\n", "s.yaml"
+        )
 
 
 # --- where the ground is
@@ -229,7 +265,12 @@ def test_a_file_says_where_a_wrong_scene_stands(wrong):
 def test_the_robot_starts_on_what_is_beneath_it():
     """On the raised floor, and on the step: the deepest contact is as deep as on the flat, wherever it starts."""
     simulator = shared_simulator(Setup(scene=YARD), "c")
-    for at, height in (({}, 0.5), ({"x": 1.0}, 0.52), ({"x": 1.0, "y": 0.03, "yaw": 2.0}, 0.52), ({"x": 2.0}, 0.5)):
+    for at, height in (
+        ({}, 0.5),
+        ({"x": 1.0}, 0.52),
+        ({"x": 1.0, "y": 0.03, "yaw": 2.0}, 0.52),
+        ({"x": 2.0}, 0.5),
+    ):
         data = standing(simulator, **at)
         assert min(contact.dist for contact in data.contact) == pytest.approx(-DEPTH, abs=1e-6)
         feet = [data.site(f"{limb}_foot").xpos[2] for limb in LIMBS]
@@ -286,11 +327,15 @@ def test_the_defaults_of_the_ground_are_the_scenes_gravity():
     pull = f"{-moon * np.sin(rise)} 0 {-moon * np.cos(rise)}"
     text = scene().replace("<worldbody>", f"<option gravity='{pull}'/><worldbody>")
     defaults = Setup(scene=text).defaults()
-    assert [defaults[f"ground.{name}"] for name in ("gravity", "slope", "direction")] == pytest.approx(
-        [moon, rise, np.pi / 2], rel=1e-4
-    )
+    assert [
+        defaults[f"ground.{name}"] for name in ("gravity", "slope", "direction")
+    ] == pytest.approx([moon, rise, np.pi / 2], rel=1e-4)
     plain = Setup().defaults()
-    assert [plain[f"ground.{name}"] for name in ("gravity", "slope", "direction")] == [9.81, 0.0, 0.0]
+    assert [plain[f"ground.{name}"] for name in ("gravity", "slope", "direction")] == [
+        9.81,
+        0.0,
+        0.0,
+    ]
     sim = Simulator(Setup(scene=text), "c")
     (named,) = sim.prepare({"ground.slope": rise}).fields["opt.gravity"]
     np.testing.assert_allclose(named, sim.robot.model.opt.gravity, atol=1e-6)
@@ -308,13 +353,17 @@ def test_a_slope_takes_its_share_of_the_weight(simulator):
     assert list(result.status) == ["ok"] * 4
     metrics, mass = result.metrics, simulator().robot.model.body_mass.sum()
     load = sum(metrics[f"load_{limb}"] for limb in LIMBS) / (1.0 - metrics["tail_load_share"])
-    np.testing.assert_allclose(load, mass * values["ground.gravity"] * np.cos(values["ground.slope"]), rtol=0.02)
+    np.testing.assert_allclose(
+        load, mass * values["ground.gravity"] * np.cos(values["ground.slope"]), rtol=0.02
+    )
     share, speed = metrics["front_load_share"], metrics["speed"]
     assert share[1] < share[0] < share[2]
     assert speed[1] < speed[0] < speed[2]
     weight = mass * values["ground.gravity"]
     np.testing.assert_allclose(
-        metrics["cost_of_transport"], metrics["servo_work"] / weight / metrics["distance"], rtol=1e-5
+        metrics["cost_of_transport"],
+        metrics["servo_work"] / weight / metrics["distance"],
+        rtol=1e-5,
     )
 
 

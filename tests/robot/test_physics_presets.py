@@ -22,9 +22,13 @@ from nermo_mjx.rollout.setup import all_parameters
 #: is stiff and hardly damped, and rings at 28 Hz, which longer steps change, and with it what depends on small motions:
 #: the creep of soles, by which legs alone turn the robot.
 BOUND = 0.025
-BOUNDS = {"slip": 0.15, "servo_work": 0.065, "cost_of_transport": 0.065, "yaw_std": 0.15, "turning_radius": 0.05} | {
-    f"duty_{limb}": 0.04 for limb in LIMBS
-}
+BOUNDS = {
+    "slip": 0.15,
+    "servo_work": 0.065,
+    "cost_of_transport": 0.065,
+    "yaw_std": 0.15,
+    "turning_radius": 0.05,
+} | {f"duty_{limb}": 0.04 for limb in LIMBS}
 #: Gaits, and the ends of the published range of frequencies [Hz].
 GAITS, FREQUENCIES = ("trot", "walking_trot", "lateral_walk"), (0.5, 0.8)
 GAIT_METRICS = (
@@ -44,7 +48,9 @@ LEANING = math.radians(65.0)
 def standing(robot: Robot) -> np.ndarray:
     """Servo targets of the published stance."""
     joints = robot.joints
-    return robot.model.qpos0[[*joints.hip, *joints.pulley, joints.spine_pulley, joints.neck, *joints.tail_pulley]]
+    return robot.model.qpos0[
+        [*joints.hip, *joints.pulley, joints.spine_pulley, joints.neck, *joints.tail_pulley]
+    ]
 
 
 def six_walks(**fixed: float) -> dict[str, np.ndarray]:
@@ -86,7 +92,9 @@ def test_fast_keeps_every_gait_metric_within_its_bound(simulator, spine, turn_ra
     assert list(ours.status) == list(reference.status) == ["ok"] * 18
     for name in (*GAIT_METRICS, "turning_radius") if turn_rate else GAIT_METRICS:
         bound = BOUNDS.get(name, BOUND)
-        fast, exact = (result.metrics[name].reshape(3, 6).mean(axis=0) for result in (ours, reference))
+        fast, exact = (
+            result.metrics[name].reshape(3, 6).mean(axis=0) for result in (ours, reference)
+        )
         np.testing.assert_allclose(fast, exact, rtol=bound, err_msg=name)
 
 
@@ -98,7 +106,13 @@ def test_a_fall_is_reported_by_both(simulator):
         sim = simulator(physics=physics)
         batch = sim.prepare({"frequency": np.full(2, 0.8)}, Run(cycles=3, warmup_cycles=0))
         at, height = sim.robot.joints.root, 0.12
-        batch.qpos[1, at + 2 : at + 7] = height, math.cos(LEANING / 2), 0.0, math.sin(LEANING / 2), 0.0
+        batch.qpos[1, at + 2 : at + 7] = (
+            height,
+            math.cos(LEANING / 2),
+            0.0,
+            math.sin(LEANING / 2),
+            0.0,
+        )
         session = sim.engine.open(batch.params, batch.qpos, batch.fields)
         session.advance(150)
         measured = session.loop_state.metrics
@@ -176,14 +190,19 @@ def test_tendons_of_fast_yield_as_the_docs_say():
             data.ctrl[:] = standing(load_robot(physics=physics))
             mujoco.mj_step(model, data)
         past = data.ten_length - model.tendon_range[:, 1]
-        yields[physics] = past[[i for i in range(model.ntendon) if model.tendon(i).name.startswith("rear")]].mean()
+        yields[physics] = past[
+            [i for i in range(model.ntendon) if model.tendon(i).name.startswith("rear")]
+        ].mean()
     assert yields["reference"] == pytest.approx(7.9e-5, abs=5e-6)
     assert yields["fast"] == pytest.approx(8.7e-5, abs=5e-6)
 
 
 def test_contacts_are_no_stiffer_than_the_step_allows():
     """MuJoCo would lengthen a time constant below two steps without a word."""
-    names = {physics: all_parameters(Setup(physics=physics))["contact.time_constant"] for physics in PRESETS}
+    names = {
+        physics: all_parameters(Setup(physics=physics))["contact.time_constant"]
+        for physics in PRESETS
+    }
     assert names["reference"].low == 0.004
     assert names["fast"].low == pytest.approx(0.02 / 3)
 
@@ -206,6 +225,16 @@ def test_the_rest_of_the_model_is_the_same():
         "geom_type",
         "site_pos",
     ):
-        np.testing.assert_array_equal(getattr(ours, field), getattr(reference, field), err_msg=field)
-    for option in ("integrator", "solver", "cone", "impratio", "tolerance", "iterations", "disableflags"):
+        np.testing.assert_array_equal(
+            getattr(ours, field), getattr(reference, field), err_msg=field
+        )
+    for option in (
+        "integrator",
+        "solver",
+        "cone",
+        "impratio",
+        "tolerance",
+        "iterations",
+        "disableflags",
+    ):
         assert getattr(ours.opt, option) == getattr(reference.opt, option), option

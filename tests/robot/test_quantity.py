@@ -32,5 +32,7 @@ def test_a_closed_range_contains_its_bounds_and_an_open_range_does_not(value, cl
         if allowed:
             about.check("length", value)
         else:
-            with pytest.raises(ParameterError, match=r"length is .*: allowed is (\(1, 3\)|\[1, 3\]) m\."):
+            with pytest.raises(
+                ParameterError, match=r"length is .*: allowed is (\(1, 3\)|\[1, 3\]) m\."
+            ):
                 about.check("length", value)

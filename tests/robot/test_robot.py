@@ -17,7 +17,16 @@ import pytest
 import nermo_mjx
 from nermo_mjx.kinematics import body, leg, spine
 from nermo_mjx.physics.variation import compile_model
-from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
+from nermo_mjx.robot import (
+    LIMBS,
+    SERVOS,
+    ModelParameters,
+    ParameterError,
+    Robot,
+    RobotConfig,
+    assemble,
+    load_robot,
+)
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import PARTS, ROBOT_MASSES, TORSO, RigidPart, part_of, physical_model
@@ -50,7 +59,9 @@ def at_rest(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-def random_pose(robot: Robot, rng: np.random.Generator) -> tuple[mujoco.MjData, dict[str, np.ndarray]]:
+def random_pose(
+    robot: Robot, rng: np.random.Generator
+) -> tuple[mujoco.MjData, dict[str, np.ndarray]]:
     """The robot somewhere in the air, with random joint angles; all four spine joints share one angle."""
     data, joints = mujoco.MjData(robot.model), robot.joints
     angles = {
@@ -80,7 +91,9 @@ def seen_from(data: mujoco.MjData, origin: np.ndarray, matrix: np.ndarray, site:
 @functools.cache
 def targets(n_servos: int, steps: int) -> np.ndarray:
     """Servo targets (steps, n_servos) that swing about the standing pose, differently in every servo."""
-    stance = np.array([0.8165] * 2 + [-0.9712] * 2 + [0.1315] * 2 + [0.6623] * 2 + [0.0] * 3)[:n_servos]
+    stance = np.array([0.8165] * 2 + [-0.9712] * 2 + [0.1315] * 2 + [0.6623] * 2 + [0.0] * 3)[
+        :n_servos
+    ]
     amplitude, phase = np.random.default_rng(1).uniform((0.1, 0.0), (0.3, 6.0), (n_servos, 2)).T
     return stance + amplitude * (np.sin(0.05 * np.arange(steps)[:, None] + phase) - np.sin(phase))
 
@@ -134,7 +147,9 @@ def test_compiled_masses_are_those_of_the_parts():
         frame = data.body(name).xmat if part.site is None else data.site("spine_end").xmat
         axes = frame.reshape(3, 3).T @ data.body(name).ximat.reshape(3, 3)
         tensor = axes @ np.diag(compiled.inertia) @ axes.T
-        np.testing.assert_allclose(tensor, box_inertia(part), rtol=0, atol=1e-9 * np.trace(tensor), err_msg=name)
+        np.testing.assert_allclose(
+            tensor, box_inertia(part), rtol=0, atol=1e-9 * np.trace(tensor), err_msg=name
+        )
         if part.site is None:
             np.testing.assert_allclose(compiled.ipos, part.com, atol=1e-12, err_msg=name)
     front_pulley = {name for name in PARTS if PARTS[name] is PARTS["front_pulley"]}
@@ -214,7 +229,9 @@ def test_the_tail_hangs_as_the_authors(tail):
         for i, below in enumerate(TAIL_BELOW):
             place = data.joint(f"tail_joint_{i + 1}").xanchor - end
             assert place == pytest.approx([0.0, 0.0569 + 0.008 * i, -below], abs=5e-4)
-            assert data.joint(f"tail_joint_{i + 1}").xaxis == pytest.approx([0.0, 0.0, -1.0], abs=5e-3)
+            assert data.joint(f"tail_joint_{i + 1}").xaxis == pytest.approx(
+                [0.0, 0.0, -1.0], abs=5e-3
+            )
 
 
 @pytest.mark.parametrize("tail", TAILS)
@@ -272,7 +289,9 @@ def test_actuators_are_the_servos_in_their_order(robot, tail, missing):
     """`ctrl` is in the order of `SERVOS`, each on the joint it turns; the tail's servo comes with the tail."""
     model = load_robot(robot, tail=tail).model
     servos = [servo for servo in SERVOS if servo not in missing]
-    assert [model.actuator(i).name for i in range(model.nu)] == [f"{servo}_servo" for servo in servos]
+    assert [model.actuator(i).name for i in range(model.nu)] == [
+        f"{servo}_servo" for servo in servos
+    ]
     for i, servo in enumerate(servos):
         assert model.joint(model.actuator_trnid[i, 0]).name == servo_joint(servo)
 
@@ -290,8 +309,12 @@ def test_left_and_right_mirror_each_other(tail):
     for name in (model.body(i).name for i in range(1, model.nbody)):
         image = other_side(name)
         assert model.body(image).mass[0] == pytest.approx(model.body(name).mass[0], rel=1e-12)
-        np.testing.assert_allclose(data.body(image).xipos, MIRROR @ data.body(name).xipos, atol=1e-12, err_msg=name)
-        np.testing.assert_allclose(tensor(image), MIRROR @ tensor(name) @ MIRROR, atol=1e-15, err_msg=name)
+        np.testing.assert_allclose(
+            data.body(image).xipos, MIRROR @ data.body(name).xipos, atol=1e-12, err_msg=name
+        )
+        np.testing.assert_allclose(
+            tensor(image), MIRROR @ tensor(name) @ MIRROR, atol=1e-15, err_msg=name
+        )
     for joint in (model.joint(i).name for i in range(1, model.njnt)):
         here, there = data.joint(joint), data.joint(other_side(joint))
         np.testing.assert_allclose(there.xanchor, MIRROR @ here.xanchor, atol=1e-12, err_msg=joint)
@@ -302,10 +325,15 @@ def test_left_and_right_mirror_each_other(tail):
             np.testing.assert_allclose(np.abs(here.xaxis), (1, 0, 0), atol=1e-12, err_msg=joint)
             np.testing.assert_allclose(there.xaxis, here.xaxis, atol=1e-12, err_msg=joint)
         for field in ("stiffness", "damping", "armature", "range", "qpos0", "qpos_spring"):
-            values = getattr(model.joint(joint), field), getattr(model.joint(other_side(joint)), field)
+            values = (
+                getattr(model.joint(joint), field),
+                getattr(model.joint(other_side(joint)), field),
+            )
             np.testing.assert_array_equal(*values, err_msg=f"{joint} {field}")
     for site in (model.site(i).name for i in range(model.nsite)):
-        np.testing.assert_allclose(data.site(other_side(site)).xpos, MIRROR @ data.site(site).xpos, atol=1e-12)
+        np.testing.assert_allclose(
+            data.site(other_side(site)).xpos, MIRROR @ data.site(site).xpos, atol=1e-12
+        )
     for tendon in (model.tendon(i).name for i in range(model.ntendon)):
         ids = model.tendon(tendon).id, model.tendon(other_side(tendon)).id
         assert model.tendon_range[ids[0], 1] == model.tendon_range[ids[1], 1]
@@ -363,7 +391,9 @@ def test_zero_pose_is_the_published_stance(routing):
         np.testing.assert_allclose(foot[1:], wanted, atol=2e-4)
         qpos = robot.model.qpos0
         pose = qpos[joints.hip[i]], qpos[joints.knee[i]], qpos[joints.pulley[i]]
-        np.testing.assert_allclose(pose, (solution.servo[0], solution.knee_angle, solution.servo[1]), atol=1e-3)
+        np.testing.assert_allclose(
+            pose, (solution.servo[0], solution.knee_angle, solution.servo[1]), atol=1e-3
+        )
     np.testing.assert_allclose(data.ten_length, robot.model.tendon_range[:, 1], atol=5e-6)
     assert (robot.model.qpos0[list(joints.spine)] == 0.0).all()
 
@@ -376,7 +406,9 @@ def test_zero_pose_stands_on_the_front_feet():
     model = load_robot().model
     data = at_rest(model)
     assert data.body("torso").xpos[2] == pytest.approx(0.0774 + 0.0038)
-    clearance = [data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS]
+    clearance = [
+        data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS
+    ]
     # From Tables A.5 and A.7: (hip - shoulder) - (rear - front leg) = 7.1 mm - 5.0 mm.
     np.testing.assert_allclose(clearance, [0.0, 0.0, 0.0021, 0.0021], atol=2e-4)
 
@@ -389,10 +421,15 @@ def test_hips_and_shoulders_are_where_the_kinematics_puts_them():
         torso = data.body("torso")
         axes = np.array([seen_from(data, torso.xpos, torso.xmat, f"{limb}_axis") for limb in LIMBS])
         with jax.enable_x64(True):
-            pose, hips = spine.transform(angles["spine"][0], ROBOT), body.hips(angles["spine"][0], ROBOT)
+            pose, hips = (
+                spine.transform(angles["spine"][0], ROBOT),
+                body.hips(angles["spine"][0], ROBOT),
+            )
         np.testing.assert_allclose(axes[:2], body.shoulders(ROBOT), atol=1e-6)
         np.testing.assert_allclose(axes[2:], hips, atol=1e-6)
-        np.testing.assert_allclose(seen_from(data, torso.xpos, torso.xmat, "spine_end"), pose[:3, 3], atol=1e-6)
+        np.testing.assert_allclose(
+            seen_from(data, torso.xpos, torso.xmat, "spine_end"), pose[:3, 3], atol=1e-6
+        )
         turn = torso.xmat.reshape(3, 3).T @ data.site("spine_end").xmat.reshape(3, 3)
         np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-6)
     np.testing.assert_allclose(body.shoulders(ROBOT)[0], BODY.shoulder, atol=1e-7)
@@ -404,17 +441,25 @@ def test_legs_are_where_the_kinematics_puts_them():
     for _ in range(10):
         data, angles = random_pose(robot, rng)
         for i, limb in enumerate(LIMBS):
-            trunk = data.body("torso").xmat if limb.startswith("front") else data.site("spine_end").xmat
+            trunk = (
+                data.body("torso").xmat if limb.startswith("front") else data.site("spine_end").xmat
+            )
             axis = data.site(f"{limb}_axis").xpos
             with jax.enable_x64(True):
                 geometry = leg.leg_of(GEOMETRY[pair_of(limb)])
-                wanted = leg.points(geometry, angles["hip"][i], angles["knee"][i], angles["ankle"][i])
+                wanted = leg.points(
+                    geometry, angles["hip"][i], angles["knee"][i], angles["ankle"][i]
+                )
             for point in ("foot", "attachment"):
                 place = seen_from(data, axis, trunk, f"{limb}_{point}")
-                np.testing.assert_allclose(place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}")
+                np.testing.assert_allclose(
+                    place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}"
+                )
             for point, name in (("knee", "lower"), ("ankle", "foot")):
                 place = trunk.reshape(3, 3).T @ (data.body(f"{limb}_{name}").xpos - axis)
-                np.testing.assert_allclose(place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}")
+                np.testing.assert_allclose(
+                    place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}"
+                )
             sole = data.geom(f"{limb}_sole").xpos
             np.testing.assert_allclose(sole, data.site(f"{limb}_foot").xpos, atol=1e-12)
 
@@ -436,7 +481,10 @@ def test_leg_tendons_follow_the_published_law(routing):
             foot = np.add(STANCE_FOOT[pair_of(limb)], (y, z + rng.uniform(-0.001, 0.001)))
             solution = solve(geometry, foot, routing)
             assert solution.reachable
-            data.qpos[joints.hip[i]], data.qpos[joints.knee[i]] = solution.servo[0], solution.knee_angle
+            data.qpos[joints.hip[i]], data.qpos[joints.knee[i]] = (
+                solution.servo[0],
+                solution.knee_angle,
+            )
             data.qpos[joints.pulley[i]] = solution.servo[1] + off
             excess[f"{limb}_tendon"] = -geometry.pulley_radius * geometry.servo_direction * off
         mujoco.mj_kinematics(robot.model, data)
@@ -444,16 +492,29 @@ def test_leg_tendons_follow_the_published_law(routing):
         mujoco.mj_tendon(robot.model, data)
         for name, wanted in excess.items():
             tendon = robot.model.tendon(name).id
-            assert data.ten_length[tendon] - limits[tendon] == pytest.approx(wanted, abs=1e-6), (name, y, z, off)
+            assert data.ten_length[tendon] - limits[tendon] == pytest.approx(wanted, abs=1e-6), (
+                name,
+                y,
+                z,
+                off,
+            )
 
 
 def test_tendon_lengths_of_the_stance_are_known():
     """In the standing pose the tendons are as long as the arc, the tangent and l_t of Table A.4 make them."""
     model = load_robot().model
-    lengths = dict(zip([model.tendon(i).name for i in range(model.ntendon)], at_rest(model).ten_length, strict=True))
+    lengths = dict(
+        zip(
+            [model.tendon(i).name for i in range(model.ntendon)],
+            at_rest(model).ten_length,
+            strict=True,
+        )
+    )
     for pair, geometry in GEOMETRY.items():
         solution = solve(geometry, np.array(STANCE_FOOT[pair]), "type3")
-        attachment = np.asarray(leg.points(leg.leg_of(geometry), solution.servo[0], solution.knee_angle).attachment)
+        attachment = np.asarray(
+            leg.points(leg.leg_of(geometry), solution.servo[0], solution.knee_angle).attachment
+        )
         # From the tie point, a hair outside the rim, over the knee's side to the tangent towards the hip axis.
         radius, side = geometry.pulley_radius, geometry.knee_direction
         _, y, z = model.site(f"{pair}_left_rim").pos
@@ -482,7 +543,9 @@ def test_exported_xml_is_self_contained_and_the_same_model(tail):
     assert "<include" not in xml
     assert len(xml) < 1_000_000
     copy = mujoco.MjModel.from_xml_string(xml)
-    assert copy.names == robot.model.names  # of bodies, joints, sensors and all the rest, in their order
+    assert (
+        copy.names == robot.model.names
+    )  # of bodies, joints, sensors and all the rest, in their order
     for field in (
         "body_mass",
         "body_inertia",
@@ -521,15 +584,23 @@ def test_sensors_are_read_by_meaning(tail):
     reading = robot.sensors(np.stack([data.sensordata, 2 * data.sensordata]))
     single = robot.sensors(data.sensordata)
     servos = [model.actuator(i).name for i in range(model.nu)]
-    expected = {name: [name] for name in ("position", "orientation", "linear_velocity", "gyro", "accelerometer")}
-    expected |= {f"servo_{what}": [f"{servo}_{what}" for servo in servos] for what in ("angle", "velocity", "torque")}
+    expected = {
+        name: [name]
+        for name in ("position", "orientation", "linear_velocity", "gyro", "accelerometer")
+    }
+    expected |= {
+        f"servo_{what}": [f"{servo}_{what}" for servo in servos]
+        for what in ("angle", "velocity", "torque")
+    }
     for what in ("knee_angle", "foot_force", "foot_position", "foot_velocity"):
         expected[what] = [f"{limb}_{what}" for limb in LIMBS]
     for name, sources in expected.items():
         wanted = np.concatenate([data.sensor(source).data for source in sources])
         got = np.asarray(getattr(single, name))
         np.testing.assert_allclose(got.ravel(), wanted, rtol=1e-6, atol=1e-6, err_msg=name)
-        np.testing.assert_allclose(getattr(reading, name), [got, 2 * got], rtol=1e-6, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(reading, name), [got, 2 * got], rtol=1e-6, atol=1e-6, err_msg=name
+        )
     assert np.asarray(single.foot_position).shape == (4, 3)
     assert np.asarray(single.foot_force).max() > 0.1
     # The sensors' quantities are those of the state.
@@ -563,7 +634,12 @@ def test_a_change_of_one_robot_reaches_no_other():
     assert other.model.body_mass.max() < 1.0
     assert other.physical.body_mass.max() < 1.0
     assert other.spec.body("spoiled") is None
-    assert other.fingerprint == ours.fingerprint == fingerprint != load_robot(tail="articulated").fingerprint
+    assert (
+        other.fingerprint
+        == ours.fingerprint
+        == fingerprint
+        != load_robot(tail="articulated").fingerprint
+    )
     with pytest.raises(ValueError, match="read-only"):
         other.mass_model.front_com[0] = 7.0
 
@@ -576,14 +652,32 @@ def test_defaults_cannot_be_written():
 
 def test_no_mass_and_no_number_of_a_servo_stands_twice():
     """Defaults of masses and servos, and masses of parts, with three digits or more, are written once in the source."""
-    known = {about.default for name, about in quantities(ModelParameters) if name.startswith(("mass.", "servo."))}
-    known |= {part.mass for part in PARTS.values()} | {mass for both in ROBOT_MASSES.values() for mass in both}
-    known = {value for value in known if len(f"{value:e}".split("e")[0].replace(".", "").rstrip("0")) >= 3}
+    known = {
+        about.default
+        for name, about in quantities(ModelParameters)
+        if name.startswith(("mass.", "servo."))
+    }
+    known |= {part.mass for part in PARTS.values()} | {
+        mass for both in ROBOT_MASSES.values() for mass in both
+    }
+    known = {
+        value
+        for value in known
+        if len(f"{value:e}".split("e")[0].replace(".", "").rstrip("0")) >= 3
+    }
     assert {0.157, 0.1695, 0.1005, TORSO.mass} <= known
     package = Path(nermo_mjx.__file__).parent
     found = [
         (node.value, path.name)
-        for folder in ("robot", "kinematics", "control", "physics", "dynamics", "rollout", "experiments")
+        for folder in (
+            "robot",
+            "kinematics",
+            "control",
+            "physics",
+            "dynamics",
+            "rollout",
+            "experiments",
+        )
         for path in sorted((package / folder).rglob("*.py"))
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value in known
@@ -594,13 +688,17 @@ def test_no_mass_and_no_number_of_a_servo_stands_twice():
 def test_a_robot_is_loaded_from_its_config():
     """As from the same fields by name; beside other arguments it is refused, instead of one of them being ignored."""
     config = RobotConfig(tail="articulated", physics="fast")
-    assert load_robot(config).config == load_robot(tail="articulated", physics="fast").config == config
+    assert (
+        load_robot(config).config == load_robot(tail="articulated", physics="fast").config == config
+    )
     with pytest.raises(ParameterError, match="robot is a RobotConfig beside other arguments"):
         load_robot(config, hinges=2)
 
 
 def test_the_servo_of_the_spine_has_a_torque_limit_of_its_own():
-    parameters = replace_quantities(ModelParameters(), {"servo.torque_limit": 0.4, "servo.spine_torque": 0.25})
+    parameters = replace_quantities(
+        ModelParameters(), {"servo.torque_limit": 0.4, "servo.spine_torque": 0.25}
+    )
     model = assemble(parameters=parameters).compile()
     limits = {model.actuator(i).name: model.actuator(i).forcerange[1] for i in range(model.nu)}
     assert limits.pop("spine_servo") == pytest.approx(0.1)
@@ -636,7 +734,9 @@ def test_ids_that_engines_use_are_those_of_the_whole_model(scene):
     whole, lean = robot.model, robot.physical
     for kind in ("body", "joint", "actuator", "tendon", "sensor", "pair"):
         count = {"body": "nbody", "joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}")
-        names = [[getattr(m, kind)(i).name for i in range(getattr(m, count))] for m in (whole, lean)]
+        names = [
+            [getattr(m, kind)(i).name for i in range(getattr(m, count))] for m in (whole, lean)
+        ]
         assert names[0] == names[1], kind
     assert whole.nu > 0
 
@@ -645,13 +745,23 @@ def test_nothing_that_is_only_drawn_is_left():
     """Every geom touches something or leads a tendon, and every site is on a tendon or read."""
     robot = load_robot()
     model = robot.physical
-    used = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist(), *model.wrap_objid[model.wrap_type == 5].tolist()}
+    used = {
+        *model.pair_geom1.tolist(),
+        *model.pair_geom2.tolist(),
+        *model.wrap_objid[model.wrap_type == 5].tolist(),
+    }
     assert used == set(range(model.ngeom))
     assert model.ngeom < 20 < robot.model.ngeom
     assert (model.ncam, model.nlight) == (0, 0)
-    assert {model.site(i).name for i in range(model.nsite)} >= {"imu", "spine_end", "front_left_foot"}
+    assert {model.site(i).name for i in range(model.nsite)} >= {
+        "imu",
+        "spine_end",
+        "front_left_foot",
+    }
     assert not [
-        i for i in range(model.nsite) if model.site(i).name.startswith("tail_") and model.site(i).name != "tail_touch"
+        i
+        for i in range(model.nsite)
+        if model.site(i).name.startswith("tail_") and model.site(i).name != "tail_touch"
     ]
 
 

@@ -30,7 +30,9 @@ def scene(name: str, tail: str = "rigid") -> Robot:
     return load_robot(scene=name, tail=tail)
 
 
-def standing(model: mujoco.MjModel, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> mujoco.MjData:
+def standing(
+    model: mujoco.MjModel, x: float = 0.0, y: float = 0.0, yaw: float = 0.0
+) -> mujoco.MjData:
     """The robot in its stance, turned about the vertical at the spine base, a millimetre above the mat."""
     data = mujoco.MjData(model)
     data.qpos[:3] += x, y, 0.001
@@ -41,7 +43,12 @@ def standing(model: mujoco.MjModel, x: float = 0.0, y: float = 0.0, yaw: float =
 
 def touched(robot: Robot, data: mujoco.MjData) -> set[str]:
     """Names of the robot's geoms in contact with an obstacle."""
-    geoms = {int(g) for contact in data.contact for g in contact.geom if set(contact.geom) & set(robot.obstacles)}
+    geoms = {
+        int(g)
+        for contact in data.contact
+        for g in contact.geom
+        if set(contact.geom) & set(robot.obstacles)
+    }
     return {robot.model.geom(g).name for g in geoms - set(robot.obstacles)}
 
 
@@ -71,7 +78,9 @@ def test_every_scene_steps_and_looks_like_the_flat_one(name):
     for texture in ("sky", "mat"):
         start, there = flat.tex(texture).adr[0], model.tex(texture).adr[0]
         size = int(np.prod([flat.tex(texture).height[0], flat.tex(texture).width[0], 3]))
-        np.testing.assert_array_equal(model.tex_data[there : there + size], flat.tex_data[start : start + size])
+        np.testing.assert_array_equal(
+            model.tex_data[there : there + size], flat.tex_data[start : start + size]
+        )
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -79,7 +88,11 @@ def test_a_scene_stands_alone_as_one_file(name):
     """The MJCF that `model --xml` writes needs no included file, and gives the same model."""
     robot = scene(name)
     again = mujoco.MjModel.from_xml_string(robot.to_xml())
-    assert (again.ngeom, again.npair, again.nq) == (robot.model.ngeom, robot.model.npair, robot.model.nq)
+    assert (again.ngeom, again.npair, again.nq) == (
+        robot.model.ngeom,
+        robot.model.npair,
+        robot.model.nq,
+    )
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -109,7 +122,10 @@ def test_the_straight_line_is_two_metres_with_a_tick_every_half():
     for i in range(3):
         for side in ("left", "right"):
             assert middle(model, f"tick_{side}_{i}")[1] == pytest.approx(-0.5 * (i + 1))
-        assert sum(model.geom(g).name.startswith(f"tick_{i + 1}_dot") for g in range(model.ngeom)) == i + 1
+        assert (
+            sum(model.geom(g).name.startswith(f"tick_{i + 1}_dot") for g in range(model.ngeom))
+            == i + 1
+        )
     lane = [middle(model, f"lane_{i:02}") for i in range(20)]
     np.testing.assert_allclose(np.array(lane)[:, 0], 0.0, atol=1e-12)
     assert all(-2.0 < y < 0.0 for _, y, _ in lane)
@@ -125,19 +141,27 @@ def test_the_quarter_circles_leave_the_start_and_end_after_a_right_angle(side, s
     away = np.array([middle(model, name) for name in dashes])[:, :2] - [sign * radius, 0.0]
     np.testing.assert_allclose(np.hypot(*away.T), radius, rtol=1e-9)
     angle = np.arctan2(-away[:, 1], -sign * away[:, 0])
-    np.testing.assert_allclose(angle, (np.arange(len(dashes)) + 0.5) * np.pi / 2 / len(dashes), atol=1e-9)
+    np.testing.assert_allclose(
+        angle, (np.arange(len(dashes)) + 0.5) * np.pi / 2 / len(dashes), atol=1e-9
+    )
     for name, out in zip(dashes, away, strict=True):
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, model.geom(name).quat)
-        assert turned.reshape(3, 3)[:2, 1] @ out == pytest.approx(0.0, abs=1e-9)  # its long side is its y
-    np.testing.assert_allclose(middle(model, f"{side}_{radius}_end")[:2], [sign * radius, -radius], atol=1e-9)
+        assert turned.reshape(3, 3)[:2, 1] @ out == pytest.approx(
+            0.0, abs=1e-9
+        )  # its long side is its y
+    np.testing.assert_allclose(
+        middle(model, f"{side}_{radius}_end")[:2], [sign * radius, -radius], atol=1e-9
+    )
 
 
 def test_the_mazes_boxes_are_the_published_ones():
     """All 40, in their order: middle, size and yaw (a square's, up to a right angle)."""
     robot = scene("maze")
     model = robot.model
-    assert [model.geom(i).name for i in robot.obstacles] == [f"obstacle_{i:02}" for i in range(1, 41)]
+    assert [model.geom(i).name for i in robot.obstacles] == [
+        f"obstacle_{i:02}" for i in range(1, 41)
+    ]
     for geom, (x, y, yaw) in zip(robot.obstacles, BOXES, strict=True):
         np.testing.assert_allclose(model.geom_pos[geom], [x, y, 0.05], atol=1e-9)
         np.testing.assert_allclose(model.geom_size[geom], 0.05)
@@ -167,7 +191,9 @@ def test_along_the_course_the_standing_robot_touches_no_box():
     """Every 5 cm of the path, headed along it; its outline keeps 8 cm from every box, the tip of its tail 4 cm."""
     robot, course = scene("maze"), maze_course()
     model = robot.model
-    outline = {int(g) for both in zip(model.pair_geom1, model.pair_geom2, strict=True) for g in both}
+    outline = {
+        int(g) for both in zip(model.pair_geom1, model.pair_geom2, strict=True) for g in both
+    }
     tail = model.geom("tail_tip").id
     outline -= {*robot.obstacles, model.geom("floor").id, tail}
     gaps, behind = [], []
@@ -175,8 +201,16 @@ def test_along_the_course_the_standing_robot_touches_no_box():
         # A heading of -pi/2, along -y, is yaw 0.
         data = standing(model, course.x[node], course.y[node], course.heading[node] + np.pi / 2)
         assert not touched(robot, data)
-        close = [box for box in robot.obstacles if np.linalg.norm(data.geom_xpos[box] - data.qpos[:3]) < 0.4]
-        gaps += [mujoco.mj_geomDistance(model, data, box, part, 1.0, None) for box in close for part in outline]
+        close = [
+            box
+            for box in robot.obstacles
+            if np.linalg.norm(data.geom_xpos[box] - data.qpos[:3]) < 0.4
+        ]
+        gaps += [
+            mujoco.mj_geomDistance(model, data, box, part, 1.0, None)
+            for box in close
+            for part in outline
+        ]
         behind += [mujoco.mj_geomDistance(model, data, box, tail, 1.0, None) for box in close]
     assert min(gaps) > 0.08
     assert min(behind) > 0.04
@@ -253,7 +287,9 @@ def test_a_part_of_the_body_that_enters_a_box_is_noticed(part):
     robot = scene("maze")
     body, way = EXTREMITIES[part]
     model, data = robot.model, standing(robot.model)
-    shown = np.flatnonzero((model.geom_bodyid == model.body(body).id) & (model.geom_group == 2)).tolist()
+    shown = np.flatnonzero(
+        (model.geom_bodyid == model.body(body).id) & (model.geom_group == 2)
+    ).tolist()
     box = robot.obstacles[LONELY]
     # The distance to the part of this box, moved before it, tells how far the part reaches.
     side = np.array([*way, 0.0])
@@ -264,6 +300,8 @@ def test_a_part_of_the_body_that_enters_a_box_is_noticed(part):
     gap = min(mujoco.mj_geomDistance(moved, data, box, g, 1.0, None) for g in shown)
     shift = model.geom_pos[box] - moved.geom_pos[box] + (gap + 0.003) * side
     data = standing(model, *shift[:2])
-    assert min(mujoco.mj_geomDistance(model, data, box, g, 1.0, None) for g in shown) == pytest.approx(-0.003, abs=5e-4)
+    assert min(
+        mujoco.mj_geomDistance(model, data, box, g, 1.0, None) for g in shown
+    ) == pytest.approx(-0.003, abs=5e-4)
     assert touched(robot, data)
     assert all(contact.dist < 0 for contact in data.contact if box in contact.geom)

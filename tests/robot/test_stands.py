@@ -117,14 +117,21 @@ def test_a_knee_tendon_pulls_only(limb):
     model = assemble_leg(limb).compile()
     low, high = model.actuator_ctrlrange[1]
     knee, servo = f"{limb}_knee", f"{limb}_knee_servo"
-    stiffness, rest, (low, high) = model.joint(knee).stiffness[0], KNEE_REST[pair], model.actuator_ctrlrange[1]
+    stiffness, rest, (low, high) = (
+        model.joint(knee).stiffness[0],
+        KNEE_REST[pair],
+        model.actuator_ctrlrange[1],
+    )
 
     taut = settle(model, np.array([0.0, low if pair == "front" else high]), 500)
     force, bend = tendon_force(model, taut)[0], taut.joint(knee).qpos[0]
     assert bend > rest + 0.5
     assert force > 1.0
     # Its pull is the servo's torque over the pulley's radius; it balances the knee's spring, and does not turn the hip.
-    torque = {name: taut.qfrc_constraint[model.joint(f"{limb}_{name}").dofadr[0]] for name in ("hip", "knee", "pulley")}
+    torque = {
+        name: taut.qfrc_constraint[model.joint(f"{limb}_{name}").dofadr[0]]
+        for name in ("hip", "knee", "pulley")
+    }
     assert force * GEOMETRY[pair].pulley_radius == pytest.approx(abs(torque["pulley"]), rel=1e-6)
     assert torque["pulley"] == pytest.approx(-taut.actuator(servo).force[0], rel=1e-3)
     assert torque["knee"] == pytest.approx(stiffness * (bend - rest), rel=1e-3)
@@ -153,7 +160,9 @@ def test_a_front_tendon_let_out_is_slack(side):
 def test_right_legs_do_what_left_legs_do(pair):
     """The same servo angles give the mirrored pose: hinges about x have one sign convention on both sides."""
     servo = np.array([0.4, 0.3]) if pair == "front" else np.array([-0.5, 0.3])
-    left, right = (settle(assemble_leg(f"{pair}_{side}").compile(), servo, 500) for side in ("left", "right"))
+    left, right = (
+        settle(assemble_leg(f"{pair}_{side}").compile(), servo, 500) for side in ("left", "right")
+    )
     np.testing.assert_allclose(right.qpos, left.qpos, atol=1e-12)
     for point in ("foot", "attachment", "rim"):
         there = right.site(f"{pair}_right_{point}").xpos * (-1, 1, 1)
@@ -192,7 +201,9 @@ def test_spine_servo_bends_the_spine_as_predicted(servo):
     pulling, idle = (0, 1) if servo > 0 else (1, 0)
     assert [model.tendon(i).name for i in (0, 1)] == ["spine_left", "spine_right"]
     force, free = tendon_force(model, data), slack(model, data)
-    assert force[pulling] == pytest.approx(abs(data.actuator("spine_servo").force[0]) / SPINE.pulley_radius, rel=1e-3)
+    assert force[pulling] == pytest.approx(
+        abs(data.actuator("spine_servo").force[0]) / SPINE.pulley_radius, rel=1e-3
+    )
     assert force[idle] == 0.0
     assert free[pulling] == pytest.approx(0.0, abs=5e-6)
     assert 0.0 < free[idle] < 5e-5

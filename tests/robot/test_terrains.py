@@ -24,7 +24,10 @@ GROUNDS = [name for name, kind in TERRAINS.items() if not kind.obstacle]
 
 def other_shape(scene: str) -> dict[str, float]:
     """Everything a quarter more than by default, and moved."""
-    return {f"terrain.{name}": 1.25 * value if value else 0.04 for name, value in TERRAINS[scene].defaults.items()}
+    return {
+        f"terrain.{name}": 1.25 * value if value else 0.04
+        for name, value in TERRAINS[scene].defaults.items()
+    }
 
 
 def tree_of(values: dict[str, float]) -> TerrainShape:
@@ -35,7 +38,9 @@ def ray_height(model: mujoco.MjModel, data: mujoco.MjData, scene: str, x: float,
     """Where a ray from above first meets the ground, through the robot."""
     height, geom = 5.0, np.zeros(1, np.int32)
     while True:
-        height -= mujoco.mj_ray(model, data, np.array([x, y, height]), np.array([0.0, 0, -1]), None, 1, -1, geom)
+        height -= mujoco.mj_ray(
+            model, data, np.array([x, y, height]), np.array([0.0, 0, -1]), None, 1, -1, geom
+        )
         if model.geom(int(geom[0])).name.startswith((scene, "floor")):
             return height
         height -= 1e-6
@@ -53,7 +58,9 @@ def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
         before = np.asarray(robot.terrain.height(*places.T))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    np.testing.assert_allclose(heights, [ray_height(model, data, scene, *place) for place in places], atol=1e-7)
+    np.testing.assert_allclose(
+        heights, [ray_height(model, data, scene, *place) for place in places], atol=1e-7
+    )
     assert np.abs(heights - before).max() > 1e-3
 
 
@@ -61,17 +68,23 @@ def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
 def test_terrains_have_the_sizes_of_the_published_ones():
     """Height along the middle of the way, by default."""
     ahead = np.arange(0.0, 2.0, 0.005) + 0.0025
-    profile = {name: np.asarray(load_robot(scene=name).terrain.height(0.0 * ahead, -ahead)) for name in GROUNDS}
+    profile = {
+        name: np.asarray(load_robot(scene=name).terrain.height(0.0 * ahead, -ahead))
+        for name in GROUNDS
+    }
     plank = profile["planks"]
     np.testing.assert_allclose(plank[(ahead > BEGIN) & (ahead < BEGIN + 0.1)], 0.01, atol=1e-7)
     assert plank[(ahead > BEGIN + 0.105) & (ahead < BEGIN + 0.195)].max() == 0.0
-    np.testing.assert_array_equal(np.diff(np.flatnonzero(np.diff(plank) > 0.005)), 40)  # every 0.2 m
+    np.testing.assert_array_equal(
+        np.diff(np.flatnonzero(np.diff(plank) > 0.005)), 40
+    )  # every 0.2 m
     rise = profile["ramp"][(ahead > BEGIN) & (ahead < 1.9)]
     np.testing.assert_allclose(np.diff(rise) / 0.005, np.tan(np.radians(10.0)), rtol=1e-3)
     assert rise[0] < 0.001
     assert profile["logs"].max() == pytest.approx(0.01, abs=1e-4)
     bumps = np.flatnonzero(
-        (profile["logs"][1:-1] >= profile["logs"][:-2]) & (profile["logs"][1:-1] > profile["logs"][2:])
+        (profile["logs"][1:-1] >= profile["logs"][:-2])
+        & (profile["logs"][1:-1] > profile["logs"][2:])
     )
     np.testing.assert_allclose(np.diff(bumps), 30, atol=1)  # every 0.15 m
     stairs = np.flatnonzero(np.diff(profile["stairs"]) > 0.005)
@@ -83,13 +96,19 @@ def test_terrains_have_the_sizes_of_the_published_ones():
 
 def test_the_spiral_stair_rises_along_its_circle_and_gates_alternate():
     angle = (BEGIN + 0.15 * (np.arange(15) + 0.5)) / 0.5
-    heights = load_robot(scene="spiral_stairs").terrain.height(0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle))
+    heights = load_robot(scene="spiral_stairs").terrain.height(
+        0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle)
+    )
     np.testing.assert_allclose(heights, 0.01 * np.arange(1, 16), atol=1e-6)
     model = load_robot(scene="slalom").model
     left, right = (model.geom(f"slalom_{i}").pos for i in (0, 1))
     assert left[0] - right[0] == pytest.approx(0.2 + 2 * 0.01)
-    np.testing.assert_allclose(gates(TerrainShape(**TERRAINS["slalom"].defaults))[:2, 0], [0.06, -0.06])
-    np.testing.assert_allclose((left + right)[:2] / 2, gates(TerrainShape(**TERRAINS["slalom"].defaults))[0])
+    np.testing.assert_allclose(
+        gates(TerrainShape(**TERRAINS["slalom"].defaults))[:2, 0], [0.06, -0.06]
+    )
+    np.testing.assert_allclose(
+        (left + right)[:2] / 2, gates(TerrainShape(**TERRAINS["slalom"].defaults))[0]
+    )
 
 
 @pytest.mark.release
@@ -118,10 +137,15 @@ def test_a_world_of_a_batch_stands_on_its_own_ground(scene):
 
 @pytest.mark.release
 def test_an_environment_draws_a_ground_for_each_episode():
-    task = Task(randomize={"terrain.height": (0.0, 0.02), "terrain.shift": (-0.3, -0.2)}, episode_length=0.05)
+    task = Task(
+        randomize={"terrain.height": (0.0, 0.02), "terrain.shift": (-0.3, -0.2)},
+        episode_length=0.05,
+    )
     environment = Environment(Setup(scene="planks", physics="fast"), worlds=2, task=task)
     state = environment.reset(0)
-    scan = [i for i, name in enumerate(environment.privileged_names) if name.startswith("height_scan_")]
+    scan = [
+        i for i, name in enumerate(environment.privileged_names) if name.startswith("height_scan_")
+    ]
     first = state.privileged[:, scan]
     for _ in range(5):
         state = environment.step(state, np.zeros((2, 9)))
@@ -140,7 +164,9 @@ def test_a_scene_reads_its_own_shape_only():
 
 
 def test_a_fixed_shape_goes_to_the_scenes_that_read_it():
-    sweep = Sweep.from_dict({"vary": {"scene": ["flat", "planks"]}, "set": {"terrain.height": 0.004}})
+    sweep = Sweep.from_dict(
+        {"vary": {"scene": ["flat", "planks"]}, "set": {"terrain.height": 0.004}}
+    )
     assert [dict(each.constants) for each in sweep.structures] == [{}, {"terrain.height": 0.004}]
 
 
@@ -172,7 +198,9 @@ def from_above(model: mujoco.MjModel, x: float, y: float) -> float:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     hit = np.zeros(1, np.int32)
-    distance = mujoco.mj_ray(model, data, np.array([x, y, 5.0]), np.array([0.0, 0, -1]), None, 1, -1, hit)
+    distance = mujoco.mj_ray(
+        model, data, np.array([x, y, 5.0]), np.array([0.0, 0, -1]), None, 1, -1, hit
+    )
     return 5.0 - distance if distance >= 0 else -np.inf
 
 

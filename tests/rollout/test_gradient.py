@@ -26,12 +26,20 @@ def test_readings_at_rest_are_mujocos():
     qpos[robot.joints.root : robot.joints.root + 7] = [0.3, -0.2, 0.06, 0.8, 0.1, -0.2, 0.55]
     qpos[robot.joints.root + 3 : robot.joints.root + 7] /= np.linalg.norm([0.8, 0.1, -0.2, 0.55])
     bent = np.concatenate(
-        [robot.joints.hip, robot.joints.pulley, np.ravel(robot.joints.knee), [robot.joints.spine_pulley]]
+        [
+            robot.joints.hip,
+            robot.joints.pulley,
+            np.ravel(robot.joints.knee),
+            [robot.joints.spine_pulley],
+        ]
     )
     qpos[bent] = np.linspace(-0.3, 0.3, len(bent))
     data.qpos[:] = qpos
     mujoco.mj_forward(robot.model, data)
-    found, expected = robot.sensors(jax.jit(robot.sensordata_at_rest)(qpos)), robot.sensors(data.sensordata)
+    found, expected = (
+        robot.sensors(jax.jit(robot.sensordata_at_rest)(qpos)),
+        robot.sensors(data.sensordata),
+    )
     np.testing.assert_allclose(found.position, expected.position, atol=1e-6)
     np.testing.assert_allclose(found.orientation, expected.orientation, atol=1e-6)
     np.testing.assert_allclose(found.servo_angle, expected.servo_angle, atol=1e-6)
@@ -60,7 +68,9 @@ def test_a_checkpointed_scan_is_a_scan(length):
 
     start = jnp.asarray(0.7)
     np.testing.assert_allclose(ours(start), plain(start), rtol=1e-6)
-    np.testing.assert_allclose(jax.grad(total)(start, ours), jax.grad(total)(start, plain), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(
+        jax.grad(total)(start, ours), jax.grad(total)(start, plain), rtol=1e-4, atol=1e-7
+    )
 
 
 @pytest.mark.release

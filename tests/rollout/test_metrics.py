@@ -80,13 +80,24 @@ def _run(on_line: bool) -> Any:
             # A trot on the spot: each diagonal pair is commanded to stand for half a cycle.
             stance = jnp.sin(2 * jnp.pi * RATE * time) * jnp.array([1.0, -1.0, -1.0, 1.0]) >= 0.0
             state = metrics.update(
-                window, state, sensors, time, DT, rate, beside, stance, brake=servo.brake, servo=servo
+                window,
+                state,
+                sensors,
+                time,
+                DT,
+                rate,
+                beside,
+                stance,
+                brake=servo.brake,
+                servo=servo,
             )
             return state, state
 
         # As in the loop: the first reading is that at rest, at time 0, and belongs to no tick.
         start = metrics.init(jax.tree.map(lambda leaf: leaf[0, -1], readings))
-        state, history = jax.lax.scan(tick, start, (DT * np.arange(len(readings.position)), readings))
+        state, history = jax.lax.scan(
+            tick, start, (DT * np.arange(len(readings.position)), readings)
+        )
         supply = electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
         return metrics.result(state, jnp.asarray(MASS), supply=supply), history
 
@@ -99,15 +110,23 @@ def _program(on_line: bool) -> Any:
 
 
 def measure(
-    readings: Sensors, rate: float = RATE, on_line: bool = False, back_emf: float = 0.0, **window: float
+    readings: Sensors,
+    rate: float = RATE,
+    on_line: bool = False,
+    back_emf: float = 0.0,
+    **window: float,
 ) -> tuple[dict[str, float], Any]:
     """Metrics of a stream, and the accumulators after every tick; the first tick of a stream is the state at rest.
 
     `on_line`: beside the straight pilot's line, instead of without a path.
     """
     with jax.enable_x64(True):
-        result, history = _program(on_line)(limits(**window), readings, np.float64(rate), np.float64(back_emf))
-        return {name: float(value) for name, value in result.items()}, jax.tree.map(np.asarray, history)
+        result, history = _program(on_line)(
+            limits(**window), readings, np.float64(rate), np.float64(back_emf)
+        )
+        return {name: float(value) for name, value in result.items()}, jax.tree.map(
+            np.asarray, history
+        )
 
 
 def limits(begin: float = 0.0, end: float = 1e6, distance: float = 1e6) -> Window:
@@ -148,7 +167,9 @@ def test_signs_of_the_angles():
     np.testing.assert_allclose(attitude(jnp.asarray(about_x)), (0, 0.2, 0), atol=1e-6)
     np.testing.assert_allclose(attitude(jnp.asarray(about_z)), (0, 0, 0.2), atol=1e-6)
     up, nose = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
-    roll, pitch, yaw = (Rotation.from_quat(q, scalar_first=True) for q in (about_y, about_x, about_z))
+    roll, pitch, yaw = (
+        Rotation.from_quat(q, scalar_first=True) for q in (about_y, about_x, about_z)
+    )
     assert roll.apply(up)[0] > 0.1
     assert pitch.apply(nose)[2] < -0.1
     assert yaw.apply(nose)[0] > 0.1
@@ -160,7 +181,9 @@ def test_uprightness():
     turns = Rotation.random(50, random_state=rng)
     with jax.enable_x64(True):
         quaternions = jnp.asarray(turns.as_quat(scalar_first=True))
-        np.testing.assert_allclose(uprightness(quaternions), turns.apply([0, 0, 1])[:, 2], atol=1e-12)
+        np.testing.assert_allclose(
+            uprightness(quaternions), turns.apply([0, 0, 1])[:, 2], atol=1e-12
+        )
 
 
 # --- way, speed, drift
@@ -174,8 +197,14 @@ def test_a_straight_walk():
     assert result["distance"] == pytest.approx(0.32)
     assert result["speed"] == pytest.approx(0.08)
     zero = ["lateral_drift", "slip", "servo_work", "cost_of_transport", "fell", "diverged"]
-    zero += [f"{angle}_{what}" for angle in ("roll", "pitch", "yaw") for what in ("mean", "std", "min", "max")]
-    assert {name: result[name] for name in zero} == pytest.approx(dict.fromkeys(zero, 0.0), abs=2e-6)
+    zero += [
+        f"{angle}_{what}"
+        for angle in ("roll", "pitch", "yaw")
+        for what in ("mean", "std", "min", "max")
+    ]
+    assert {name: result[name] for name in zero} == pytest.approx(
+        dict.fromkeys(zero, 0.0), abs=2e-6
+    )
     assert [result[f"duty_{limb}"] for limb in LIMBS] == pytest.approx([1.0] * 4)
 
 
@@ -199,7 +228,9 @@ def test_sway_within_a_cycle_is_no_way():
     swing = np.sin(2 * np.pi * rate * TIME)
     position = path(0.004 * swing, -0.07 * TIME)
     orientation = every_step(quaternion(0.1 * swing))
-    result, _ = measure(stream(401, position=position, orientation=orientation), rate=rate, begin=1.5, end=4.0)
+    result, _ = measure(
+        stream(401, position=position, orientation=orientation), rate=rate, begin=1.5, end=4.0
+    )
     assert result["speed"] == pytest.approx(0.07, rel=5e-3)
 
 
@@ -242,7 +273,9 @@ def test_statistics_of_a_rocking_body():
     """A sine of amplitude A about a mean M has mean M, standard deviation A / sqrt 2, and extremes M +- A."""
     wave = np.sin(2 * np.pi * TIME)
     angles = {"roll": (0.02, 0.1), "pitch": (-0.05, 0.03), "yaw": (0.3, 0.05)}
-    orientation = every_step(quaternion(**{name: mean + size * wave for name, (mean, size) in angles.items()}))
+    orientation = every_step(
+        quaternion(**{name: mean + size * wave for name, (mean, size) in angles.items()})
+    )
     result, _ = measure(stream(401, orientation=orientation), end=4.0)
     for name, (mean, size) in angles.items():
         assert result[f"{name}_mean"] == pytest.approx(mean, abs=1e-6)
@@ -257,8 +290,13 @@ def test_statistics_of_a_rocking_body():
 def test_work_of_a_constant_torque_at_a_constant_speed():
     """Positive power counts, negative does not: work is the sum over driving servos of torque x speed x time."""
     torque, speed = np.zeros(SERVOS), np.zeros(SERVOS)
-    torque[:4], speed[:4] = (0.1, -0.05, 0.1, -0.1), (2.0, -3.0, -2.0, 0.0)  # drives, drives, brakes, holds
-    readings = stream(401, servo_torque=torque, servo_velocity=speed, position=path(0 * TIME, -0.05 * TIME))
+    torque[:4], speed[:4] = (
+        (0.1, -0.05, 0.1, -0.1),
+        (2.0, -3.0, -2.0, 0.0),
+    )  # drives, drives, brakes, holds
+    readings = stream(
+        401, servo_torque=torque, servo_velocity=speed, position=path(0 * TIME, -0.05 * TIME)
+    )
     result, _ = measure(readings)
     assert result["servo_work"] == pytest.approx((0.1 * 2.0 + 0.05 * 3.0) * 4.0)
     assert result["cost_of_transport"] == pytest.approx(result["servo_work"] / (MASS * 9.81 * 0.2))
@@ -277,7 +315,11 @@ def test_power_is_what_heats_the_windings_and_what_drives():
     """Of ten servos one is stalled, one holds half of that, one drives with a quarter of it, one is driven back."""
     torque, speed = np.zeros(SERVOS), np.zeros(SERVOS)
     torque[:4], speed[:4] = 0.157 * np.array([1.0, -0.5, 0.25, 0.01]), (0.0, 0.0, 10.0, -10.0)
-    result, _ = measure(stream(401, servo_torque=torque, servo_velocity=speed, position=path(0 * TIME, -0.05 * TIME)))
+    result, _ = measure(
+        stream(
+            401, servo_torque=torque, servo_velocity=speed, position=path(0 * TIME, -0.05 * TIME)
+        )
+    )
     idle, rise = SERVOS * 0.008, 0.8 - 0.008
     power = 6.0 * idle + 6.0 * rise * (1.0 + 0.25 + 0.0625) + 0.157 * 0.25 * 10.0
     assert result["motor_current"] == pytest.approx(idle + 1.76 * rise)
@@ -285,7 +327,9 @@ def test_power_is_what_heats_the_windings_and_what_drives():
     assert result["servo_current"] == pytest.approx(power / 6.0)
     assert result["charge"] == pytest.approx(4.0 * power / 6.0)
     assert result["battery_time"] == pytest.approx(3600.0 / (power / 6.0 + 0.3))
-    assert result["electrical_cost_of_transport"] == pytest.approx(4.0 * power / (MASS * 9.81 * 0.2))
+    assert result["electrical_cost_of_transport"] == pytest.approx(
+        4.0 * power / (MASS * 9.81 * 0.2)
+    )
 
 
 @pytest.mark.parametrize(
@@ -310,8 +354,13 @@ def test_the_back_emf_takes_torque_and_current(share, left, drawn):
 def test_power_is_at_least_work_whatever_the_motor(limit, stall, back_emf):
     """An optimizer would find a motor that gives more than it takes."""
     random = np.random.default_rng(0)
-    servo = dataclasses.replace(ModelParameters().servo, torque_limit=limit, stall_current=stall, back_emf=back_emf)
-    torque, speed = limit * random.uniform(-1.0, 1.0, (STEPS, 40)), random.uniform(-20.0, 20.0, (STEPS, 40))
+    servo = dataclasses.replace(
+        ModelParameters().servo, torque_limit=limit, stall_current=stall, back_emf=back_emf
+    )
+    torque, speed = (
+        limit * random.uniform(-1.0, 1.0, (STEPS, 40)),
+        random.uniform(-20.0, 20.0, (STEPS, 40)),
+    )
     drawn = electrical.power_sums(torque, speed, servo)
     power = electrical.electrical_result(
         drawn, 1.0, electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
@@ -330,8 +379,16 @@ def test_time_without_contact_and_the_deepest_contact():
 
 
 def test_endings_say_what_is_no_walk():
-    table = {name: np.zeros(7) for name in ("fell", "diverged", "penetration", "sunk_time", "airborne_time")}
-    table["fell"][:1], table["diverged"][1], table["penetration"][:3], table["sunk_time"][3] = 1, 1, 0.0061, 0.06
+    table = {
+        name: np.zeros(7)
+        for name in ("fell", "diverged", "penetration", "sunk_time", "airborne_time")
+    }
+    table["fell"][:1], table["diverged"][1], table["penetration"][:3], table["sunk_time"][3] = (
+        1,
+        1,
+        0.0061,
+        0.06,
+    )
     table["airborne_time"][3:5] = 0.51
     named = metrics.endings(table, np.array([True] * 6 + [False]))
     assert named.tolist() == ["fell", "diverged", "sank", "sank", "floated", "unsolved", "ok"]
@@ -339,7 +396,9 @@ def test_endings_say_what_is_no_walk():
 
 def test_cost_of_transport_needs_a_distance():
     """A robot that works on the spot has none."""
-    result, _ = measure(stream(101, servo_torque=np.full(SERVOS, 0.1), servo_velocity=np.ones(SERVOS)))
+    result, _ = measure(
+        stream(101, servo_torque=np.full(SERVOS, 0.1), servo_velocity=np.ones(SERVOS))
+    )
     assert result["servo_work"] == pytest.approx(1.0)
     assert np.isnan(result["cost_of_transport"])
 
@@ -417,7 +476,9 @@ def test_a_light_load_counts_in_part():
             for four in np.append(force, [heavy] * 3).reshape(-1, 4)
         ]
     ).ravel()[:601]
-    assert np.interp([light, 0.5 * (light + heavy), heavy], force, share) == pytest.approx([0.0, 0.5, 1.0], abs=1e-9)
+    assert np.interp([light, 0.5 * (light + heavy), heavy], force, share) == pytest.approx(
+        [0.0, 0.5, 1.0], abs=1e-9
+    )
     assert (share[force >= heavy] == 1.0).all()
     slope = np.gradient(share, force)
     assert (slope >= -1e-9).all()
@@ -484,7 +545,9 @@ def test_the_turning_radius_is_that_of_the_circle_walked(radius, angle, side):
     x, y = side * radius * (1 - np.cos(turn)), -radius * np.sin(turn)
     result, _ = measure(stream(401, position=path(3.0 + x, y - 5.0)), rate=20.0)
     # The mean position of a cycle that turns by b lies on a circle smaller by sinc(b / 2).
-    assert result["turning_radius"] == pytest.approx(radius * np.sinc(angle / 80 / 2 / np.pi), rel=1e-4)
+    assert result["turning_radius"] == pytest.approx(
+        radius * np.sinc(angle / 80 / 2 / np.pi), rel=1e-4
+    )
 
 
 def test_sway_does_not_shrink_the_circle():
@@ -506,7 +569,9 @@ def test_a_straight_way_has_no_turning_radius():
 def test_the_turn_rate_is_that_between_the_ends_of_what_is_measured():
     """A turn of 0.3 rad/s after a warm-up without one, its sway of whole cycles left out; the end lies in a tick."""
     yaw = 0.3 * np.maximum(TIME - 0.5, 0.0) + 0.2 * np.sin(2 * np.pi * 2.0 * TIME)
-    result, _ = measure(stream(401, orientation=every_step(quaternion(yaw))), rate=2.0, begin=0.5, end=1.5)
+    result, _ = measure(
+        stream(401, orientation=every_step(quaternion(yaw))), rate=2.0, begin=0.5, end=1.5
+    )
     assert result["turn_rate"] == pytest.approx(0.3, rel=1e-3)
 
 
@@ -533,7 +598,9 @@ def lively(seed: int, ticks: int = 201) -> Sensors:
 
     def wave(size: float, *shape: int) -> np.ndarray:
         parts = random.normal(size=(3, *shape)) * size / 3
-        pulse = np.multiply.outer(2 * np.pi * random.uniform(0.3, 2.0, 3), time) + random.uniform(0, 6, (3, 1))
+        pulse = np.multiply.outer(2 * np.pi * random.uniform(0.3, 2.0, 3), time) + random.uniform(
+            0, 6, (3, 1)
+        )
         return np.einsum("kt,k...->t...", np.sin(pulse), parts)
 
     turn = 0.6 * time + wave(0.1)
@@ -553,7 +620,12 @@ def lively(seed: int, ticks: int = 201) -> Sensors:
 def integral(values: np.ndarray, until: float) -> Any:
     """From 0 to `until` of readings (ticks, ...) that stand for the tick before them."""
     sums = np.concatenate([[0.0 * values[0]], np.cumsum(DT * values[1:], axis=0)])
-    return np.stack([np.interp(until, TIME[: len(values)], column) for column in sums.reshape(len(values), -1).T])
+    return np.stack(
+        [
+            np.interp(until, TIME[: len(values)], column)
+            for column in sums.reshape(len(values), -1).T
+        ]
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -573,22 +645,32 @@ def test_a_window_may_begin_and_end_within_a_tick(seed):
         inner = time[(time > begin + DT) & (time < end)]
         return np.interp(np.concatenate([[begin + DT], inner, [end]]), time, values)
 
-    angles = Rotation.from_quat(readings.orientation[:, -1], scalar_first=True).as_euler("ZXY")[:, ::-1]
+    angles = Rotation.from_quat(readings.orientation[:, -1], scalar_first=True).as_euler("ZXY")[
+        :, ::-1
+    ]
     for name, angle in zip(("roll", "pitch", "yaw"), angles.T, strict=True):
         assert result[f"{name}_mean"] == pytest.approx(mean(angle)[0], **near)
-        assert result[f"{name}_std"] == pytest.approx(np.sqrt(mean(angle**2)[0] - mean(angle)[0] ** 2), rel=1e-6)
+        assert result[f"{name}_std"] == pytest.approx(
+            np.sqrt(mean(angle**2)[0] - mean(angle)[0] ** 2), rel=1e-6
+        )
         assert result[f"{name}_min"] == pytest.approx(seen(angle).min(), **near)
         assert result[f"{name}_max"] == pytest.approx(seen(angle).max(), **near)
 
     x, y = readings.position[:, -1, :2].T
     assert result["duration"] == pytest.approx(end - begin, **near)
-    assert result["lateral_drift"] == pytest.approx(np.diff(np.interp([begin, end], time, x))[0], **near)
-    assert result["distance"] == pytest.approx(-np.diff(np.interp([begin, end], time, y))[0], **near)
+    assert result["lateral_drift"] == pytest.approx(
+        np.diff(np.interp([begin, end], time, x))[0], **near
+    )
+    assert result["distance"] == pytest.approx(
+        -np.diff(np.interp([begin, end], time, y))[0], **near
+    )
     ahead = np.stack([np.sin(history.course), -np.cos(history.course)])[:, 1:]
     way = np.concatenate([[0.0], np.cumsum((np.diff([x, y]) * ahead).sum(axis=0))])
     assert free["distance"] == pytest.approx(np.diff(np.interp([begin, end], time, way))[0], **near)
 
-    power = np.maximum(readings.servo_torque * readings.servo_velocity, 0.0).sum(axis=-1).mean(axis=-1)
+    power = (
+        np.maximum(readings.servo_torque * readings.servo_velocity, 0.0).sum(axis=-1).mean(axis=-1)
+    )
     assert result["servo_work"] == pytest.approx((end - begin) * mean(power)[0], **near)
     share = np.clip((readings.foot_force - 0.01) / 0.02, 0.0, 1.0)
     share = share**2 * (3 - 2 * share)
@@ -601,15 +683,23 @@ def test_a_window_may_begin_and_end_within_a_tick(seed):
     assert result["cross_track_rms"] == pytest.approx(np.sqrt(mean(x**2)[0]), **near)
     cycles = int((end - begin) * rate)
     edges = begin + np.arange(cycles + 1) / rate
-    means = rate * np.diff([integral(np.stack([x, y], axis=-1), edge) for edge in edges], axis=0).reshape(-1, 2)
+    means = rate * np.diff(
+        [integral(np.stack([x, y], axis=-1), edge) for edge in edges], axis=0
+    ).reshape(-1, 2)
     assert history.path.cycles[-1] == cycles
-    assert result["cross_track_walked"] == pytest.approx(np.abs(means[:, 0]).max(initial=0.0), **near)
+    assert result["cross_track_walked"] == pytest.approx(
+        np.abs(means[:, 0]).max(initial=0.0), **near
+    )
     if cycles < 3:
         assert np.isnan(free["turning_radius"])
         return
     # Kasa's fit: |p|^2 = 2 c p + constant.
-    fit, *_ = np.linalg.lstsq(np.column_stack([2 * means, np.ones(cycles)]), (means**2).sum(axis=1), rcond=None)
-    assert free["turning_radius"] == pytest.approx(np.sqrt(fit[2] + fit[0] ** 2 + fit[1] ** 2), rel=1e-6)
+    fit, *_ = np.linalg.lstsq(
+        np.column_stack([2 * means, np.ones(cycles)]), (means**2).sum(axis=1), rcond=None
+    )
+    assert free["turning_radius"] == pytest.approx(
+        np.sqrt(fit[2] + fit[0] ** 2 + fit[1] ** 2), rel=1e-6
+    )
 
 
 @pytest.mark.release
@@ -618,7 +708,9 @@ def test_a_window_of_whole_cycles_has_them_all_whatever_the_rounding(cycles):
     """In single precision, as in a batch; every rate gives another rounding."""
     readings = jax.tree.map(np.float32, lively(0, ticks=401))
     rates = np.linspace(cycles / 3.2, cycles / 2.7, 101, dtype=np.float32)
-    begin, end, distance = (np.asarray(edge / rates, np.float32) for edge in (1.0, 1.0 + cycles, 1e9))
+    begin, end, distance = (
+        np.asarray(edge / rates, np.float32) for edge in (1.0, 1.0 + cycles, 1e9)
+    )
     window = Window(begin=begin, end=end, distance=distance)
     _, history = jax.jit(jax.vmap(_run(True), in_axes=(0, None, 0)))(window, readings, rates)
     assert (np.asarray(history.path.cycles)[:, -1] == cycles).all()
@@ -664,9 +756,18 @@ def test_derivatives_are_those_of_finite_differences(seed, whole_ticks, on_line)
     that lies just there has one of its own.
     """
     random, readings = np.random.default_rng(seed), lively(seed)
-    window, rate = (limits(0.5, 1.75), 4.0) if whole_ticks else (limits(*random.uniform((0.2, 1.5), (0.6, 1.9))), 3.7)
-    aside = jax.tree.map(lambda leaf: random.normal(size=leaf.shape) * (leaf.std() + 1e-3), readings)
-    at, towards = (window, readings, rate), (Window(begin=0.05, end=-0.07, distance=0.0), aside, 1.0)
+    window, rate = (
+        (limits(0.5, 1.75), 4.0)
+        if whole_ticks
+        else (limits(*random.uniform((0.2, 1.5), (0.6, 1.9))), 3.7)
+    )
+    aside = jax.tree.map(
+        lambda leaf: random.normal(size=leaf.shape) * (leaf.std() + 1e-3), readings
+    )
+    at, towards = (
+        (window, readings, rate),
+        (Window(begin=0.05, end=-0.07, distance=0.0), aside, 1.0),
+    )
 
     with jax.enable_x64(True):
         at, towards = jax.tree.map(np.float64, (at, towards))
@@ -706,7 +807,9 @@ DEGENERATE = {
     "off the ground": stream(61, foot_force=np.zeros(4)),
     "hardly on the ground": stream(61, foot_force=np.full(4, 0.01 + 1e-9)),
     "a bend": lively(3, 61),
-    "a fall": stream(61, orientation=every_step(quaternion(roll=np.where(np.arange(61) < 40, 0.0, 1.5)))),
+    "a fall": stream(
+        61, orientation=every_step(quaternion(roll=np.where(np.arange(61) < 40, 0.0, 1.5)))
+    ),
     "a fall before it counts": stream(61, orientation=quaternion(roll=1.5)),
     "a divergence": lost(61),
 }
@@ -739,7 +842,16 @@ def test_a_run_that_was_never_measured_has_no_numbers():
     result, _ = measure(stream(401, orientation=down), begin=1.0)
     assert (result["fell"], result["diverged"], result["duration"]) == (1.0, 0.0, 0.0)
     assert result["failure_time"] == pytest.approx(0.5)
-    for name in ("speed", "distance", "roll_mean", "yaw_max", "pitch_std", "slip", "duty_rear_left", "lateral_drift"):
+    for name in (
+        "speed",
+        "distance",
+        "roll_mean",
+        "yaw_max",
+        "pitch_std",
+        "slip",
+        "duty_rear_left",
+        "lateral_drift",
+    ):
         assert np.isnan(result[name]), name
 
 
@@ -755,17 +867,29 @@ def test_a_fall_is_kept_and_freezes_what_was_measured(how):
         position[fall, :, 2] = 0.02
         readings = stream(401, position=position)
     else:
-        readings = stream(401, position=position, orientation=every_step(quaternion(**{how: np.where(fall, 1.1, 0.0)})))
+        readings = stream(
+            401,
+            position=position,
+            orientation=every_step(quaternion(**{how: np.where(fall, 1.1, 0.0)})),
+        )
     result, history = measure(readings)
-    assert (result["fell"], result["diverged"], result["failure_time"]) == (1.0, 0.0, pytest.approx(2.0))
+    assert (result["fell"], result["diverged"], result["failure_time"]) == (
+        1.0,
+        0.0,
+        pytest.approx(2.0),
+    )
     assert result["duration"] == pytest.approx(1.99)
     assert result["distance"] == pytest.approx(0.08 * 1.99)
     assert result["speed"] == pytest.approx(0.08)
     assert abs(result["roll_max"]) < 1e-6
     np.testing.assert_array_equal(history.fell, np.arange(401) >= 200)
-    measured = {name: getattr(history, name) for name in ("time", "way", "mean", "square", "low", "high")}
+    measured = {
+        name: getattr(history, name) for name in ("time", "way", "mean", "square", "low", "high")
+    }
     for name, values in (measured | history.sums).items():
-        np.testing.assert_array_equal(values[199:], np.broadcast_to(values[199], values[199:].shape), err_msg=name)
+        np.testing.assert_array_equal(
+            values[199:], np.broadcast_to(values[199], values[199:].shape), err_msg=name
+        )
 
 
 def test_a_deep_tilt_is_not_yet_a_fall():
@@ -795,7 +919,11 @@ def test_a_divergence_is_kept_and_no_nan_reaches_the_accumulators(name, value):
     readings = stream(401, position=position, orientation=quaternion(yaw=0.0, roll=0.1))
     getattr(readings, name)[200, 2] = value
     result, history = measure(readings)
-    assert (result["fell"], result["diverged"], result["failure_time"]) == (0.0, 1.0, pytest.approx(2.0))
+    assert (result["fell"], result["diverged"], result["failure_time"]) == (
+        0.0,
+        1.0,
+        pytest.approx(2.0),
+    )
     np.testing.assert_array_equal(history.diverged, np.arange(401) >= 200)
     assert result["duration"] == pytest.approx(1.99)
     assert result["distance"] == pytest.approx(0.08 * 1.99)
@@ -816,7 +944,9 @@ def failing(how: str, tick: int, ticks: int = 401) -> Sensors:
 
 
 @pytest.mark.parametrize("how", ["fall", "divergence"])
-@pytest.mark.parametrize(("end", "last"), [(2.0, 200), (2.004, 201), (1.9999, 200), (1.99 + 1e-9, 199)])
+@pytest.mark.parametrize(
+    ("end", "last"), [(2.0, 200), (2.004, 201), (1.9999, 200), (1.99 + 1e-9, 199)]
+)
 def test_what_happens_after_the_run_does_not_count(how, end, last):
     """The tick in which the run ends is the last that is judged; the next one fails a world that its batch drags on."""
     during, _ = measure(failing(how, last), end=end)
@@ -833,7 +963,11 @@ def test_what_happens_after_the_run_does_not_count(how, end, last):
 def test_what_happens_after_the_distance_does_not_count(how):
     """The cycle that covers 0.15 m ends at 2.0 s; the robot that fails half a second later has arrived."""
     result, _ = measure(failing(how, 250), rate=2.0, distance=0.15)
-    assert (result["fell"], result["diverged"], result["duration"]) == (0.0, 0.0, pytest.approx(2.0))
+    assert (result["fell"], result["diverged"], result["duration"]) == (
+        0.0,
+        0.0,
+        pytest.approx(2.0),
+    )
     assert np.isnan(result["failure_time"])
 
 
@@ -842,7 +976,11 @@ def test_the_first_failure_is_the_one_that_counts():
     readings = failing("fall", 150)
     readings.gyro[160:] = np.nan
     result, _ = measure(readings)
-    assert (result["fell"], result["diverged"], result["failure_time"]) == (1.0, 0.0, pytest.approx(1.5))
+    assert (result["fell"], result["diverged"], result["failure_time"]) == (
+        1.0,
+        0.0,
+        pytest.approx(1.5),
+    )
 
 
 def test_an_absurd_speed_is_a_divergence():
@@ -883,13 +1021,21 @@ def test_strides_go_from_touch_down_to_touch_down():
     lifts = {limb: [0.9, 1.8, 2.9, 3.8] for limb in LIMBS}
     bounced = {limb: sorted([*lands[limb], 0.36, 1.05, 2.6]) for limb in LIMBS}
     left = {limb: sorted([*lifts[limb], 0.33, 1.09, 2.54]) for limb in LIMBS}
-    walked = {"position": path(np.zeros_like(TIME), -0.1 * TIME), "linear_velocity": np.array([0.0, -0.1, 0.0])}
-    for these, those, stance in ((lands, lifts, 0.6), (bounced, left, np.mean([0.57 + 0.04, 0.6, 0.54]))):
+    walked = {
+        "position": path(np.zeros_like(TIME), -0.1 * TIME),
+        "linear_velocity": np.array([0.0, -0.1, 0.0]),
+    }
+    for these, those, stance in (
+        (lands, lifts, 0.6),
+        (bounced, left, np.mean([0.57 + 0.04, 0.6, 0.54])),
+    ):
         found, _ = measure(stream(len(TIME), foot_force=steps(these, those), **walked), 1.0)
         assert found["strides"] == 3
         assert found["stride_time"] == pytest.approx(2.9 / 3, abs=1e-6)
         assert found["stride_length"] == pytest.approx(0.1 * 2.9 / 3, rel=1e-3)
-        assert found["stride_length_cv"] == pytest.approx(np.std([0.9, 1.1, 0.9], ddof=1) / (2.9 / 3), rel=1e-2)
+        assert found["stride_length_cv"] == pytest.approx(
+            np.std([0.9, 1.1, 0.9], ddof=1) / (2.9 / 3), rel=1e-2
+        )
         assert found["stance_time"] == pytest.approx(stance, abs=0.011)
         assert found["duty_factor"] == pytest.approx(found["stance_time"] / found["stride_time"])
 
@@ -905,6 +1051,8 @@ def test_only_whole_strides_count_and_too_few_have_no_spread():
     assert np.isnan(two["stride_length_cv"])
     none, _ = measure(readings, 1.0, begin=0.6, end=2.2)
     assert none["strides"] == 0
-    assert np.isnan([none[name] for name in ("stride_time", "stride_length", "duty_factor", "stance_time")]).all()
+    assert np.isnan(
+        [none[name] for name in ("stride_time", "stride_length", "duty_factor", "stance_time")]
+    ).all()
     standing, _ = measure(stream(len(TIME)), 1.0)
     assert standing["strides"] == 0

@@ -63,7 +63,10 @@ class Measuring(FakeSimulator):
 
     def run(self, values: Any, run: Any, **how: Any) -> Any:
         result = super().run(values, run, **how)
-        result.metrics |= {"yaw_shake": result.metrics["speed"] * 2, "hardest_step": result.metrics["speed"]}
+        result.metrics |= {
+            "yaw_shake": result.metrics["speed"] * 2,
+            "hardest_step": result.metrics["speed"],
+        }
         return result
 
 
@@ -81,7 +84,9 @@ def reduced(readings: np.ndarray, begin: float, end: float) -> dict[str, float]:
     def tick(state: Any, now: Any) -> tuple[Any, None]:
         return measures.update(window, state, now[1], now[0], DT, 1.0, own=chosen), None
 
-    start = measures.init(jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen)
+    start = measures.init(
+        jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen
+    )
     state, _ = jax.lax.scan(tick, start, (DT * np.arange(len(readings)), seen))
     found = measures.result(state, jnp.asarray(0.27), own=chosen)
     return {name: float(found[name]) for name in REDUCTIONS}
@@ -96,7 +101,9 @@ def test_reductions_are_those_of_numpy() -> None:
     random = np.random.default_rng(0).normal(size=(12, STEPS)).astype(np.float32)
     found = reduced(random, 3 * DT, 11 * DT)
     values = random[4:].ravel()  # the first reading is that at rest, which ends at time 0
-    between = np.concatenate([random[3, -1:], values])  # a value goes straight from one reading to the next
+    between = np.concatenate(
+        [random[3, -1:], values]
+    )  # a value goes straight from one reading to the next
     expected = {
         "mean": values.mean(),
         "rms": np.sqrt((values**2).mean()),
@@ -108,7 +115,9 @@ def test_reductions_are_those_of_numpy() -> None:
         "last": values[-1],
         "integral": values.mean() * 8 * DT,
     }
-    assert found == pytest.approx({name: float(value) for name, value in expected.items()}, rel=1e-5, abs=1e-6)
+    assert found == pytest.approx(
+        {name: float(value) for name, value in expected.items()}, rel=1e-5, abs=1e-6
+    )
 
 
 @pytest.mark.release
@@ -121,7 +130,9 @@ def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None
     gyro[..., 2] = random
     seen = stream(ticks, gyro=gyro, foot_force=0.66 * down[:, None])
     chosen = tuple(
-        dataclasses.replace(own(reduce), name=f"{reduce}_{across}", per="stride", limb="front_right", across=across)
+        dataclasses.replace(
+            own(reduce), name=f"{reduce}_{across}", per="stride", limb="front_right", across=across
+        )
         for reduce in ("mean", "range", "integral")
         for across in ACROSS
     )
@@ -131,27 +142,42 @@ def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None
             Window(begin=0.0, end=1e6, distance=1e6), state, now[1], now[0], DT, 0.95, own=chosen
         ), None
 
-    start = measures.init(jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen)
+    start = measures.init(
+        jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen
+    )
     state, _ = jax.lax.scan(tick, start, (DT * np.arange(ticks), seen))
     found = measures.result(state, jnp.asarray(0.27), own=chosen)
     # The front right foot is down from ticks 55, 155, 255 and 355 on, and settles in the eleventh tick.
     strides = [random[begin : begin + period] for begin in (66, 166, 266)]
-    ranges = [np.ptp(random[begin - 1 : begin + period].ravel()[STEPS - 1 :]) for begin in (66, 166, 266)]
-    values = {"mean": [each.mean() for each in strides], "range": ranges, "integral": [each.mean() for each in strides]}
+    ranges = [
+        np.ptp(random[begin - 1 : begin + period].ravel()[STEPS - 1 :]) for begin in (66, 166, 266)
+    ]
+    values = {
+        "mean": [each.mean() for each in strides],
+        "range": ranges,
+        "integral": [each.mean() for each in strides],
+    }
     for reduce, each in values.items():
         std = np.std(each, ddof=1)
         expected = {"mean": np.mean(each), "std": std, "cv": std / np.mean(each)}
         for across, value in expected.items():
-            assert float(found[f"{reduce}_{across}"]) == pytest.approx(value, rel=2e-3), (reduce, across)
+            assert float(found[f"{reduce}_{across}"]) == pytest.approx(value, rel=2e-3), (
+                reduce,
+                across,
+            )
 
 
 @pytest.mark.release
 def test_a_metric_is_continuous_where_the_measuring_begins_and_ends() -> None:
     """Of a yaw rate that grows by 1 rad/s a second: the extremes are the values at both ends of any window."""
-    ramp = (DT * np.arange(-1, 11)[:, None] + DT * np.arange(1, STEPS + 1) / STEPS).astype(np.float32)
+    ramp = (DT * np.arange(-1, 11)[:, None] + DT * np.arange(1, STEPS + 1) / STEPS).astype(
+        np.float32
+    )
     for begin, end in ((0.0311, 0.0902), (0.03, 0.0999), (0.0349, 0.0451)):
         found = reduced(ramp, begin, end)
-        assert (found["min"], found["max"], found["last"]) == pytest.approx((begin, end, end), abs=2e-6)
+        assert (found["min"], found["max"], found["last"]) == pytest.approx(
+            (begin, end, end), abs=2e-6
+        )
         assert found["range"] == pytest.approx(end - begin, abs=4e-6)
 
 
@@ -172,7 +198,9 @@ def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
         start = measures.init(jax.tree.map(lambda leaf: leaf[0, -1], seen), (root,))
 
         def add(state: Any, now: Any) -> tuple[Any, None]:
-            return measures.update(Window(begin=0.0), state, now[1], now[0], DT, 1.0, own=(root,)), None
+            return measures.update(
+                Window(begin=0.0), state, now[1], now[0], DT, 1.0, own=(root,)
+            ), None
 
         state, _ = jax.lax.scan(add, start, (DT * np.arange(4), seen))
         return measures.result(state, jnp.asarray(0.27), own=(root,))["mean"]
@@ -202,7 +230,9 @@ def test_a_simulator_measures_what_its_recording_shows(shake: Path) -> None:
     recording = result.recording(1)
     assert recording.metadata["setup"]["metrics"] == [str(shake)]
     (shown,) = (table["rows"] for table in details_of(recording) if table["title"] == "Metrics")
-    assert ["hardest_step", f"{result.metrics['hardest_step'][1]:.4g} N"] in [list(row) for row in shown]
+    assert ["hardest_step", f"{result.metrics['hardest_step'][1]:.4g} N"] in [
+        list(row) for row in shown
+    ]
 
 
 @pytest.mark.long
@@ -222,7 +252,17 @@ def test_a_metric_of_ones_own_has_the_derivative_of_the_engine_c(shake: Path) ->
 @pytest.mark.release
 @pytest.mark.usefixtures("shared_simulators")
 def test_a_walk_prints_its_own_metrics(shake: Path) -> None:
-    words = ["walk", "--engine", "c", "--duration", "0.1", "--warmup", "0.02", "--metrics", str(shake)]
+    words = [
+        "walk",
+        "--engine",
+        "c",
+        "--duration",
+        "0.1",
+        "--warmup",
+        "0.02",
+        "--metrics",
+        str(shake),
+    ]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     assert re.search(r"^hardest_step +\d\S* +N$", result.stdout, re.MULTILINE)
@@ -275,10 +315,20 @@ def test_summary_and_figures_know_which_side_is_better(shake: Path, tmp_path: Pa
     """Of what shakes less is better, and of what has no side the highest is marked, and not called the best."""
     spec = {**SWEEP, "metrics": str(shake), "vary": {"frequency": [0.7, 0.8, 0.9]}}
     best = run_sweep(spec, tmp_path, simulator=Measuring()).summary["best"]
-    assert (best["yaw_shake"]["side"], best["yaw_shake"]["parameters"]) == ("min", {"frequency": 0.7})
+    assert (best["yaw_shake"]["side"], best["yaw_shake"]["parameters"]) == (
+        "min",
+        {"frequency": 0.7},
+    )
     assert "hardest_step" not in best
-    for name, star in (("yaw_shake", "star: best, .* at 0.7 Hz"), ("hardest_step", "star: highest, .* at 0.9 Hz")):
-        texts = [text.get_text() for _, figure in sweep_figures(tmp_path, color=name) for text in figure.texts]
+    for name, star in (
+        ("yaw_shake", "star: best, .* at 0.7 Hz"),
+        ("hardest_step", "star: highest, .* at 0.9 Hz"),
+    ):
+        texts = [
+            text.get_text()
+            for _, figure in sweep_figures(tmp_path, color=name)
+            for text in figure.texts
+        ]
         assert any(re.search(star, text) for text in texts), texts
 
 
@@ -298,9 +348,9 @@ def test_a_tuning_may_aim_at_a_metric_of_its_own(shake: Path) -> None:
     assert tuning.objective.metrics == ("speed", "yaw_shake")
     assert tuning.objective_metrics["yaw_shake"].unit == "rad/s"
     assert Tuning.from_text(tuning.to_yaml()).digest() == tuning.digest()
-    assert [(c.unit, c.description) for c in columns(tuning, ("yaw_shake",)) if c.name == "yaw_shake"] == [
-        ("rad/s", "Turning about its own axis")
-    ]
+    assert [
+        (c.unit, c.description) for c in columns(tuning, ("yaw_shake",)) if c.name == "yaw_shake"
+    ] == [("rad/s", "Turning about its own axis")]
     with pytest.raises(ParameterError, match="is the text 'yaw_shake': allowed are speed"):
         Tuning.from_dict({**file, "metrics": []})
     with pytest.raises(ParameterError, match=r"did you mean 'yaw_shake'\?"):
@@ -321,18 +371,29 @@ WRONG = {
         "return sensors.foot_force[0] / jnp.sum(sensors.foot_force)",
         "which gives nan for a robot at rest, where forces and velocities are 0: guard it, as by jnp.where.",
     ),
-    "an exception": ("return undefined", "which fails at m.py:5: NameError: name 'undefined' is not defined."),
-    "an unknown sensor": ("return sensors.gyros[2]", "did you mean 'gyro'. Sensors are position, orientation"),
+    "an exception": (
+        "return undefined",
+        "which fails at m.py:5: NameError: name 'undefined' is not defined.",
+    ),
+    "an unknown sensor": (
+        "return sensors.gyros[2]",
+        "did you mean 'gyro'. Sensors are position, orientation",
+    ),
     "a branch": (
         "return 1.0 if sensors.gyro[2] > 0 else 0.0",
         "which fails at m.py:5: it cannot be compiled, as it branches on readings",
     ),
-    "NumPy": ("import numpy; return numpy.max(numpy.asarray(sensors.gyro))", "or makes NumPy's numbers of them"),
+    "NumPy": (
+        "import numpy; return numpy.max(numpy.asarray(sensors.gyro))",
+        "or makes NumPy's numbers of them",
+    ),
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_function_that_is_none_is_refused_before_the_sweep_starts(tmp_path: Path, case: str) -> None:
+def test_a_function_that_is_none_is_refused_before_the_sweep_starts(
+    tmp_path: Path, case: str
+) -> None:
     body, message = WRONG[case]
     (tmp_path / "m.py").write_text(
         f"import jax.numpy as jnp\nfrom nermo_mjx import metric\n@metric(unit='1')\ndef bad(sensors):\n    {body}\n"
@@ -350,7 +411,10 @@ def named(name: str) -> OwnMetric:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ([named("speed")], "metrics has speed .*is a metric that every run has: give it another name"),
+        (
+            [named("speed")],
+            "metrics has speed .*is a metric that every run has: give it another name",
+        ),
         ([named("status")], "status is a column that every table has"),
         ([named("frequency")], "frequency is a parameter"),
         ([named("a"), named("a")], "metrics has a .* and a .*: give one of them another name"),
@@ -368,7 +432,9 @@ def test_names_that_are_taken_and_what_is_no_metric(wrong: Any, message: str) ->
 
 
 def test_a_misspelled_name_gets_the_nearest(shake: Path) -> None:
-    with pytest.raises(ParameterError, match=r"shake.py has no 'yaw_shak'; did you mean 'yaw_shake'\?"):
+    with pytest.raises(
+        ParameterError, match=r"shake.py has no 'yaw_shak'; did you mean 'yaw_shake'\?"
+    ):
         Setup(metrics=f"{shake}:yaw_shak")
 
 
@@ -376,11 +442,20 @@ def test_a_misspelled_name_gets_the_nearest(shake: Path) -> None:
     ("how", "message"),
     [
         ({"unit": ""}, "with the unit '': expected a text"),
-        ({"unit": "1", "better": "lower"}, "better='lower': allowed is None, high, low, zero; did you mean 'low'"),
+        (
+            {"unit": "1", "better": "lower"},
+            "better='lower': allowed is None, high, low, zero; did you mean 'low'",
+        ),
         ({"unit": "1", "reduce": "maximum"}, "reduce='maximum': allowed is mean, rms"),
         ({"unit": "1", "per": "step"}, "per='step': allowed is run, stride"),
-        ({"unit": "1", "per": "stride", "limb": "left_front"}, "limb='left_front': allowed is front_left"),
-        ({"unit": "1", "per": "stride", "across": "sd"}, "across='sd': allowed is mean, std, cv; did you mean 'std'"),
+        (
+            {"unit": "1", "per": "stride", "limb": "left_front"},
+            "limb='left_front': allowed is front_left",
+        ),
+        (
+            {"unit": "1", "per": "stride", "across": "sd"},
+            "across='sd': allowed is mean, std, cv; did you mean 'std'",
+        ),
     ],
 )
 def test_what_a_metric_is_declared_with_is_checked(how: Any, message: str) -> None:
@@ -394,5 +469,7 @@ def lambda_named_f(sensors: Any) -> float:
 
 def test_a_sweep_names_no_objects() -> None:
     sweep = dataclasses.replace(Sweep.from_dict(SWEEP), setup=Setup(metrics=[named("own")]))
-    with pytest.raises(ParameterError, match=r"metrics has own .*: name it as FILE.py:NAME or MODULE:NAME"):
+    with pytest.raises(
+        ParameterError, match=r"metrics has own .*: name it as FILE.py:NAME or MODULE:NAME"
+    ):
         sweep.digest()

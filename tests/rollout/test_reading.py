@@ -23,14 +23,23 @@ SENSORS = """
 <sensor><framepos objtype="site" objname="s"/><accelerometer site="s"/><velocimeter site="s"/><touch site="s"/>
 <framequat objtype="site" objname="s"/></sensor></mujoco>
 """
-PLACES = {"position": (0, 3), "accelerometer": (3, 6), "velocity": (6, 9), "touch": (9, 10), "orientation": (10, 14)}
+PLACES = {
+    "position": (0, 3),
+    "accelerometer": (3, 6),
+    "velocity": (6, 9),
+    "touch": (9, 10),
+    "orientation": (10, 14),
+}
 
 
 @pytest.mark.parametrize(
     ("function", "expected"),
     [
         (lambda _, data: data[..., 2:4].sum(), [2, 3]),
-        (lambda a, data: (a * data[..., 1:2], jnp.where(a > 0, data[..., 4:], 0.0)[0] * 2), [1, 4, 5]),
+        (
+            lambda a, data: (a * data[..., 1:2], jnp.where(a > 0, data[..., 4:], 0.0)[0] * 2),
+            [1, 4, 5],
+        ),
         (lambda a, data: a, []),
         (lambda a, data: (a, data), range(6)),
         (lambda _, data: data[jnp.array([1, 2])], range(6)),
@@ -45,7 +54,9 @@ def test_entries_count_that_something_returned_depends_on(function: Any, expecte
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("names", [("position",), ("velocity", "touch"), ("orientation",), (), tuple(PLACES)])
+@pytest.mark.parametrize(
+    "names", [("position",), ("velocity", "touch"), ("orientation",), (), tuple(PLACES)]
+)
 def test_sensors_that_are_read_have_their_values_and_places(names: tuple[str, ...]) -> None:
     """After a step with contact, as if all were computed; the others read zero."""
     model = mujoco.MjModel.from_xml_string(SENSORS)
@@ -54,7 +65,9 @@ def test_sensors_that_are_read_have_their_values_and_places(names: tuple[str, ..
         read[slice(*PLACES[name])] = True
     chosen, data = with_sensors(ours, read), make_data(ours)
     assert chosen.nsensor == len(names)
-    whole, part = (jax.jit(differentiable.forward)(each, data).sensordata for each in (ours, chosen))
+    whole, part = (
+        jax.jit(differentiable.forward)(each, data).sensordata for each in (ours, chosen)
+    )
     assert np.abs(np.asarray(whole)).sum() > 9.0
     np.testing.assert_allclose(part, np.where(read, whole, 0.0), rtol=1e-6, atol=1e-6)
 
@@ -74,5 +87,12 @@ def test_the_walk_does_not_compute_its_accelerometer() -> None:
     program = jax.make_jaxpr(loop.step)(params, state, jnp.zeros((loop.steps_per_tick, size)))
     sensors = robot.sensors(np.where(read_entries(program, size), 1.0, 0.0))
     assert not sensors.accelerometer.any()
-    for name in ("position", "orientation", "linear_velocity", "servo_torque", "foot_force", "tail_force"):
+    for name in (
+        "position",
+        "orientation",
+        "linear_velocity",
+        "servo_torque",
+        "foot_force",
+        "tail_force",
+    ):
         assert np.all(np.asarray(getattr(sensors, name)) > 0.0), name

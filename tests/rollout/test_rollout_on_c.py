@@ -67,7 +67,9 @@ def test_the_derivative_is_that_of_mjx_in_float64() -> None:
     with jax.enable_x64(True):
         np.testing.assert_allclose(places(kept["point"]), kept["place"], atol=1e-7)
         slope = np.asarray(jax.jacfwd(places)(jnp.asarray(kept["point"])))
-    apart = np.linalg.norm(slope - kept["slope"], axis=(1, 2)) / np.linalg.norm(kept["slope"], axis=(1, 2))
+    apart = np.linalg.norm(slope - kept["slope"], axis=(1, 2)) / np.linalg.norm(
+        kept["slope"], axis=(1, 2)
+    )
     assert (apart < 1e-4).all(), apart
 
 
@@ -87,7 +89,10 @@ def twelve_points() -> list[dict[str, float]]:
 def test_three_widths_give_the_same_derivative_at_twelve_points(long_walk: Rollout) -> None:
     """The widest of them, ten times that of `Rollout`, at eleven: beside a jump it is no derivative."""
     for i, values in enumerate(twelve_points()):
-        slopes = [long_walk.slopes(values, NAMES, width)["speed"] for width in (WIDTH, 0.1 * WIDTH, 10 * WIDTH)]
+        slopes = [
+            long_walk.slopes(values, NAMES, width)["speed"]
+            for width in (WIDTH, 0.1 * WIDTH, 10 * WIDTH)
+        ]
         apart = [np.linalg.norm(slope - slopes[0]) / np.linalg.norm(slopes[0]) for slope in slopes]
         assert apart[1] < 1e-4, i
         assert (apart[2] < 1e-4) == (i != JUMP), i
@@ -97,24 +102,41 @@ def test_three_widths_give_the_same_derivative_at_twelve_points(long_walk: Rollo
 def test_a_jump_within_the_width_is_told(long_walk: Rollout) -> None:
     """By the spread of two widths, and by a warning."""
     values = twelve_points()[JUMP]
-    simulator, phases = long_walk._differences._simulator, values["spine.phase"] + np.arange(21) * 5e-8
+    simulator, phases = (
+        long_walk._differences._simulator,
+        values["spine.phase"] + np.arange(21) * 5e-8,
+    )
     with jax.enable_x64(True):
-        rise = np.diff(simulator.run(values | {"spine.phase": phases}, long_walk.length).metrics["speed"])
+        rise = np.diff(
+            simulator.run(values | {"spine.phase": phases}, long_walk.length).metrics["speed"]
+        )
     before = int(np.argmax(np.abs(rise)))
     assert abs(rise[before]) > 100 * np.median(np.abs(rise))
     beside = values | {"spine.phase": phases[before] - 2e-8}
     assert long_walk.gradient_spread(values, NAMES)["speed"].max() < 1e-4
     assert long_walk.gradient_spread(beside, NAMES)["speed"][1] > 0.9
-    with jax.enable_x64(True), pytest.warns(UserWarning, match="speed.* has a kink within the width"):
-        jax.grad(lambda phase: long_walk(beside | {"spine.phase": phase})["speed"])(beside["spine.phase"])
+    with (
+        jax.enable_x64(True),
+        pytest.warns(UserWarning, match="speed.* has a kink within the width"),
+    ):
+        jax.grad(lambda phase: long_walk(beside | {"spine.phase": phase})["speed"])(
+            beside["spine.phase"]
+        )
 
 
 @pytest.mark.release
-def test_three_widths_give_the_same_derivative_by_ten_numbers_of_the_body_at_four_points(long_walk: Rollout) -> None:
+def test_three_widths_give_the_same_derivative_by_ten_numbers_of_the_body_at_four_points(
+    long_walk: Rollout,
+) -> None:
     random = np.random.default_rng(1)
-    for amplitude, phase in zip(random.uniform(0.05, 0.35, 4), random.uniform(-3, 3, 4), strict=True):
+    for amplitude, phase in zip(
+        random.uniform(0.05, 0.35, 4), random.uniform(-3, 3, 4), strict=True
+    ):
         values = BODY | {"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": phase}
-        slopes = [long_walk.slopes(values, tuple(BODY), width)["speed"] for width in (10 * WIDTH, WIDTH, 0.1 * WIDTH)]
+        slopes = [
+            long_walk.slopes(values, tuple(BODY), width)["speed"]
+            for width in (10 * WIDTH, WIDTH, 0.1 * WIDTH)
+        ]
         scaled = np.array(slopes) * np.array([*BODY.values()])
         apart = np.linalg.norm(scaled - scaled[1], axis=1) / np.linalg.norm(scaled[1])
         assert (apart < 1e-4).all(), (amplitude, phase, apart)
@@ -147,11 +169,15 @@ def test_all_transformations_agree_to_the_last_bit(walk: Rollout) -> None:
 
 
 @pytest.mark.release
-def test_only_what_is_differentiated_costs_walks(walk: Rollout, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_what_is_differentiated_costs_walks(
+    walk: Rollout, monkeypatch: pytest.MonkeyPatch
+) -> None:
     simulator, counts = walk._differences._simulator, []
     run = simulator.run_batch
     monkeypatch.setattr(
-        simulator, "run_batch", lambda batch, **how: counts.append(len(batch.qpos)) or run(batch, **how)
+        simulator,
+        "run_batch",
+        lambda batch, **how: counts.append(len(batch.qpos)) or run(batch, **how),
     )
     speed = speed_of(walk)
     jax.jit(jax.grad(lambda a, p: speed((a, p))))(0.2, -0.5)
@@ -163,7 +189,9 @@ def test_only_what_is_differentiated_costs_walks(walk: Rollout, monkeypatch: pyt
 @pytest.mark.release
 def test_the_path_is_differentiable_and_as_the_metrics_are(walk: Rollout) -> None:
     def ends(amplitude):
-        metrics, path = walk.record({"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": -0.5})
+        metrics, path = walk.record(
+            {"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": -0.5}
+        )
         return metrics["speed"], path.qpos[-1], path.ctrl[-1]
 
     speed, qpos, ctrl = jax.jacfwd(ends)(0.2)
@@ -194,7 +222,8 @@ def test_a_kink_within_the_width_is_told() -> None:
     slope = jax.jit(jax.grad(lambda f: walk({"frequency": f})["speed"]))
     with jax.enable_x64(True):
         with pytest.warns(
-            UserWarning, match=r"speed.* kink within the width .*frequency 0.8: .* on one side and .* other"
+            UserWarning,
+            match=r"speed.* kink within the width .*frequency 0.8: .* on one side and .* other",
         ):
             slope(0.8)
         with warnings.catch_warnings():
@@ -205,20 +234,32 @@ def test_a_kink_within_the_width_is_told() -> None:
 @pytest.mark.release
 def test_the_spread_of_two_widths_is_small_away_from_kinks(walk: Rollout) -> None:
     """Beside the kink at 0.8 Hz, which the wider differences contain and the narrower do not, it is not small."""
-    spread = walk.gradient_spread({"frequency": 0.8, "spine.amplitude": 0.2, "spine.phase": -0.5}, NAMES)
+    spread = walk.gradient_spread(
+        {"frequency": 0.8, "spine.amplitude": 0.2, "spine.phase": -0.5}, NAMES
+    )
     assert spread["speed"].shape == (2,)
     assert (spread["speed"] < 1e-3).all()
     kinked = Rollout(run=Run(cycles=0.4, warmup_cycles=0.0), engine="c")
-    assert kinked.gradient_spread({"frequency": 0.8 * (1.0 + 0.2 * WIDTH)}, ["frequency"])["speed"] > 0.03
+    assert (
+        kinked.gradient_spread({"frequency": 0.8 * (1.0 + 0.2 * WIDTH)}, ["frequency"])["speed"]
+        > 0.03
+    )
 
 
-def test_a_kink_between_the_two_widths_has_the_spread_of_its_slopes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kink_between_the_two_widths_has_the_spread_of_its_slopes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The wider differences of |x| at half a width are a half, the narrower are 1; of 3 x both are 3."""
     rollout = Rollout(Setup(), SHORT, "c")
 
-    def slopes(values: dict[str, float], names: tuple[str, ...], width: float) -> dict[str, np.ndarray]:
+    def slopes(
+        values: dict[str, float], names: tuple[str, ...], width: float
+    ) -> dict[str, np.ndarray]:
         x = values["x"]
-        return {"kinked": np.array([abs(x + width) - abs(x - width)]) / (2 * width), "straight": np.array([3.0])}
+        return {
+            "kinked": np.array([abs(x + width) - abs(x - width)]) / (2 * width),
+            "straight": np.array([3.0]),
+        }
 
     monkeypatch.setattr(rollout, "slopes", slopes)
     spread = rollout.gradient_spread({"x": 0.5 * WIDTH}, ["x"])
@@ -230,17 +271,32 @@ def test_a_kink_between_the_two_widths_has_the_spread_of_its_slopes(monkeypatch:
     ("ask", "why"),
     [
         (lambda walk: jax.hessian(speed_of(walk))(POINT), "second derivative of a walk"),
-        (lambda walk: jax.grad(lambda a: jax.grad(lambda b: speed_of(walk)((b, a)))(0.2))(0.1), "second derivative"),
-        (lambda walk: jax.grad(lambda q: walk({}, qpos=q)["speed"])(np.zeros(walk.robot.model.nq)), "a start state"),
+        (
+            lambda walk: jax.grad(lambda a: jax.grad(lambda b: speed_of(walk)((b, a)))(0.2))(0.1),
+            "second derivative",
+        ),
+        (
+            lambda walk: jax.grad(lambda q: walk({}, qpos=q)["speed"])(
+                np.zeros(walk.robot.model.nq)
+            ),
+            "a start state",
+        ),
         (lambda walk: walk({}, qvel=np.zeros(walk.robot.model.nv)), "start with velocities"),
         (
-            lambda walk: jax.grad(lambda p: walk({}, policy=p)["speed"], allow_int=True)(walk.controller.parameters),
+            lambda walk: jax.grad(lambda p: walk({}, policy=p)["speed"], allow_int=True)(
+                walk.controller.parameters
+            ),
             "policy",
         ),
     ],
 )
-def test_what_c_cannot_do_is_refused_and_the_engine_that_can_is_named(walk: Rollout, ask, why: str) -> None:
-    with pytest.raises(ParameterError, match=rf"(?i){why}.* not computed on engine c: take Rollout\(.*engine='mjx'\)"):
+def test_what_c_cannot_do_is_refused_and_the_engine_that_can_is_named(
+    walk: Rollout, ask, why: str
+) -> None:
+    with pytest.raises(
+        ParameterError,
+        match=rf"(?i){why}.* not computed on engine c: take Rollout\(.*engine='mjx'\)",
+    ):
         ask(walk)
 
 
@@ -266,7 +322,9 @@ def test_an_unknown_engine_is_refused() -> None:
 
 def test_auto_takes_c_for_few_numbers_and_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
     walk = Rollout(Setup(spine="harmonics"), SHORT)
-    names = [f"foot.{pair}.{axis}{i}" for pair in ("front", "rear") for axis in "yz" for i in range(1, 9)]
+    names = [
+        f"foot.{pair}.{axis}{i}" for pair in ("front", "rear") for axis in "yz" for i in range(1, 9)
+    ]
     chosen = []
 
     def ask(many):
@@ -283,7 +341,10 @@ def test_auto_takes_c_for_few_numbers_and_says_so_once(caplog: pytest.LogCapture
 
 @pytest.mark.release
 def test_threads_share_a_walk(walk: Rollout) -> None:
-    slope, points = jax.jit(jax.grad(speed_of(walk))), [jnp.asarray(POINT + 0.01 * i) for i in range(3)]
+    slope, points = (
+        jax.jit(jax.grad(speed_of(walk))),
+        [jnp.asarray(POINT + 0.01 * i) for i in range(3)],
+    )
     expected, found = [slope(point) for point in points], [None] * 3
 
     def work(i: int) -> None:
@@ -317,7 +378,9 @@ print(float(slope(0.2)) == float(found[0]))
 
 @pytest.mark.release
 @pytest.mark.parametrize("threads", ["1", pytest.param("2", marks=pytest.mark.release)])
-def test_it_works_where_the_user_started_jax_first(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_works_where_the_user_started_jax_first(
+    threads: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With asynchronous dispatch, as in a notebook, and as few threads as there can be: no deadlock."""
     monkeypatch.setenv("PJRT_NPROC", threads)
     done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, timeout=300)

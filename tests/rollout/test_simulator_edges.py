@@ -24,7 +24,11 @@ from nermo_mjx.rollout.setup import without_presettings
 #: stands still and nothing is asked of it.
 CHATTER = 0.05
 #: Of MuJoCo's model: the play of servos is computed beside it, see test_servo_play.py.
-BODY = [name for name, _ in quantities(ModelParameters) if name not in ("servo.dead_band", "servo.backlash")]
+BODY = [
+    name
+    for name, _ in quantities(ModelParameters)
+    if name not in ("servo.dead_band", "servo.backlash")
+]
 PRESETS = ("reference", "fast")
 
 
@@ -32,7 +36,9 @@ PRESETS = ("reference", "fast")
 def test_compile_seconds_are_those_of_compiling() -> None:
     """A new simulator spends some; the same batch once more none, however long it runs."""
     simulator, run = Simulator(Setup(), "c"), Run(duration=1.0, warmup=0.0)
-    first, again = (simulator.run({"frequency": np.array([0.8, value])}, run) for value in (0.7, 0.6))
+    first, again = (
+        simulator.run({"frequency": np.array([0.8, value])}, run) for value in (0.7, 0.6)
+    )
     assert 0.1 < first.compile_seconds < first.wall_seconds
     assert again.compile_seconds == 0.0 < again.wall_seconds
 
@@ -45,12 +51,17 @@ def jump(model: mujoco.MjModel, targets: np.ndarray) -> float:
         mujoco.mj_step(model, data)
         torques.append(data.actuator_force.copy())
     assert np.isfinite(data.qpos).all()
-    return float(np.abs(np.diff(torques[len(torques) // 2 :], axis=0)).max() / model.actuator_forcerange[0, 1])
+    return float(
+        np.abs(np.diff(torques[len(torques) // 2 :], axis=0)).max()
+        / model.actuator_forcerange[0, 1]
+    )
 
 
 def servo_jump(kp: float, kv: float, timestep: float, **damping: float) -> float:
     robot = load_robot(timestep=timestep)
-    values = {"servo.kp": kp, "servo.kv": kv} | {f"damping.{name}": value for name, value in damping.items()}
+    values = {"servo.kp": kp, "servo.kv": kv} | {
+        f"damping.{name}": value for name, value in damping.items()
+    }
     return jump(compile_model(robot, values), standing(robot))
 
 
@@ -63,7 +74,10 @@ def test_at_the_ends_of_every_range_of_the_body_no_servo_chatters(physics: str) 
     """
     robot, known = load_robot(physics=physics), all_parameters(Setup(physics=physics))
     ends = [(name, end) for name in BODY for end in (known[name].low, known[name].high)]
-    values = {name: np.array([end if name == own else known[name].default for own, end in ends]) for name in BODY}
+    values = {
+        name: np.array([end if name == own else known[name].default for own, end in ends])
+        for name in BODY
+    }
     fields = Variation(robot).batch(replace_quantities(ModelParameters(), values), len(ends), BODY)
     jumps = {}
     for world, where in enumerate(ends):
@@ -78,7 +92,9 @@ def test_at_the_ends_of_every_range_of_the_body_no_servo_chatters(physics: str) 
 
 @pytest.mark.parametrize("timestep", [0.001, 0.002, 0.01 / 3])
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_no_servo_chatters_that_is_allowed_beside_its_damping(timestep: float, share: float) -> None:
+def test_no_servo_chatters_that_is_allowed_beside_its_damping(
+    timestep: float, share: float
+) -> None:
     """Along the bound, from all damping to all stiffness."""
     kp = 0.1 + share * (highest_kp(timestep, 0.0) - 0.1)
     assert servo_jump(kp, float(highest_kv(timestep, kp)), timestep) < CHATTER
@@ -96,7 +112,9 @@ def test_a_servo_past_the_bound_does(timestep: float, kp: float) -> None:
 
 
 @pytest.mark.release
-def test_a_world_whose_solver_often_stopped_early_says_so(simulator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_whose_solver_often_stopped_early_says_so(
+    simulator: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In more than one step of a thousand of its own."""
     walking = simulator()
     opened = walking.engine.open
@@ -127,5 +145,7 @@ def test_a_profile_chooses_its_robot_unless_one_is_given():
     assert dataclasses.replace(Setup(tail="articulated"), profile="as_built").tail == "articulated"
     assert Setup(profile="as_published", tail="rigid").tail == "rigid"
     assert without_presettings(published) != without_presettings(Setup())
-    assert without_presettings(Setup(profile="as_built")) == without_presettings(Setup(gait="lateral_walk"))
+    assert without_presettings(Setup(profile="as_built")) == without_presettings(
+        Setup(gait="lateral_walk")
+    )
     assert type(published.fields()["tail"]) is str

@@ -44,7 +44,9 @@ def test_the_best_spine_phase_gains_and_the_worst_loses(simulator):
     assert set(result.status) == {"ok"}
     assert speed[1:].max() >= 1.05 * speed[0]
     assert speed[1:].min() < speed[0]
-    assert -np.pi / 3 - 1e-9 <= phases[speed[1:].argmax()] <= 0.0  # published prototype: 0 to -30 degrees
+    assert (
+        -np.pi / 3 - 1e-9 <= phases[speed[1:].argmax()] <= 0.0
+    )  # published prototype: 0 to -30 degrees
 
 
 @pytest.mark.release
@@ -73,7 +75,10 @@ def test_positive_turn_rate_turns_left_and_negative_right(simulator, steering):
     """Every strategy follows the one sign convention: positive is left for both yaw and path, and right mirrors
     left."""
     sim = simulator(steering=steering, pilot="open_loop")
-    result = sim.run({"frequency": 0.67, "pilot.turn_rate": np.array([0.9, -0.9])}, Run(cycles=6, warmup_cycles=2))
+    result = sim.run(
+        {"frequency": 0.67, "pilot.turn_rate": np.array([0.9, -0.9])},
+        Run(cycles=6, warmup_cycles=2),
+    )
     left, right = result.metrics["yaw_mean"]
     assert left > 0.05
     assert right == pytest.approx(-left, rel=0.15)
@@ -100,7 +105,12 @@ def test_model_parameters_vary_within_a_batch(simulator):
     friction = sim.run({"frequency": 0.8, "contact.friction": np.array([0.1, 1.0])}).metrics
     assert friction["speed"][0] < 0.9 * friction["speed"][1]
     front = np.array([0.1695, 0.25])
-    stand = {"stride": 0.0, "stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0, "mass.front": front}
+    stand = {
+        "stride": 0.0,
+        "stance.swing_amplitude": 0.0,
+        "stance.stance_amplitude": 0.0,
+        "mass.front": front,
+    }
     sensors = sim.run(stand, Run(duration=2.0), record=True).trace.sensors
     standing = sensors["foot_force"][:, -20:].sum(axis=-1) + sensors["tail_force"][:, -20:]
     np.testing.assert_allclose(standing.mean(axis=1), 9.81 * (front + 0.1005), rtol=0.01)
@@ -120,7 +130,9 @@ def test_the_articulated_tail_walks_like_the_rigid_one(simulator):
 def test_servos_turn_no_faster_than_their_speed(simulator):
     """No servo's target changes by more than its speed allows, and a slow servo shortens the stride."""
     speed = np.array([1.0, 15.0])
-    result = simulator(gait="trot").run({"frequency": 0.8, "servo.speed": speed}, Run(cycles=4), record=True)
+    result = simulator(gait="trot").run(
+        {"frequency": 0.8, "servo.speed": speed}, Run(cycles=4), record=True
+    )
     fastest = np.abs(np.diff(result.trace.ctrl, axis=1)).max(axis=(1, 2)) / 0.01
     assert fastest[0] == pytest.approx(1.0, rel=1e-3)
     assert fastest[1] < 15.0
@@ -130,7 +142,9 @@ def test_servos_turn_no_faster_than_their_speed(simulator):
 @pytest.mark.release
 def test_the_published_lag_shortens_the_stride(simulator):
     """Closing 11 % of the foot error a tick, at one clock, walks slower than exact tracking."""
-    result = simulator(gait="trot").run({"frequency": 0.8, "tracking.foot_gain": np.array([1.0, 0.11])}, LONG)
+    result = simulator(gait="trot").run(
+        {"frequency": 0.8, "tracking.foot_gain": np.array([1.0, 0.11])}, LONG
+    )
     assert result.metrics["speed"][1] < 0.97 * result.metrics["speed"][0]
 
 

@@ -59,7 +59,9 @@ class Walk:
     def ahead(self) -> tuple[float, np.ndarray, set[str]]:
         def with_slopes(point):
             """Value and slopes of one pass: `jacfwd` beside the speed would compile the walk twice."""
-            return jax.vmap(lambda way: jax.jvp(self.speed, (point,), (way,)), out_axes=(None, 0))(jnp.eye(len(point)))
+            return jax.vmap(lambda way: jax.jvp(self.speed, (point,), (way,)), out_axes=(None, 0))(
+                jnp.eye(len(point))
+            )
 
         (value, slopes), held = self._run(with_slopes)
         return float(value), np.asarray(slopes), held
@@ -71,7 +73,10 @@ class Walk:
 
     def _run(self, function):
         with jax.enable_x64(True):
-            program, point = jax.jit(function, compiler_options=compiler_options()), jnp.asarray(self.first)
+            program, point = (
+                jax.jit(function, compiler_options=compiler_options()),
+                jnp.asarray(self.first),
+            )
             result = program(point)
             # From the trace that is there: tracing takes ten times as long as lowering.
             text = program.trace(point).lower(lowering_platforms=("cuda", "tpu")).as_text()
@@ -80,7 +85,9 @@ class Walk:
     @functools.cached_property
     def in_c(self) -> tuple[float, np.ndarray]:
         ways = np.eye(len(POINT))
-        points = self.first + self.first * SHARE * np.concatenate([np.zeros_like(ways[:1]), ways, -ways])
+        points = self.first + self.first * SHARE * np.concatenate(
+            [np.zeros_like(ways[:1]), ways, -ways]
+        )
         with jax.enable_x64(True):
             simulator = Simulator(self.setup, "c")
             # At the default of 1e-8 C stops early enough to move the speed by 2e-6 of itself, and slopes by up to 1e-3.

@@ -15,11 +15,15 @@ from nermo_mjx.runs.files import DirectoryError
 
 
 @pytest.mark.parametrize("reason", [os.strerror(errno.ENOSPC), "a disk was pulled out"])
-def test_a_write_that_fails_in_orbaxs_threads_is_one_error_and_loses_no_checkpoint(tmp_path, monkeypatch, reason):
+def test_a_write_that_fails_in_orbaxs_threads_is_one_error_and_loses_no_checkpoint(
+    tmp_path, monkeypatch, reason
+):
     """They raise a ValueError for whatever happens: a disk that fills meanwhile counts as one that is full."""
 
     def fails(*_, **__):
-        raise ValueError(f"RESOURCE_EXHAUSTED: Error writing local file: {reason} [os_error_code='0']")
+        raise ValueError(
+            f"RESOURCE_EXHAUSTED: Error writing local file: {reason} [os_error_code='0']"
+        )
 
     parts = {"state": {"x": np.arange(3.0)}}
     with RunDirectory(tmp_path, "tuning") as held, Checkpoints(held, "tuning") as checkpoints:

@@ -11,7 +11,9 @@ from nermo_mjx.runs.job import interruptible
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interruption_while_a_file_is_written_ends_the_job_afterwards(number: signal.Signals) -> None:
+def test_an_interruption_while_a_file_is_written_ends_the_job_afterwards(
+    number: signal.Signals,
+) -> None:
     written = []
 
     def job() -> None:

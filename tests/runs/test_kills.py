@@ -66,7 +66,13 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
 
     def merge(out: Path) -> pa.Table:
         for i in range(2):
-            run_sweep(SPEC, out.with_name(f"{out.name}-{i}"), chunk=4, shard=(i, 2), simulator=FakeSimulator())
+            run_sweep(
+                SPEC,
+                out.with_name(f"{out.name}-{i}"),
+                chunk=4,
+                shard=(i, 2),
+                simulator=FakeSimulator(),
+            )
         merge_sweeps([out.with_name(f"{out.name}-{i}") for i in range(2)], out)
         return read_table(out)
 
@@ -126,7 +132,12 @@ def ended(job: Callable[[Path], pa.Table], out: Path, before: int = 0) -> bool:
 def shown(table: pa.Table) -> str:
     """All of a table's values, to the last bit."""
     table = table.drop([name for name in table.column_names if name == CLOCK])
-    return json.dumps({name: [repr(value) for value in table.column(name).to_pylist()] for name in table.column_names})
+    return json.dumps(
+        {
+            name: [repr(value) for value in table.column(name).to_pylist()]
+            for name in table.column_names
+        }
+    )
 
 
 if __name__ == "__main__":
@@ -145,6 +156,10 @@ if __name__ == "__main__":
             assert not ended(job, out), out
             texts = [place.with_name(f"{place.name}.txt").read_text() for place in (alone, out)]
             assert texts[0] == texts[1], out
-            assert [path.name for path in out.rglob("*") if "aside" in path.name or TEMPORARY in path.name] == [], out
+            assert [
+                path.name
+                for path in out.rglob("*")
+                if "aside" in path.name or TEMPORARY in path.name
+            ] == [], out
         print(kind, kills.get(kind), flush=True)
     print(json.dumps(kills))

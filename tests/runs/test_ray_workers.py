@@ -33,7 +33,11 @@ from nermo_mjx.version import __version__
 pytestmark = pytest.mark.release
 
 FAKE = Path(__file__).parents[1] / "fakes" / "ray_fake.py"
-WALKS = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}, "plots": False}
+WALKS = {
+    "vary": {"frequency": {"linspace": [0.7, 1.2, 7]}},
+    "run": {"cycles": 2, "warmup_cycles": 1},
+    "plots": False,
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -81,14 +85,18 @@ def test_a_cluster_that_loses_and_gains_nodes_makes_the_undisturbed_table(tmp_pa
     assert (ended["sweep"]["complete"], ended["sweep"]["chunks_run"]) == (True, 36)
     assert read_table(out / "sweep").equals(undisturbed)
     (sentence,) = ended["sweep"]["said"]
-    assert re.fullmatch(r"a worker on \S+ \(\S+\) is lost \(\w+\); what it computed is computed again\.", sentence)
+    assert re.fullmatch(
+        r"a worker on \S+ \(\S+\) is lost \(\w+\); what it computed is computed again\.", sentence
+    )
     times, processes = computed(out / "sweep.log")
     assert len(times) == 36
     assert sum(times.values()) <= 37, "the one chunk in flight"
     assert len(processes) >= 3
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
     """The process that writes is gone: no worker of it is left, and at most what was not written yet is lost."""
     undisturbed = run_sweep(SPEC, tmp_path / "one", simulator=FakeSimulator()).table
@@ -100,7 +108,9 @@ def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
         time.sleep(0.05)
     process.send_signal(number)
     _, log = process.communicate(timeout=60)
-    assert ("Interrupted: stopped; what is finished is kept" in log) == (number == signal.SIGTERM), log[-3000:]
+    assert ("Interrupted: stopped; what is finished is kept" in log) == (
+        number == signal.SIGTERM
+    ), log[-3000:]
     kept = len(list(tmp_path.glob("out/results/*.parquet")))
     assert told(started("driver", tmp_path / "out", tmp_path / "log"))["chunks_run"] == 36 - kept
     assert read_table(tmp_path / "out").equals(undisturbed)
@@ -114,12 +124,19 @@ def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tm
     """Five starts on three nodes are shares of two: the numbers are those of one batch but for XLA's rounding."""
     (out, ended), tuning = nodes, Tuning.from_dict(STARTS)
     alone = run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
-    assert (ended["tuning"]["iterations"], len(ended["tuning"]["said"])) == (alone.iterations_run, 1)
+    assert (ended["tuning"]["iterations"], len(ended["tuning"]["said"])) == (
+        alone.iterations_run,
+        1,
+    )
     table = pq.read_table(out / "tuning" / "history.parquet").drop_columns(["wall_seconds"])
     for name in table.column_names:
         theirs, ours = (each.column(name).to_pylist() for each in (table, alone.history))
-        assert theirs == (pytest.approx(ours, rel=1e-4, abs=1e-5, nan_ok=True) if name != "code" else ours), name
-    processes, sizes = zip(*(line.split() for line in (out / "tuning.log").read_text().splitlines()), strict=True)
+        assert theirs == (
+            pytest.approx(ours, rel=1e-4, abs=1e-5, nan_ok=True) if name != "code" else ours
+        ), name
+    processes, sizes = zip(
+        *(line.split() for line in (out / "tuning.log").read_text().splitlines()), strict=True
+    )
     assert set(sizes) == {"2"}, "one shape, so that each worker compiles once"
     assert len(sizes) <= 3 * alone.iterations_run + 1, "the share in flight"
     assert len(set(processes)) == 3
@@ -127,27 +144,39 @@ def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tm
 
 def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, nodes, simulator):
     """Real walks in MuJoCo C, bit for bit, whoever simulated them."""
-    walked, (out, ended) = run_sweep(WALKS, tmp_path, chunk=2, simulator=simulator("c")).table, nodes
+    walked, (out, ended) = (
+        run_sweep(WALKS, tmp_path, chunk=2, simulator=simulator("c")).table,
+        nodes,
+    )
     assert ended["command"]["chunks_run"] == 3, ended["command"]
     table = read_table(out / "command")
     for name in walked.column_names:
-        np.testing.assert_array_equal(table.column(name), walked.column(name), strict=True, err_msg=name)
+        np.testing.assert_array_equal(
+            table.column(name), walked.column(name), strict=True, err_msg=name
+        )
 
 
 @pytest.mark.long
 def test_experiments_on_a_cluster_are_those_of_one_process(tmp_path, monkeypatch):
     """Real walks in MuJoCo C, bit for bit: tables of experiments and bodies."""
-    monkeypatch.setattr("nermo_mjx.experiments.run.AT_ONCE", 1)  # as there; the seed follows a batch's first body
+    monkeypatch.setattr(
+        "nermo_mjx.experiments.run.AT_ONCE", 1
+    )  # as there; the seed follows a batch's first body
     ended = told(started("real", tmp_path))
     names = ["balance", "body"]
     assert ended["names"] == names
     assert {"balance", "body", "balance, 3 bodies", "body, 3 bodies"} <= set(ended["done"])
     run_experiments(names, tmp_path / "one", engine="c", quick=True, bodies=3)
     for name in (*names, *(f"{name}-bodies" for name in names)):
-        theirs, ours = (pq.read_table(tmp_path / out / "results" / f"{name}.parquet") for out in ("experiments", "one"))
+        theirs, ours = (
+            pq.read_table(tmp_path / out / "results" / f"{name}.parquet")
+            for out in ("experiments", "one")
+        )
         assert theirs.column_names == ours.column_names
         for column in ours.column_names:
-            np.testing.assert_array_equal(theirs[column], ours[column], strict=True, err_msg=f"{name} {column}")
+            np.testing.assert_array_equal(
+                theirs[column], ours[column], strict=True, err_msg=f"{name} {column}"
+            )
 
 
 def test_tasks_and_nodes_that_fail_are_named(tmp_path):
@@ -158,8 +187,13 @@ def test_tasks_and_nodes_that_fail_are_named(tmp_path):
     assert ended["3"] == "3: ZeroDivisionError('not 3')"
     assert re.fullmatch(r"3: RuntimeError\('its worker was lost 3 times \(\w+\)'\)", ended["dies"])
     node = r"node \S+ \(127\.0\.0\.1\) is not used: "
-    assert re.fullmatch(rf"{node}it has other code: nermo-mjx 9\.9\.9, not {re.escape(__version__)}\.", ended["code"])
-    assert re.fullmatch(rf"{node}no worker starts there: RuntimeError: no engine here\.", ended["cold"])
+    assert re.fullmatch(
+        rf"{node}it has other code: nermo-mjx 9\.9\.9, not {re.escape(__version__)}\.",
+        ended["code"],
+    )
+    assert re.fullmatch(
+        rf"{node}no worker starts there: RuntimeError: no engine here\.", ended["cold"]
+    )
     assert {ended["code"], ended["cold"]} < set(told_by["said"])
     loopback = {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
     assert told_by["addresses"]
@@ -184,10 +218,17 @@ def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path)
         "--kill-driver",
     ]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run([*map(str, command)], env=environment, capture_output=True, text=True, timeout=580)
+    done = subprocess.run(
+        [*map(str, command)], env=environment, capture_output=True, text=True, timeout=580
+    )
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     found = json.loads(done.stdout.splitlines()[-1])
-    assert (found["same"], found["unexplained"], found["chunks"], found["drivers_lost"]) == (True, 0, 40, 1)
+    assert (found["same"], found["unexplained"], found["chunks"], found["drivers_lost"]) == (
+        True,
+        0,
+        40,
+        1,
+    )
     assert found["nodes_killed"] >= 1
 
 
@@ -197,7 +238,9 @@ def test_an_address_without_ray_is_wrong_use(tmp_path, what):
     spec = tmp_path / "spec.yaml"
     spec.write_text(json.dumps(TUNING if what == "tune" else WALKS))
     subject = {"experiment": ["body"]}.get(what, [str(spec)])
-    result = CliRunner().invoke(main, [what, *subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"])
+    result = CliRunner().invoke(
+        main, [what, *subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"]
+    )
     assert result.exit_code == 2
     assert "--ray-address is given without --workers ray" in result.stderr
     assert not (tmp_path / "out").exists()
@@ -205,12 +248,19 @@ def test_an_address_without_ray_is_wrong_use(tmp_path, what):
 
 @pytest.mark.parametrize(
     ("address", "why"),
-    [("nonsense", "expected ADDRESS:PORT"), ("ray://a:1", "expected ADDRESS:PORT"), ("127.0.0.1:1", "refused")],
+    [
+        ("nonsense", "expected ADDRESS:PORT"),
+        ("ray://a:1", "expected ADDRESS:PORT"),
+        ("127.0.0.1:1", "refused"),
+    ],
 )
 def test_a_cluster_that_is_not_there_is_one_sentence_at_once(address, why):
     """Ray itself would try to connect for minutes."""
     began = time.monotonic()
-    with pytest.raises(WorkersLost, match=rf"no Ray cluster at {address}: .*{why}"), RayWorkers(address):
+    with (
+        pytest.raises(WorkersLost, match=rf"no Ray cluster at {address}: .*{why}"),
+        RayWorkers(address),
+    ):
         pass
     assert time.monotonic() - began < 5
 
@@ -228,7 +278,24 @@ def test_this_process_asks_for_a_task_when_it_is_free():
 
     workers = LocalWorkers()
     workers.begin(Computer())
-    results = workers.results(((asked.append(k), (k, 10 * k))[1] for k in range(3)), lambda *told: told_of.append(told))
+    results = workers.results(
+        ((asked.append(k), (k, 10 * k))[1] for k in range(3)), lambda *told: told_of.append(told)
+    )
     assert next(results) == (0, 0)
     assert (asked, told_of) == ([0], [(0, 0.5)])
     assert list(results) == [(1, 20), (2, 40)]
+
+
+def test_a_process_that_would_open_the_cluster_to_other_machines_is_refused():
+    """Ray reads the switch when it is imported, and the package does not change Ray."""
+    code = "import ray; from nermo_mjx.runs.ray_workers import RayWorkers; RayWorkers().__enter__()"
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name != "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "set this environment variable before `import ray`" in done.stderr

@@ -37,7 +37,9 @@ def opened(held, group="aa", also=(), **how):
 def add(runs, values, first=0, series=False):
     rows = first + np.arange(len(values))
     about = {"engine": "c", "steps": "10", "wall_seconds": "2.0"}
-    table = pa.table({"row": rows, "speed": np.asarray(values) * 2.0}).replace_schema_metadata(about)
+    table = pa.table({"row": rows, "speed": np.asarray(values) * 2.0}).replace_schema_metadata(
+        about
+    )
     samples = pa.table({"row": np.repeat(rows, 2), "x": np.repeat(values, 2)}) if series else None
     return runs.add(keys(values), table, samples)
 
@@ -56,7 +58,10 @@ def test_a_key_is_of_content_and_of_nothing_else():
     assert both[0] == keys_of("walk", {"a": np.zeros(1), "b": np.ones(1)}, 1)[0]
     assert both[1] == keys_of("walk", {"a": np.zeros(1)}, 1)[0]
     assert keys_of("other", {"a": np.zeros(1)}, 1)[0] != both[1]
-    assert keys_of("walk", {"a": np.full(1, 0.1)}, 1)[0] != keys_of("walk", {"a": np.full(1, 0.1 + 1e-16)}, 1)[0]
+    assert (
+        keys_of("walk", {"a": np.full(1, 0.1)}, 1)[0]
+        != keys_of("walk", {"a": np.full(1, 0.1 + 1e-16)}, 1)[0]
+    )
 
 
 def test_runs_are_found_again_in_any_order_and_by_another_job(held):
@@ -125,7 +130,9 @@ def test_another_directory_is_only_read(held, tmp_path):
     assert runs.codes(accept=False) == [STAMP]
     path.write_bytes(path.read_bytes()[:-1])
     said = []
-    assert opened(held, also=[tmp_path / "there"], warn=said.append).find(keys([1.0])).tolist() == [-1]
+    assert opened(held, also=[tmp_path / "there"], warn=said.append).find(keys([1.0])).tolist() == [
+        -1
+    ]
     assert path.exists()
     assert str(path) in said[0]
 
@@ -152,7 +159,10 @@ def test_runs_of_unknown_code_are_used_only_when_that_is_accepted(held, tmp_path
     with RunDirectory(tmp_path / "there", "sweep") as there:
         add(opened(there), [1.0])
     runs = opened(held, also=[tmp_path / "there"])
-    with pytest.raises(OtherCode, match="there does not say which code made it: its runs are used with --accept-new"):
+    with pytest.raises(
+        OtherCode,
+        match="there does not say which code made it: its runs are used with --accept-new",
+    ):
         runs.codes(accept=False)
     assert runs.codes(accept=True) == []
 
@@ -168,7 +178,10 @@ def test_any_damage_is_seen_and_nothing_is_deleted(held):
     other = add(runs, [3.0], first=2, series=True)
     for file, instead in ((part.path, other.path), (part.series, other.series)):
         content = file.read_bytes()
-        flips = [(at, content[at] ^ 1 << (at % 8)) for at in [*range(0, len(content), 41), len(content) - 1]]
+        flips = [
+            (at, content[at] ^ 1 << (at % 8))
+            for at in [*range(0, len(content), 41), len(content) - 1]
+        ]
         wrong = [content[:at] + bytes([flipped]) + content[at + 1 :] for at, flipped in flips]
         wrong += [content[:cut] for cut in (0, 1, 7, 8, 100, -1, -200)]
         for damaged in [*wrong, instead.read_bytes()]:
@@ -203,7 +216,9 @@ def test_a_full_disk_leaves_nothing_half_written(held, monkeypatch, folder):
             return FullDisk(path, mode) if path.parent.name == folder else open(path, mode)
 
         patch.setattr(writing, "open", opens, raising=False)
-        with pytest.raises(DirectoryError, match=r"No space left on device\. What is finished is kept"):
+        with pytest.raises(
+            DirectoryError, match=r"No space left on device\. What is finished is kept"
+        ):
             add(runs, [2.0], first=1, series=True)
     assert not list(held.out.rglob("*.nermo-tmp"))
     runs = opened(held, series=True)
@@ -277,7 +292,10 @@ def test_shards_add_at_the_same_time(tmp_path):
     """Three processes, of which one is killed and begun again; a fourth one alone is refused meanwhile."""
     processes = [child(tmp_path, i) for i in range(3)]
     processes[1].stdout.readline()
-    with pytest.raises(DirectoryError, match="another process works in"), RunDirectory(tmp_path, "sweep"):
+    with (
+        pytest.raises(DirectoryError, match="another process works in"),
+        RunDirectory(tmp_path, "sweep"),
+    ):
         pass
     processes[1].kill()
     processes[1].wait()
@@ -286,6 +304,8 @@ def test_shards_add_at_the_same_time(tmp_path):
         process.communicate(timeout=60)
     with RunDirectory(tmp_path, "sweep") as held:
         warned = []
-        assert sorted(opened(held, warn=warned.append, series=True).numbers.tolist()) == list(range(300))
+        assert sorted(opened(held, warn=warned.append, series=True).numbers.tolist()) == list(
+            range(300)
+        )
         assert warned == []
     assert len(list(tmp_path.glob("series/*"))) == len(list(tmp_path.glob("results/*"))) == 300

@@ -22,7 +22,10 @@ def test_a_stamp_is_the_same_for_the_same_code_and_says_what_differs():
 
 
 def test_one_process_writes_at_a_time(tmp_path):
-    with RunDirectory(tmp_path, "sweep"), pytest.raises(DirectoryError, match="another process works in"):
+    with (
+        RunDirectory(tmp_path, "sweep"),
+        pytest.raises(DirectoryError, match="another process works in"),
+    ):
         RunDirectory(tmp_path, "sweep").__enter__()
     with RunDirectory(tmp_path, "sweep"):
         pass
@@ -48,7 +51,9 @@ def test_rows_of_other_code_are_refused_until_they_are_accepted(tmp_path):
     with RunDirectory(tmp_path, "sweep") as held:
         held.take_code(HERE, holds_rows=False)
         held.take_code(HERE, holds_rows=True)
-        with pytest.raises(OtherCode, match=f"nermo-mjx {HERE.package}, not 9.9.9;.*--accept-new-code"):
+        with pytest.raises(
+            OtherCode, match=f"nermo-mjx {HERE.package}, not 9.9.9;.*--accept-new-code"
+        ):
             held.take_code(other, holds_rows=True)
         assert list(codes_of(tmp_path)) == [HERE.id]
         held.take_code(other, holds_rows=True, accept=True)
@@ -64,7 +69,9 @@ def test_who_goes_on_under_another_python_or_numpy_is_told(tmp_path):
         warnings.simplefilter("error")
         for session in ({}, first, first, {"versions": {"jax": "0.9.0"}}, {"versions": {}}, first):
             held.note_session(session)
-        with pytest.raises(UserWarning, match=r"with python 3\.12\.1, not 3\.11\.7, numpy 2\.3\.0, not 2\.4\.6: "):
+        with pytest.raises(
+            UserWarning, match=r"with python 3\.12\.1, not 3\.11\.7, numpy 2\.3\.0, not 2\.4\.6: "
+        ):
             held.note_session(then)
         held.note_session(then)
 
@@ -75,7 +82,10 @@ def test_a_directory_without_rows_is_begun_anew_by_who_holds_it_alone(tmp_path):
         held.take_code(HERE, holds_rows=False)
         held.take_code(other, holds_rows=False)
     assert codes_of(tmp_path) == {other.id: other}
-    with RunDirectory(tmp_path, "sweep", (0, 2)) as held, pytest.raises(OtherCode, match="engine mjx, not c"):
+    with (
+        RunDirectory(tmp_path, "sweep", (0, 2)) as held,
+        pytest.raises(OtherCode, match="engine mjx, not c"),
+    ):
         held.take_code(HERE, holds_rows=False)
 
 
@@ -86,7 +96,9 @@ def test_rows_of_unknown_code_are_refused_until_they_are_accepted(tmp_path):
             held.take_code(HERE, holds_rows=True)
         held.take_code(HERE, holds_rows=True, accept=True)
         held.note_session({"started": "now"})
-    assert [each["started"] for each in json.loads((tmp_path / "run.json").read_text())["sessions"]] == ["then", "now"]
+    assert [
+        each["started"] for each in json.loads((tmp_path / "run.json").read_text())["sessions"]
+    ] == ["then", "now"]
 
 
 def test_what_is_moved_aside_is_kept_under_a_new_name(tmp_path):
@@ -98,7 +110,9 @@ def test_what_is_moved_aside_is_kept_under_a_new_name(tmp_path):
             assert aside.read_bytes() == content
         assert held.move_aside("history.parquet") is None
         held.write("history.parquet", b"first")
-        assert held.move_aside("history.parquet") == tmp_path / "history.parquet.aside-1", "it is kept already"
+        assert held.move_aside("history.parquet") == tmp_path / "history.parquet.aside-1", (
+            "it is kept already"
+        )
     assert len(list(tmp_path.glob("*.aside-*"))) == 2
     assert not (tmp_path / "history.parquet").exists()
 
@@ -107,7 +121,10 @@ def test_what_is_moved_aside_leaves_a_folder_that_others_read_whole(tmp_path):
     with RunDirectory(tmp_path, "sweep") as held:
         for count in (1, 2):
             held.write("results/chunk.parquet", b"rows" * count)
-            assert held.move_aside("results/chunk.parquet", "out") == tmp_path / "out" / f"chunk.parquet.aside-{count}"
+            assert (
+                held.move_aside("results/chunk.parquet", "out")
+                == tmp_path / "out" / f"chunk.parquet.aside-{count}"
+            )
     assert list((tmp_path / "results").iterdir()) == []
 
 
@@ -116,7 +133,9 @@ def test_only_files_of_our_own_naming_are_swept_up(tmp_path):
     (tmp_path / ".notes.tmp").write_text("a user's")
     with RunDirectory(tmp_path, "sweep"):
         pass
-    assert [path.name for path in tmp_path.glob(".*") if not path.name.startswith(".lock")] == [".notes.tmp"]
+    assert [path.name for path in tmp_path.glob(".*") if not path.name.startswith(".lock")] == [
+        ".notes.tmp"
+    ]
 
 
 def test_a_file_appears_whole_and_its_name_is_synced(tmp_path, monkeypatch):
@@ -126,7 +145,10 @@ def test_a_file_appears_whole_and_its_name_is_synced(tmp_path, monkeypatch):
     files.replace_file(tmp_path / "a", b"one")
     files.create_file(tmp_path / "a", b"two")
     files.create_file(tmp_path / "b", b"three")
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"one", "b": b"three"}
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "a": b"one",
+        "b": b"three",
+    }
     assert set(synced) == {tmp_path}
 
 

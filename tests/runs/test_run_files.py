@@ -47,7 +47,9 @@ def test_texts_count_by_what_they_unpack_to(form: str, tmp_path: Path) -> None:
         assert parquet_table(content) is None
         with pytest.raises(SpecError, match="cannot be read as Parquet"):
             read_row_table(read_mapping({}), str(tmp_path / "rows.parquet"))
-        with pytest.raises(DirectoryError, match=r"texts unpack to more than|is of type large_string"):
+        with pytest.raises(
+            DirectoryError, match=r"texts unpack to more than|is of type large_string"
+        ):
             Results([tmp_path / "rows.parquet"])
 
 

@@ -19,7 +19,13 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     from tensorboardX.proto.event_pb2 import Event
 
     with pytest.raises(Interrupted):
-        run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=2, falls_above=0.1), tensorboard=True)
+        run_sweep(
+            SPEC,
+            tmp_path,
+            chunk=9,
+            simulator=FakeSimulator(stop_at=2, falls_above=0.1),
+            tensorboard=True,
+        )
     run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(falls_above=0.1), tensorboard=True)
     table = read_table(tmp_path)
     well = np.array(table.column("status").to_pylist()) == "ok"
@@ -35,7 +41,9 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     found: dict[str, dict[int, float]] = {}
     for path in sorted((tmp_path / "tensorboard").iterdir()):
         content = path.read_bytes()
-        while content:  # a record is its length, that number's checksum, the event, and its checksum
+        while (
+            content
+        ):  # a record is its length, that number's checksum, the event, and its checksum
             size = int.from_bytes(content[:8], "little")
             event, content = Event.FromString(content[12 : 12 + size]), content[16 + size :]
             for value in event.summary.value:

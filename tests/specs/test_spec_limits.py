@@ -24,30 +24,58 @@ from nermo_mjx.sweep import Sweep, run_sweep
 @pytest.mark.parametrize(
     ("read", "spec", "said"),
     [
-        (Sweep.from_dict, {"vary": {"frequency": [0.8]}, "run": {"cycles": 1e300}}, "field 'run.cycles' is 1e+300"),
-        (Sweep.from_dict, {"vary": {"frequency": [0.8]}, "run": {"duration": 1e12}}, "field 'run.duration'"),
-        (Search.from_dict, SEARCH | {"batch": 100_000}, "field 'batch' is 100,000: 100,000 worlds at once take 5.0 GB"),
-        (Search.from_dict, SEARCH | {"batch": 700, "randomize": {"repeats": 100}}, "70,000 worlds at once take 3.5 GB"),
+        (
+            Sweep.from_dict,
+            {"vary": {"frequency": [0.8]}, "run": {"cycles": 1e300}},
+            "field 'run.cycles' is 1e+300",
+        ),
+        (
+            Sweep.from_dict,
+            {"vary": {"frequency": [0.8]}, "run": {"duration": 1e12}},
+            "field 'run.duration'",
+        ),
+        (
+            Search.from_dict,
+            SEARCH | {"batch": 100_000},
+            "field 'batch' is 100,000: 100,000 worlds at once take 5.0 GB",
+        ),
+        (
+            Search.from_dict,
+            SEARCH | {"batch": 700, "randomize": {"repeats": 100}},
+            "70,000 worlds at once take 3.5 GB",
+        ),
         (Tuning.from_dict, TUNE | {"starts": 100_000}, "500,000 worlds at once take 25.0 GB"),
         (
             Tuning.from_dict,
             TUNE | {"starts": 30_000},
             "each with 5 walks: 150,000 worlds at once take 7",
         ),
-        (Training.from_dict, {"worlds": 500_000, "steps": 1_000_000}, "500,000 worlds at once take 25.0 GB"),
+        (
+            Training.from_dict,
+            {"worlds": 500_000, "steps": 1_000_000},
+            "500,000 worlds at once take 25.0 GB",
+        ),
         *(
-            (read, spec | {"pilot": {"waypoints": {"points": [[0.0, 0.0], [0.0, -0.5], [far, -1.0]]}}}, said)
+            (
+                read,
+                spec | {"pilot": {"waypoints": {"points": [[0.0, 0.0], [0.0, -0.5], [far, -1.0]]}}},
+                said,
+            )
             for read, spec in (
                 (Sweep.from_dict, {"vary": {"frequency": [0.8]}}),
                 (Search.from_dict, SEARCH),
                 (Tuning.from_dict, TUNE),
                 (Training.from_dict, {}),
             )
-            for far, said in ((1e308, "field 'pilot.waypoints.points' is refused: Way point 2 is (1e+308, -1): "),)
+            for far, said in (
+                (1e308, "field 'pilot.waypoints.points' is refused: Way point 2 is (1e+308, -1): "),
+            )
         ),
     ],
 )
-def test_a_batch_that_does_not_fit_and_a_run_without_end_are_refused(read: Any, spec: Any, said: str) -> None:
+def test_a_batch_that_does_not_fit_and_a_run_without_end_are_refused(
+    read: Any, spec: Any, said: str
+) -> None:
     with pytest.raises(SpecError, match=re.escape(said)):
         read(spec)
 
@@ -62,11 +90,15 @@ def test_the_ticks_of_a_sweep_have_a_limit(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=r"simulates .* s in 100,000 runs: allowed are 1e\+09 s"):
         run_sweep(spec, tmp_path, chunk=1000, simulator=FakeSimulator())
     with pytest.raises(SpecError, match=r"chunk is 100,000: 100,000 worlds at once take 5\.0 GB"):
-        run_sweep(spec | {"run": {"duration": 1.0}}, tmp_path, chunk=100_000, simulator=FakeSimulator())
+        run_sweep(
+            spec | {"run": {"duration": 1.0}}, tmp_path, chunk=100_000, simulator=FakeSimulator()
+        )
 
 
 @pytest.mark.release
-def test_yaml_has_a_limit_of_values_and_of_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_yaml_has_a_limit_of_values_and_of_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refused(text: str, reason: str) -> None:
         with pytest.raises(SpecError, match=reason):
             read_file(write_text(tmp_path / "a.yaml", text))
@@ -81,7 +113,10 @@ PAIRS = ("ab", "bc", "cd", "de")
 
 
 MERGED = (
-    "a: &a {" + ", ".join(f"k{i}: 1" for i in range(300)) + "}\n" + "".join(f"b{i}: {{<<: *a}}\n" for i in range(400))
+    "a: &a {"
+    + ", ".join(f"k{i}: 1" for i in range(300))
+    + "}\n"
+    + "".join(f"b{i}: {{<<: *a}}\n" for i in range(400))
 )
 
 
@@ -103,7 +138,10 @@ MERGED = (
             r"^x:1: field 'run.duration' is 1e\+30: allowed is \(0, 100000\]",
         ),
         ("run: {cycles: 1e30}\nvary: {frequency: [0.6]}", "field 'run.cycles' is"),
-        ("pilot: {straight: {distance: 1e30}}\nvary: {frequency: [0.6]}", "field 'pilot.straight.distance' is"),
+        (
+            "pilot: {straight: {distance: 1e30}}\nvary: {frequency: [0.6]}",
+            "field 'pilot.straight.distance' is",
+        ),
         ("vary: {frequency: [" + "1" * 400 + "]}", "field 'frequency' is the number 111"),
     ],
 )

@@ -85,9 +85,15 @@ GOOD = [
     ("sweep", "pilot: arc"),
     ("sweep", "pilot: {straight: }"),
     ("sweep", "sample: grid\nchunk: 16\nplots: false\nspine: stride_extension+balance\nseed: 3"),
-    ("sweep", "sample: {sobol: 64}\nrandomize: {repeats: 2, from: identified, mass.front: {normal: [0.16, 0.01]}}"),
+    (
+        "sweep",
+        "sample: {sobol: 64}\nrandomize: {repeats: 2, from: identified, mass.front: {normal: [0.16, 0.01]}}",
+    ),
     ("tune", "optimizer: sgd\nmethod: {wide_differences: {scheme: forward}}"),
-    ("tune", "optimizer: {name: adam, learning_rate: {cosine: {init_value: 0.1, decay_steps: 20}}, b1: 0.8}"),
+    (
+        "tune",
+        "optimizer: {name: adam, learning_rate: {cosine: {init_value: 0.1, decay_steps: 20}}, b1: 0.8}",
+    ),
 ]
 
 
@@ -178,7 +184,11 @@ def test_the_command_writes_a_file(tmp_path):
     for more, said in (((), f"wrote {out}\n"), (("--quiet",), "")):
         ran = call("schema", "sweep", "--out", out, *more)
         assert (ran.exit_code, ran.output) == (0, said)
-    assert json_of("schema", "sweep", "--out", out) == json.loads(out.read_text()) == json_of("schema", "sweep")
+    assert (
+        json_of("schema", "sweep", "--out", out)
+        == json.loads(out.read_text())
+        == json_of("schema", "sweep")
+    )
     assert json.loads(call("schema", "sweep", "--quiet").stdout) == json_of("schema", "sweep")
     gaits = json.loads(out.read_text())["properties"]["gait"]["enum"]
     assert gaits == ["trot", "walking_trot", "lateral_walk", "bound", "gallop"]
@@ -190,7 +200,24 @@ def test_an_unknown_kind_is_wrong_use():
     assert "'sweep', 'search', 'tune', 'train', 'servos'" in ran.output
 
 
-ODD = [None, True, 0, -1, 2.5, float("nan"), float("inf"), 10**400, "", "x", [], [1], ["a"], [[1, 2]], [{}], {}]
+ODD = [
+    None,
+    True,
+    0,
+    -1,
+    2.5,
+    float("nan"),
+    float("inf"),
+    10**400,
+    "",
+    "x",
+    [],
+    [1],
+    ["a"],
+    [[1, 2]],
+    [{}],
+    {},
+]
 ODD += [{"x": each} for each in (None, 1, "a", [1], {})]
 
 

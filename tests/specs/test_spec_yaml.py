@@ -41,7 +41,10 @@ def test_a_quoted_merge_key_is_a_name():
 def test_a_sweep_and_a_tuning_with_merge_keys_are_those_written_out():
     """What is run does not depend on how its file was written."""
     sweep = "spine: stride_extension\nvary:\n  frequency: &f {linspace: [0.4, 1.2, 3]}\n  spine.phase: {%s}\n"
-    assert Sweep.from_text(sweep % "<<: *f").resolved() == Sweep.from_text(sweep % "linspace: [0.4, 1.2, 3]").resolved()
+    assert (
+        Sweep.from_text(sweep % "<<: *f").resolved()
+        == Sweep.from_text(sweep % "linspace: [0.4, 1.2, 3]").resolved()
+    )
     tuning = (
         "spine: stride_extension\ntune:\n  spine.phase: &p {bounds: [0.0, 0.3], start: 0.1}\n"
         "  spine.amplitude: {%s}\nobjective: [{maximize: speed}]\n"
@@ -55,13 +58,20 @@ def test_a_sweep_and_a_tuning_with_merge_keys_are_those_written_out():
 def test_a_message_names_the_line_where_a_merged_value_stands():
     """The line of the value that is wrong, not that of the merge key."""
     with pytest.raises(SpecError, match=r"^s.yaml:3: field 'run.cycles' is the text 'many'"):
-        Sweep.from_text("vary: {frequency: [0.5]}\nrun: {<<: &run {warmup_cycles: 1,\n  cycles: many}}\n", "s.yaml")
+        Sweep.from_text(
+            "vary: {frequency: [0.5]}\nrun: {<<: &run {warmup_cycles: 1,\n  cycles: many}}\n",
+            "s.yaml",
+        )
 
 
 def test_what_an_alias_stands_for_has_the_lines_of_the_anchor():
     """The field that uses it has its own line."""
     doc = read_text("a: &a\n  x: 1\n  y:\n  - 2\nb: *a\n", "s.yaml")
-    assert [doc.where(path) for path in (("b",), ("b", "x"), ("b", "y", 0))] == ["s.yaml:5", "s.yaml:2", "s.yaml:4"]
+    assert [doc.where(path) for path in (("b",), ("b", "x"), ("b", "y", 0))] == [
+        "s.yaml:5",
+        "s.yaml:2",
+        "s.yaml:4",
+    ]
     with pytest.raises(SpecError, match=r"^s.yaml:3: field 'spine.amplitude' is 1.2: allowed is"):
         Sweep.from_text("vary:\n  frequency: &f [0.4, 1.2]\n  spine.amplitude: *f\n", "s.yaml")
 
@@ -70,22 +80,50 @@ PLAIN = "allowed are texts (in quotes where needed), numbers, true, false, lists
 #: A field of a file, the line of the message, and the message.
 ODD = {
     "tagged text": ("a: !foo bar", 2, f"field 'a' is 'bar' with the tag !foo: {PLAIN}"),
-    "tagged mapping": ("a:\n  b: !foo {c: 1}", 3, f"field 'a.b' is a mapping with the tag !foo: {PLAIN}"),
+    "tagged mapping": (
+        "a:\n  b: !foo {c: 1}",
+        3,
+        f"field 'a.b' is a mapping with the tag !foo: {PLAIN}",
+    ),
     "tagged list": ("a: [1, !foo [2]]", 2, f"field 'a.1' is a list with the tag !foo: {PLAIN}"),
-    "tagged key": ("!foo a: 1", 2, "the name of a field is 'a' with the tag !foo: expected a text."),
+    "tagged key": (
+        "!foo a: 1",
+        2,
+        "the name of a field is 'a' with the tag !foo: expected a text.",
+    ),
     "set": ("a: !!set {b, c}", 2, f"field 'a' is a mapping with the tag !!set: {PLAIN}"),
     "binary": ("a: !!binary aGk=", 2, f"field 'a' is 'aGk=' with the tag !!binary: {PLAIN}"),
     "ordered mapping": ("a: !!omap [b: 1]", 2, f"field 'a' is a list with the tag !!omap: {PLAIN}"),
     "date": ("a: 2021-12-01", 2, f"field 'a' is '2021-12-01' with the tag !!timestamp: {PLAIN}"),
-    "wrong number": ("a: !!float much", 2, "field 'a' is 'much' with the tag !!float, which it is not."),
+    "wrong number": (
+        "a: !!float much",
+        2,
+        "field 'a' is 'much' with the tag !!float, which it is not.",
+    ),
     "number as a key": ("a: {3: 1}", 2, "the name of a field is the number 3: expected a text."),
-    "truth value as a key": ("true: 1", 2, "the name of a field is the truth value true: expected a text."),
+    "truth value as a key": (
+        "true: 1",
+        2,
+        "the name of a field is the truth value true: expected a text.",
+    ),
     "nothing as a key": ("a:\n  ~: 1", 3, "the name of a field is nothing: expected a text."),
     "list as a key": ("? [1, 2]\n: 3", 2, "the name of a field is a list: expected a text."),
     "duplicate key": ("a: {b: 1,\n  b: 2}", 3, "field 'a.b' stands twice; keep one of them."),
-    "two merge keys": ("a: &a {}\nb: {<<: *a, <<: *a}", 3, "field 'b.<<' stands twice; merge a list instead."),
-    "merged number": ("a: {<<: 3}", 2, "field 'a.<<' is the number 3: expected a mapping or a list of mappings."),
-    "merged texts": ("a:\n  <<: [b]", 3, "field 'a.<<' is the text 'b': expected a mapping or a list of mappings."),
+    "two merge keys": (
+        "a: &a {}\nb: {<<: *a, <<: *a}",
+        3,
+        "field 'b.<<' stands twice; merge a list instead.",
+    ),
+    "merged number": (
+        "a: {<<: 3}",
+        2,
+        "field 'a.<<' is the number 3: expected a mapping or a list of mappings.",
+    ),
+    "merged texts": (
+        "a:\n  <<: [b]",
+        3,
+        "field 'a.<<' is the text 'b': expected a mapping or a list of mappings.",
+    ),
     "alias within itself": ("a: &a [1, *a]", 2, "field 'a.1' contains itself through an alias."),
     "merged into itself": ("a: &a {<<: *a}", 2, "field 'a.<<' contains itself through an alias."),
 }
@@ -102,7 +140,9 @@ def test_what_is_no_plain_value_is_refused_with_line_field_and_value(case):
 
 def test_a_file_that_is_one_tagged_value_is_refused():
     """There is no field to name."""
-    with pytest.raises(SpecError, match=r"^s.yaml:1: the sweep is a mapping with the tag !foo: allowed are"):
+    with pytest.raises(
+        SpecError, match=r"^s.yaml:1: the sweep is a mapping with the tag !foo: allowed are"
+    ):
         read_text("!foo {a: 1}", "s.yaml")
 
 
@@ -114,5 +154,7 @@ def test_a_standard_tag_gives_the_value_it_names():
 def test_a_servo_table_may_merge(tmp_path):
     """Every file that is read as a spec can."""
     path = tmp_path / "c.yaml"
-    path.write_text(f"{SERVOS[0]}: &a {{channel: 0, zero: 90}}\n{SERVOS[1]}: {{<<: *a, channel: 1}}\n")
+    path.write_text(
+        f"{SERVOS[0]}: &a {{channel: 0, zero: 90}}\n{SERVOS[1]}: {{<<: *a, channel: 1}}\n"
+    )
     assert [(c.number, c.zero) for c in read_channels(path)] == [(0, 90.0), (1, 90.0)]

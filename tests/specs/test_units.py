@@ -45,17 +45,23 @@ def test_a_text_is_its_number_in_si_units(name, text, number):
     assert Setup().numbers({name: [text, 1]}) == {name: [pytest.approx(number, rel=1e-14), 1]}
 
 
-@pytest.mark.parametrize("text", ["12 mm", "fast", "", "Hz", "0.8 hz", "0.8 Hz 2", "1,5 Hz", "--1 Hz", "1 % Hz", "nan"])
+@pytest.mark.parametrize(
+    "text", ["12 mm", "fast", "", "Hz", "0.8 hz", "0.8 Hz 2", "1,5 Hz", "--1 Hz", "1 % Hz", "nan"]
+)
 def test_other_texts_are_refused(text):
     with pytest.raises(ParameterError) as refused:
         Setup().numbers({"frequency": text})
     assert str(refused.value) == f"frequency is {text!r}: expected a number in Hz, such as 0.67 Hz."
 
 
-@pytest.mark.parametrize("value", [True, None, [0.8, False], np.array([True]), np.array(["0.8 Hz", "1 g"])])
+@pytest.mark.parametrize(
+    "value", [True, None, [0.8, False], np.array([True]), np.array(["0.8 Hz", "1 g"])]
+)
 def test_what_is_no_number_is_refused(value):
     """A truth value is no number, though NumPy takes it for one."""
-    with pytest.raises(ParameterError, match=r"^frequency is .*: expected a number in Hz, such as 0\.67 Hz\.$"):
+    with pytest.raises(
+        ParameterError, match=r"^frequency is .*: expected a number in Hz, such as 0\.67 Hz\.$"
+    ):
         Setup().numbers({"frequency": value})
 
 
@@ -93,9 +99,8 @@ def test_a_sweep_in_units_is_that_in_si_numbers():
 
 
 def test_a_tuning_a_search_and_a_training_take_units():
-    text = (
-        "spine: stride_extension\ntune: {{spine.phase: {{bounds: [{}], start: {}}}}}\nobjective: [{{maximize: speed}}]"
-    )
+    text = "spine: stride_extension\ntune: {{spine.phase: {{bounds: [{}], start: {}}}}}"
+    text += "\nobjective: [{{maximize: speed}}]"
     assert Tuning.from_text(text.format("-90 deg, 90 deg", "45 deg")) == Tuning.from_text(
         text.format(f"{-math.pi / 2!r}, {math.pi / 2!r}", math.pi / 4)
     )
@@ -103,7 +108,9 @@ def test_a_tuning_a_search_and_a_training_take_units():
     assert Search.from_text(text.format("-90 deg, 90 deg")) == Search.from_text(
         text.format(f"{-math.pi / 2!r}, {math.pi / 2!r}")
     )
-    training = Training.from_text("randomize: {contact.friction: [60 %, 0.9]}\nset: {frequency: 0.8 Hz}")
+    training = Training.from_text(
+        "randomize: {contact.friction: [60 %, 0.9]}\nset: {frequency: 0.8 Hz}"
+    )
     assert training.task.randomize["contact.friction"] == (0.6, 0.9)
     assert training.task.set["frequency"] == 0.8
 
@@ -138,25 +145,54 @@ def test_a_compared_base_is_a_value_whatever_its_unit():
             "schedule: [{at: -1 s, gait: trot}]",
             "field 'schedule.0.at' is the text '-1 s': expected a number of at least",
         ),
-        ("set: {frequency: 12 mm}", "field 'frequency' is the text '12 mm': expected a number in Hz, such as 0.67 Hz."),
-        ("vary: {frequency: [0.8, 3 s]}", "field 'frequency' is the text '3 s': expected a number in Hz"),
-        ("vary: {frequency: {linspace: [1, fast, 3]}}", "field 'frequency' is the text 'fast': expected a number."),
-        ("randomize: {duty: {normal: [1 m, 1]}}", "field 'duty' is the text '1 m': expected a number, or one in %,"),
+        (
+            "set: {frequency: 12 mm}",
+            "field 'frequency' is the text '12 mm': expected a number in Hz, such as 0.67 Hz.",
+        ),
+        (
+            "vary: {frequency: [0.8, 3 s]}",
+            "field 'frequency' is the text '3 s': expected a number in Hz",
+        ),
+        (
+            "vary: {frequency: {linspace: [1, fast, 3]}}",
+            "field 'frequency' is the text 'fast': expected a number.",
+        ),
+        (
+            "randomize: {duty: {normal: [1 m, 1]}}",
+            "field 'duty' is the text '1 m': expected a number, or one in %,",
+        ),
         (
             "rows: [{frequency: 1}, {frequency: 3 g}]",
             "field 'rows.1.frequency' is the text '3 g': expected a number in Hz",
         ),
-        ("pilot: {arc: {radius: 3 deg}}", "field 'pilot.arc.radius' is the text '3 deg': expected a number in m, mm"),
-        ("pilot: {straight: {distance: 3 s}}", "'pilot.straight.distance' is the text '3 s': expected a number in m,"),
-        ("run: {duration: 3 m}", "field 'run.duration' is the text '3 m': expected a number in s or ms, such as 1 s."),
-        ("schedule: [{at: 1, set: {duty: 3 g}}]", "field 'schedule.0.set.duty' is the text '3 g': expected a number,"),
-        ("optimum: {base: {frequency: 3 g}}", "field 'optimum.base.frequency' is the text '3 g': expected a number in"),
+        (
+            "pilot: {arc: {radius: 3 deg}}",
+            "field 'pilot.arc.radius' is the text '3 deg': expected a number in m, mm",
+        ),
+        (
+            "pilot: {straight: {distance: 3 s}}",
+            "'pilot.straight.distance' is the text '3 s': expected a number in m,",
+        ),
+        (
+            "run: {duration: 3 m}",
+            "field 'run.duration' is the text '3 m': expected a number in s or ms, such as 1 s.",
+        ),
+        (
+            "schedule: [{at: 1, set: {duty: 3 g}}]",
+            "field 'schedule.0.set.duty' is the text '3 g': expected a number,",
+        ),
+        (
+            "optimum: {base: {frequency: 3 g}}",
+            "field 'optimum.base.frequency' is the text '3 g': expected a number in",
+        ),
     ],
 )
 def test_a_file_refuses_a_unit_that_does_not_convert(text, message):
     with pytest.raises(ParameterError) as refused:
         Sweep.from_text(f"\n{text}")
-    assert str(refused.value).startswith(f"sweep:2: {message}" if "field" in message else f"sweep:2: field {message}")
+    assert str(refused.value).startswith(
+        f"sweep:2: {message}" if "field" in message else f"sweep:2: field {message}"
+    )
 
 
 def test_rows_of_a_table_may_have_units(tmp_path):
@@ -171,7 +207,11 @@ def test_an_editor_accepts_what_is_read():
     schema = json_of("schema", "sweep")
     check = jsonschema.Draft7Validator(schema)
     assert not list(check.iter_errors(read_text(IN_UNITS, "s").data))
-    for wrong in ("{set: {frequency: 12 mm}}", "{vary: {frequency: [fast]}}", "{run: {duration: 3 m}}"):
+    for wrong in (
+        "{set: {frequency: 12 mm}}",
+        "{vary: {frequency: [fast]}}",
+        "{run: {duration: 3 m}}",
+    ):
         assert list(check.iter_errors(read_text(wrong, "s").data)), wrong
 
 
@@ -179,20 +219,38 @@ def test_an_editor_accepts_what_is_read():
 def test_python_takes_units(simulator):
     """A walk and a servo table in units are those in SI numbers."""
     setup = Setup(spine="stride_extension")
-    units = {"frequency": "0.8 Hz", "spine.phase": ["-45 deg", "45deg"], "spine.amplitude": "10 deg"}
-    numbers = {"frequency": 0.8, "spine.phase": [-math.pi / 4, math.pi / 4], "spine.amplitude": math.pi / 18}
-    prepared = [Simulator(setup, engine="c").prepare(each, Run(duration=0.2)) for each in (units, numbers)]
+    units = {
+        "frequency": "0.8 Hz",
+        "spine.phase": ["-45 deg", "45deg"],
+        "spine.amplitude": "10 deg",
+    }
+    numbers = {
+        "frequency": 0.8,
+        "spine.phase": [-math.pi / 4, math.pi / 4],
+        "spine.amplitude": math.pi / 18,
+    }
+    prepared = [
+        Simulator(setup, engine="c").prepare(each, Run(duration=0.2)) for each in (units, numbers)
+    ]
     assert prepared[0].named == prepared[1].named
     for name, values in prepared[0].worlds.control.spine.__dict__.items():
-        np.testing.assert_allclose(values, getattr(prepared[1].worlds.control.spine, name), rtol=1e-15)
+        np.testing.assert_allclose(
+            values, getattr(prepared[1].worlds.control.spine, name), rtol=1e-15
+        )
     table = servo_table(setup, units | {"spine.phase": "-45 deg"}, rate=20.0)
     np.testing.assert_array_equal(
         table.angles, servo_table(setup, numbers | {"spine.phase": -math.pi / 4}, rate=20.0).angles
     )
     assert Switch(1.0, values={"frequency": "0.8 Hz"}).values == (("frequency", 0.8),)
     rollout = Rollout(setup, Run(duration=0.1), engine="c")
-    for wrong in (lambda: rollout({"frequency": "3 s"}), lambda: servo_table(setup, {"frequency": "3 s"})):
-        with pytest.raises(ParameterError, match=r"^frequency is '3 s': expected a number in Hz, such as 0\.67 Hz\.$"):
+    for wrong in (
+        lambda: rollout({"frequency": "3 s"}),
+        lambda: servo_table(setup, {"frequency": "3 s"}),
+    ):
+        with pytest.raises(
+            ParameterError,
+            match=r"^frequency is '3 s': expected a number in Hz, such as 0\.67 Hz\.$",
+        ):
             wrong()
 
 
@@ -202,15 +260,33 @@ def test_commands_take_units(tmp_path):
     tables = []
     for i, angle, rate in ((0, "-45 deg", "0.8 Hz"), (1, repr(-math.pi / 4), "0.8")):
         out = tmp_path / f"{i}.csv"
-        options = ("--spine", "stride_extension", "--spine-phase", angle, "--frequency", rate, "--set", "duty=55 %")
+        options = (
+            "--spine",
+            "stride_extension",
+            "--spine-phase",
+            angle,
+            "--frequency",
+            rate,
+            "--set",
+            "duty=55 %",
+        )
         ran = call("servos", *options, "--rate", "20", "--out", out)
         assert ran.exit_code == 0, ran.output
         tables.append(out.read_text().partition("\n")[2])
     assert tables[0] == tables[1]
     ran = call("walk", "--set", "frequency=12 mm")
     assert ran.exit_code == 2
-    assert "--set frequency=12 mm: frequency is '12 mm': expected a number in Hz, such as 0.67 Hz." in ran.output
+    assert (
+        "--set frequency=12 mm: frequency is '12 mm': expected a number in Hz, such as 0.67 Hz."
+        in ran.output
+    )
     ran = call("walk", "--frequency", "12 mm")
-    assert (ran.exit_code, "--frequency is '12 mm': expected a number in Hz" in ran.output) == (2, True)
+    assert (ran.exit_code, "--frequency is '12 mm': expected a number in Hz" in ran.output) == (
+        2,
+        True,
+    )
     ran = call("walk", "--switch", "2,frequency=12 mm")
-    assert (ran.exit_code, "frequency is '12 mm': expected a number in Hz" in ran.output) == (2, True)
+    assert (ran.exit_code, "frequency is '12 mm': expected a number in Hz" in ran.output) == (
+        2,
+        True,
+    )

@@ -31,7 +31,9 @@ def covered(found, truth=0.0) -> float:
     return float(np.mean((found.low <= truth) & (truth <= found.high)))
 
 
-def pairs(rng: np.random.Generator, variants: int, repeats: int, ratio: float, noise: str = "normal noise") -> float:
+def pairs(
+    rng: np.random.Generator, variants: int, repeats: int, ratio: float, noise: str = "normal noise"
+) -> float:
     """Coverage of the mean over variants whose true differences spread `ratio` times as far as those of a pair.
 
     Of one variant, the truth is its own difference. Skewed noise is exponential on both sides; skewed differences are
@@ -49,7 +51,9 @@ def pairs(rng: np.random.Generator, variants: int, repeats: int, ratio: float, n
 
 def sides(rng: np.random.Generator, counts: tuple[int, int], ratio: float) -> float:
     """Coverage of one variant whose two sides have no seed in common, where their noise differs by the ratio."""
-    base, other = (scale * rng.normal(size=(n, TRIALS)) for n, scale in zip(counts, (1.0, ratio), strict=True))
+    base, other = (
+        scale * rng.normal(size=(n, TRIALS)) for n, scale in zip(counts, (1.0, ratio), strict=True)
+    )
     cell = np.repeat([0, 1], counts)
     return covered(two_stage(np.concatenate([-base, other]), cell, np.zeros(2, int)))
 
@@ -62,7 +66,9 @@ def coverages() -> dict[tuple, float]:
         for noise in NOISES:
             for repeats in REPEATS:
                 for ratio in RATIOS:
-                    found["pairs", variants, noise, repeats, ratio] = pairs(rng, variants, repeats, ratio, noise)
+                    found["pairs", variants, noise, repeats, ratio] = pairs(
+                        rng, variants, repeats, ratio, noise
+                    )
     for counts in UNBALANCED:
         for ratio in RATIOS:
             found["sides", counts, ratio] = sides(rng, counts, ratio)
@@ -73,9 +79,15 @@ def page() -> str:
     """The tables of the page: the first with the lowest share over the spreads of the variants, and over their numbers
     where there are several."""
     found, lines = coverages(), list[str]()
-    lines += [f"| pairs of each variant | {' | '.join(map(str, REPEATS))} |", f"|---|{'---:|' * len(REPEATS)}"]
+    lines += [
+        f"| pairs of each variant | {' | '.join(map(str, REPEATS))} |",
+        f"|---|{'---:|' * len(REPEATS)}",
+    ]
     for noise in NOISES:
-        for name, variants in (("1 variant", VARIANTS[:1]), (f"2 to {VARIANTS[-1]} variants", VARIANTS[1:])):
+        for name, variants in (
+            ("1 variant", VARIANTS[:1]),
+            (f"2 to {VARIANTS[-1]} variants", VARIANTS[1:]),
+        ):
             each = [
                 min(found["pairs", n, noise, repeats, ratio] for n in variants for ratio in RATIOS)
                 for repeats in REPEATS
@@ -85,7 +97,9 @@ def page() -> str:
     lines.append(f"|---|{'---:|' * len(RATIOS)}")
     for counts in UNBALANCED:
         each = [found["sides", counts, ratio] for ratio in RATIOS]
-        lines.append(f"| {counts[0]} runs against {counts[1]} | {' | '.join(f'{share:.2f}' for share in each)} |")
+        lines.append(
+            f"| {counts[0]} runs against {counts[1]} | {' | '.join(f'{share:.2f}' for share in each)} |"
+        )
     return "\n".join(lines)
 
 
@@ -108,7 +122,9 @@ def test_the_page_has_the_table_of_this_test() -> None:
     """Made by `page`; a hundredth may differ by the machine."""
     told = PAGE.read_text()
     table = told[told.index("| pairs of each variant") :]
-    numbers, own = (np.array([*map(float, re.findall(r" (\d\.\d\d) \|", text))]) for text in (table, page()))
+    numbers, own = (
+        np.array([*map(float, re.findall(r" (\d\.\d\d) \|", text))]) for text in (table, page())
+    )
     assert [line.split("|")[1] for line in page().splitlines() if line] == [
         line.split("|")[1] for line in table.splitlines() if line.startswith("|")
     ]
@@ -124,9 +140,20 @@ def table(speeds: np.ndarray, fell: np.ndarray | None = None, common: bool = Tru
     place = np.indices(speeds.shape[:3]).reshape(3, -1)
     columns = Columns()
     seed = (place[0] * 2 + (0 if common else 1) * place[1]) * 1000 + place[2]
-    for name, values in {"row": np.arange(place.shape[1]), "repeat": place[2], "seed": seed}.items():
+    for name, values in {
+        "row": np.arange(place.shape[1]),
+        "repeat": place[2],
+        "seed": seed,
+    }.items():
         columns.add(name, values, "index", "1", name)
-    columns.add("spine", np.array(["none", "bending"], object)[place[1]], "varied", "1", "spine", scale="structure")
+    columns.add(
+        "spine",
+        np.array(["none", "bending"], object)[place[1]],
+        "varied",
+        "1",
+        "spine",
+        scale="structure",
+    )
     columns.add("frequency", 0.4 + 0.001 * place[0], "varied", "Hz", "frequency", scale="linear")
     for i, column in enumerate(speeds.reshape(-1, metrics).T):
         columns.add(f"speed{i}", column, "metric", "m/s", "speed")
@@ -142,7 +169,9 @@ def test_a_lost_run_keeps_the_coverage(variants: int, repeats: int, common: bool
     rng, trials = np.random.default_rng(variants), 600
     shape = (variants, 2, repeats, trials)
     apart = rng.normal(size=(variants, 1, trials)) * (variants > 1)
-    speeds = rng.normal(size=shape) + (10 * rng.normal(size=(variants, 1, repeats, trials)) if common else 0)
+    speeds = rng.normal(size=shape) + (
+        10 * rng.normal(size=(variants, 1, repeats, trials)) if common else 0
+    )
     speeds[:, 1] += 1 + apart
     fell = np.zeros(shape[:3], bool)
     fell[0, 0, 0] = True
@@ -152,7 +181,10 @@ def test_a_lost_run_keeps_the_coverage(variants: int, repeats: int, common: bool
     assert {row["runs_base"] for row in rows} == {variants * repeats - 1}
     assert {row["runs_other"] for row in rows} == {variants * repeats - common}
     if common:
-        assert np.median([row["high"] - row["low"] for row in rows]) < 25 / np.sqrt(variants * repeats) * 4
+        assert (
+            np.median([row["high"] - row["low"] for row in rows])
+            < 25 / np.sqrt(variants * repeats) * 4
+        )
 
 
 @pytest.mark.parametrize(("groups", "families"), [(10, 80), (150, 12), (1000, 3)])
@@ -183,7 +215,9 @@ def test_a_lone_difference_is_found_among_any_number_of_groups(groups: int) -> N
     speeds[70, 1] += 5.0
     found = compare(table(speeds), by="spine", groups=["frequency"]).rows("bending", grouped=True)
     assert [row["group"] for row in found if row["beyond_noise"]] == [70]
-    assert found[70]["p"] == pytest.approx(stats.ttest_rel(speeds[70, 1, :, 0], speeds[70, 0, :, 0]).pvalue)
+    assert found[70]["p"] == pytest.approx(
+        stats.ttest_rel(speeds[70, 1, :, 0], speeds[70, 0, :, 0]).pvalue
+    )
 
 
 if __name__ == "__main__":

@@ -24,7 +24,11 @@ from nermo_mjx.sweep.comparing import figures_of_comparison
 from nermo_mjx.sweep.counting import two_stage
 from nermo_mjx.sweep.table import Columns
 
-GAITS, SPINES, FREQUENCIES = ("trot", "walking_trot", "lateral_walk"), ("none", "stride_extension"), (0.4, 0.6, 0.8)
+GAITS, SPINES, FREQUENCIES = (
+    ("trot", "walking_trot", "lateral_walk"),
+    ("none", "stride_extension"),
+    (0.4, 0.6, 0.8),
+)
 #: Share by which the spine makes each gait faster.
 GAIN = {"trot": 0.2, "walking_trot": 0.0, "lateral_walk": -0.1}
 RANDOM = {
@@ -35,7 +39,9 @@ RANDOM = {
 }
 
 
-def table(repeats: int = 8, noise: float = 0.02, seeds: str = "own", fell: tuple[str, ...] = ()) -> pa.Table:
+def table(
+    repeats: int = 8, noise: float = 0.02, seeds: str = "own", fell: tuple[str, ...] = ()
+) -> pa.Table:
     """A table over gait, spine and frequency, whose columns of names are as those of a sweep over structures."""
     rng, rows = np.random.default_rng(1), []
     for gait in GAITS:
@@ -47,10 +53,16 @@ def table(repeats: int = 8, noise: float = 0.02, seeds: str = "own", fell: tuple
     # What runs of one seed share: as large as all else.
     common = {key: rng.normal() for key in {(g, f, r) for g, _, f, r in rows}}
     shared = np.array([common[g, f, r] for g, _, f, r in rows]) if seeds == "shared" else 0.0
-    speed = 0.1 * frequencies * (1 + gain) + noise * 0.1 * (rng.normal(size=len(rows)) + 10 * shared)
+    speed = 0.1 * frequencies * (1 + gain) + noise * 0.1 * (
+        rng.normal(size=len(rows)) + 10 * shared
+    )
     status = np.where(np.isin(gaits, fell) & (spines != "none") & (repeat == 0), "fell", "ok")
     place = {key: i for i, key in enumerate(common)}
-    seed = np.arange(len(rows)) if seeds == "own" else np.array([place[g, f, r] for g, _, f, r in rows])
+    seed = (
+        np.arange(len(rows))
+        if seeds == "own"
+        else np.array([place[g, f, r] for g, _, f, r in rows])
+    )
     columns = Columns()
     for name, values in {"row": np.arange(len(rows)), "repeat": repeat, "seed": seed}.items():
         columns.add(name, values, "index", "1", name)
@@ -92,24 +104,38 @@ def test_what_helps_is_found_where_it_helps_and_nowhere_else() -> None:
 def test_differences_are_means_over_variants_of_differences_of_means() -> None:
     """As pandas-free NumPy has them from the table, whatever the order of its rows."""
     data = table(repeats=3)
-    found = compare(data.take(np.random.default_rng(0).permutation(data.num_rows)), by="spine", groups=["gait"])
-    columns = {name: data.column(name).to_numpy() for name in ("gait", "spine", "frequency", "speed")}
+    found = compare(
+        data.take(np.random.default_rng(0).permutation(data.num_rows)), by="spine", groups=["gait"]
+    )
+    columns = {
+        name: data.column(name).to_numpy() for name in ("gait", "spine", "frequency", "speed")
+    }
 
     def mean(gait: str, spine: str, frequency: float) -> float:
-        chosen = (columns["gait"] == gait) & (columns["spine"] == spine) & (columns["frequency"] == frequency)
+        chosen = (
+            (columns["gait"] == gait)
+            & (columns["spine"] == spine)
+            & (columns["frequency"] == frequency)
+        )
         return float(columns["speed"][chosen].mean())
 
     for gait in GAITS:
-        each = [mean(gait, SPINES[1], frequency) - mean(gait, SPINES[0], frequency) for frequency in FREQUENCIES]
+        each = [
+            mean(gait, SPINES[1], frequency) - mean(gait, SPINES[0], frequency)
+            for frequency in FREQUENCIES
+        ]
         row = speed_of(found, gait=gait)
         assert row["difference"] == pytest.approx(np.mean(each))
         assert row["low"] < row["difference"] < row["high"]
 
 
 @pytest.mark.parametrize(
-    ("variants", "repeats", "spread"), [(1, 3, 0.0), (1, 10, 0.0), (6, 4, 0.0), (6, 4, 2.0), (30, 2, 0.5)]
+    ("variants", "repeats", "spread"),
+    [(1, 3, 0.0), (1, 10, 0.0), (6, 4, 0.0), (6, 4, 2.0), (30, 2, 0.5)],
 )
-def test_intervals_hold_the_truth_in_95_of_100_cases(variants: int, repeats: int, spread: float) -> None:
+def test_intervals_hold_the_truth_in_95_of_100_cases(
+    variants: int, repeats: int, spread: float
+) -> None:
     """Of 600 drawn experiments with known difference; `spread` is that of the variants over that of the repeats."""
     trials, rng = 600, np.random.default_rng(5)
     effect = 1 + spread * rng.normal(size=(variants, trials))
@@ -124,7 +150,9 @@ def test_intervals_hold_the_truth_in_95_of_100_cases(variants: int, repeats: int
     assert 0.91 <= covered <= 0.99
     false = np.mean(
         two_stage(
-            np.concatenate(values) - np.repeat([0, 1], len(cell) // 2)[:, None], cell, np.tile(np.arange(variants), 2)
+            np.concatenate(values) - np.repeat([0, 1], len(cell) // 2)[:, None],
+            cell,
+            np.tile(np.arange(variants), 2),
         ).p
         <= 0.05
     )
@@ -135,7 +163,9 @@ def test_one_variant_of_many_repeats_has_scipys_interval() -> None:
     """There the second stage is all there is: the percentile interval of `scipy.stats.bootstrap`."""
     sample = np.random.default_rng(2).exponential(size=300)
     found = two_stage(sample[:, None], np.zeros(300, int), np.zeros(1, int))
-    known = stats.bootstrap((sample,), np.mean, method="percentile", rng=np.random.default_rng(0)).confidence_interval
+    known = stats.bootstrap(
+        (sample,), np.mean, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
     assert (found.low[0], found.high[0]) == pytest.approx(tuple(known), abs=0.02)
     assert found.p[0] < 0.001
 
@@ -156,7 +186,10 @@ def test_runs_of_one_seed_are_compared_with_each_other() -> None:
     data = table(seeds="shared")
     place = data.schema.get_field_index("seed")
     without = data.set_column(place, data.schema.field("seed"), pa.array(np.arange(data.num_rows)))
-    widths = [speed_of(compare(each, by="spine", groups=["gait", "frequency"])) for each in (data, without)]
+    widths = [
+        speed_of(compare(each, by="spine", groups=["gait", "frequency"]))
+        for each in (data, without)
+    ]
     paired, apart = (row["high"] - row["low"] for row in widths)
     assert paired < 0.4 * apart
 
@@ -177,14 +210,19 @@ def changed(data: pa.Table, **columns: object) -> pa.Table:
     """A table with other values in some columns."""
     for name, values in columns.items():
         place = data.schema.get_field_index(name)
-        data = data.set_column(place, data.schema.field(name), pa.array(values, data.schema.field(name).type))
+        data = data.set_column(
+            place, data.schema.field(name), pa.array(values, data.schema.field(name).type)
+        )
     return data
 
 
 def one_less(data: pa.Table, side: str, how: str, places: int = 1) -> pa.Table:
     """A table of which some runs of a side, the first of a variant, have no speed: they fell, diverged, or lack it."""
     own = np.flatnonzero(np.array(data.column("spine").to_pylist()) == side)[:places]
-    speed, status = data.column("speed").to_numpy().copy(), np.array(data.column("status").to_pylist(), object)
+    speed, status = (
+        data.column("speed").to_numpy().copy(),
+        np.array(data.column("status").to_pylist(), object),
+    )
     status[own], speed[own] = ("ok", np.nan) if how == "no number" else (how, 9.0)
     return changed(data, speed=speed, status=status.tolist())
 
@@ -203,33 +241,56 @@ def test_a_lost_run_takes_its_partner_with_it_and_no_other(side: str, how: str) 
         strict=True,
     ):
         if row["metric"] == "speed":
-            for name in ("difference", "low", "high", "p", "beyond_noise", "base_mean", "runs_base", "runs_other"):
+            for name in (
+                "difference",
+                "low",
+                "high",
+                "p",
+                "beyond_noise",
+                "base_mean",
+                "runs_base",
+                "runs_other",
+            ):
                 assert row[name] == known[name], name
             assert row["paired"] == row["variants"]
     everything = found.rows("stride_extension")[0]
     assert everything["metric"] == "speed"
     lost, whole = ("base", "other") if side == "none" else ("other", "base")
     assert (everything[f"lost_{lost}"], everything[f"lost_{whole}"]) == (pytest.approx(1 / 72), 0)
-    assert (everything["left_out"], everything["runs_base"], everything["runs_other"]) == (1, 71, 71)
+    assert (everything["left_out"], everything["runs_base"], everything["runs_other"]) == (
+        1,
+        71,
+        71,
+    )
     assert everything[f"failed_{lost}"] == (how != "no number")
     slip = found.rows("stride_extension")[1]
     assert slip["lost_base"] + slip["lost_other"] == pytest.approx((how != "no number") / 72)
     assert found.notes[0] == found.lost[0]
     assert f"1 of 72 runs of {side} (1 {how})" in found.lost[0]
     assert "may not be the same robots" in found.lost[0]
-    assert any("is lost or not there: 1, of none and stride_extension" in note for note in found.notes)
+    assert any(
+        "is lost or not there: 1, of none and stride_extension" in note for note in found.notes
+    )
 
 
 def test_pairs_are_those_of_common_seeds_and_others_are_said_to_be_none() -> None:
     """More repeats on one side are left out; a variant without a common seed is compared as two samples."""
     data = table(seeds="shared", noise=0.05)
-    kept = (np.array(data.column("spine").to_pylist()) == "none") | (data.column("repeat").to_numpy() < 5)
+    kept = (np.array(data.column("spine").to_pylist()) == "none") | (
+        data.column("repeat").to_numpy() < 5
+    )
     longer = compare(data.filter(pa.array(kept)), by="spine")
     row, other = (
         longer.rows("stride_extension")[0],
-        compare(data.filter(pa.array(data.column("repeat").to_numpy() < 5)), by="spine").rows("stride_extension")[0],
+        compare(data.filter(pa.array(data.column("repeat").to_numpy() < 5)), by="spine").rows(
+            "stride_extension"
+        )[0],
     )
-    assert (row["difference"], row["low"], row["left_out"]) == (other["difference"], other["low"], 27)
+    assert (row["difference"], row["low"], row["left_out"]) == (
+        other["difference"],
+        other["low"],
+        27,
+    )
     assert any("is lost or not there: 27, of" in note for note in longer.notes)
     seed = data.column("seed").to_numpy().copy()
     alone = (np.array(data.column("gait").to_pylist()) == "lateral_walk") & (
@@ -242,7 +303,9 @@ def test_pairs_are_those_of_common_seeds_and_others_are_said_to_be_none() -> Non
     speed = data.to_pandas().set_index(["gait", "frequency", "spine"])["speed"]
     row = speed_of(mixed, gait="lateral_walk", frequency=0.4)
     known = stats.ttest_ind(
-        speed["lateral_walk", 0.4, "stride_extension"], speed["lateral_walk", 0.4, "none"], equal_var=False
+        speed["lateral_walk", 0.4, "stride_extension"],
+        speed["lateral_walk", 0.4, "none"],
+        equal_var=False,
     )
     assert row["p"] == pytest.approx(known.pvalue)
     assert (row["low"], row["high"]) == pytest.approx(tuple(known.confidence_interval()))
@@ -270,8 +333,14 @@ def test_a_comparison_of_yes_and_no_is_no_surer_than_the_test_of_signs() -> None
     )
     fell = chosen & (np.array(data.column("spine").to_pylist()) != "none")
     data = changed(data, fell=fell.astype(float), status=np.where(fell, "fell", "ok").tolist())
-    rows = compare(data, by="spine", groups=["gait", "frequency"]).rows("stride_extension", grouped=True)
-    row = next(row for row in rows if (row["metric"], row["gait"], row["frequency"]) == ("fell", "lateral_walk", 0.4))
+    rows = compare(data, by="spine", groups=["gait", "frequency"]).rows(
+        "stride_extension", grouped=True
+    )
+    row = next(
+        row
+        for row in rows
+        if (row["metric"], row["gait"], row["frequency"]) == ("fell", "lateral_walk", 0.4)
+    )
     assert (row["difference"], row["p"], row["beyond_noise"]) == (1.0, 1 / 8, False)
     assert np.isnan([row["low"], row["high"]]).all()
 
@@ -283,10 +352,14 @@ def test_values_that_differ_in_their_last_digits_are_one(last: float) -> None:
     frequency = data.column("frequency").to_numpy().copy()
     frequency[frequency == 0.6] = 0.7
     spine = np.array(data.column("spine").to_pylist())
-    other = changed(data, frequency=np.where((frequency == 0.7) & (spine != "none"), last, frequency))
+    other = changed(
+        data, frequency=np.where((frequency == 0.7) & (spine != "none"), last, frequency)
+    )
     data = changed(data, frequency=frequency)
     for given in ({"groups": ["frequency"]}, {"where": {"frequency": 0.7}}):
-        known, found = (compare(each, by="spine", **given).table.to_pandas() for each in (data, other))
+        known, found = (
+            compare(each, by="spine", **given).table.to_pandas() for each in (data, other)
+        )
         known, found = (each.drop(columns="frequency", errors="ignore") for each in (known, found))
         assert known.equals(found)
     assert compare(data, other).rows("table (B)")[0]["variants"] == 18
@@ -298,15 +371,32 @@ def test_a_thousand_groups_take_seconds_and_say_how_far_they_are() -> None:
     groups, runs = 1000, 100
     place = np.arange(groups * runs)
     columns, rng = Columns(), np.random.default_rng(0)
-    for name, values in {"row": place, "repeat": place % 50, "seed": place // runs * 50 + place % 50}.items():
+    for name, values in {
+        "row": place,
+        "repeat": place % 50,
+        "seed": place // runs * 50 + place % 50,
+    }.items():
         columns.add(name, values, "index", "1", name)
-    columns.add("spine", np.array(SPINES, object)[place // 50 % 2], "varied", "1", "spine", scale="structure")
-    columns.add("frequency", 0.4 + 0.001 * (place // runs), "varied", "Hz", "frequency", scale="linear")
+    columns.add(
+        "spine",
+        np.array(SPINES, object)[place // 50 % 2],
+        "varied",
+        "1",
+        "spine",
+        scale="structure",
+    )
+    columns.add(
+        "frequency", 0.4 + 0.001 * (place // runs), "varied", "Hz", "frequency", scale="linear"
+    )
     for name in ("speed", "slip", "shake"):
         columns.add(name, rng.normal(size=len(place)), "metric", "1", name)
-    columns.add("status", np.where(rng.random(len(place)) < 0.02, "fell", "ok"), "status", "1", "status")
+    columns.add(
+        "status", np.where(rng.random(len(place)) < 0.02, "fell", "ok"), "status", "1", "status"
+    )
     shares: list[float] = []
-    found = compare(columns.table({"sampler": "grid"}), by="spine", groups=["frequency"], progress=shares.append)
+    found = compare(
+        columns.table({"sampler": "grid"}), by="spine", groups=["frequency"], progress=shares.append
+    )
     assert len(found.rows("stride_extension", grouped=True)) == 3 * groups
     assert shares == sorted(shares)
     assert shares[0] == 0 < shares[-1] < 1
@@ -317,21 +407,34 @@ def test_the_table_fits_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyP
     data = table(seeds="shared")
     number = {"electrical_cost_of_transport": 1.0, "never_measured": np.nan}
     for name, value in number.items():
-        field = pa.field(name, pa.float64(), metadata={"role": "metric", "unit": "1", "description": name})
+        field = pa.field(
+            name, pa.float64(), metadata={"role": "metric", "unit": "1", "description": name}
+        )
         data = data.append_column(field, pa.array(np.full(data.num_rows, value)))
     (tmp_path / "results").mkdir()
-    pq.write_table(one_less(data, "none", "fell"), tmp_path / "results" / "part-aa-0000000000000000.parquet")
+    pq.write_table(
+        one_less(data, "none", "fell"), tmp_path / "results" / "part-aa-0000000000000000.parquet"
+    )
     asked = ("compare", tmp_path, "--by", "spine", "--for", "frequency")
     monkeypatch.setenv("COLUMNS", "80")
     shown = call(*asked).stdout
-    rows = [line for line in shown.splitlines() if re.match(r"(metric|speed|slip|shake|fell|frequency|─| +0\.)", line)]
+    rows = [
+        line
+        for line in shown.splitlines()
+        if re.match(r"(metric|speed|slip|shake|fell|frequency|─| +0\.)", line)
+    ]
     assert len(rows) > 8
     assert max(map(len, rows)) <= 80
-    assert shown.startswith("Lost for speed, electrical cost of transport: 1 of 72 runs of none (1 fell)")
+    assert shown.startswith(
+        "Lost for speed, electrical cost of transport: 1 of 72 runs of none (1 fell)"
+    )
     assert re.search(r"^metric +unit +difference +95 % interval +.*lost", shown, re.MULTILINE)
     assert re.search(r"^speed +mm/s .*1\.4 %, 0 %", shown, re.MULTILINE)
     assert not re.search(r"^(never_measured|electrical_cost_of_transport)", shown, re.MULTILINE)
-    assert "but with --all: rows equal on both sides (5); rows without a run (1); the columns none" in shown
+    assert (
+        "but with --all: rows equal on both sides (5); rows without a run (1); the columns none"
+        in shown
+    )
     whole = call(*asked, "--all").stdout
     assert re.search(r"^never_measured .*no run has it", whole, re.MULTILINE)
     assert re.search(r"^electrical_cost_of_transport ", whole, re.MULTILINE)
@@ -344,7 +447,10 @@ def test_several_values_are_each_compared_with_the_base() -> None:
     """Of the gaits, with the trot by name, over the frequencies of one spine."""
     found = compare(table(), by="gait", base="trot", where={"spine": "none"})
     assert (found.base, found.others) == ("trot", ("walking_trot", "lateral_walk"))
-    assert [each["other"] for each in found.about()["comparisons"]] == ["walking_trot", "lateral_walk"]
+    assert [each["other"] for each in found.about()["comparisons"]] == [
+        "walking_trot",
+        "lateral_walk",
+    ]
     assert all(each["metrics"]["speed"]["variants"] == 3 for each in found.about()["comparisons"])
 
 
@@ -365,15 +471,23 @@ def test_without_repeats_there_is_no_interval_and_a_sentence_says_so() -> None:
     assert row["beyond_noise"] is None
     assert "give repeats" in found.notes[0]
     assert json.loads(json.dumps(row["difference"])) > 0
-    assert np.isfinite(compare(data, by="spine", where={"gait": "trot"}).rows("stride_extension")[0]["low"])
+    assert np.isfinite(
+        compare(data, by="spine", where={"gait": "trot"}).rows("stride_extension")[0]["low"]
+    )
 
 
 def test_two_directories_are_paired_over_what_both_have(tmp_path: Path) -> None:
     """A sweep that fixes what the other varies is compared with that value; where it has no effect, it is averaged."""
     vary = {"frequency": [0.5, 0.7, 0.9]}
     run_sweep(RANDOM, tmp_path / "both", simulator=FakeSimulator())
-    run_sweep(RANDOM | {"vary": vary, "set": {"spine.amplitude": 0.4}}, tmp_path / "bent", simulator=FakeSimulator())
-    run_sweep(RANDOM | {"vary": vary, "spine": "none"}, tmp_path / "stiff", simulator=FakeSimulator())
+    run_sweep(
+        RANDOM | {"vary": vary, "set": {"spine.amplitude": 0.4}},
+        tmp_path / "bent",
+        simulator=FakeSimulator(),
+    )
+    run_sweep(
+        RANDOM | {"vary": vary, "spine": "none"}, tmp_path / "stiff", simulator=FakeSimulator()
+    )
     same = compare(tmp_path / "bent", tmp_path / "both")
     row = same.rows(same.others[0])[0]
     assert row["variants"] == 2
@@ -385,21 +499,39 @@ def test_two_directories_are_paired_over_what_both_have(tmp_path: Path) -> None:
     assert any("spine.amplitude varies in" in note for note in other.notes)
 
 
-def test_structures_of_a_sweep_pair_and_a_parameter_of_one_of_them_makes_groups(tmp_path: Path) -> None:
+def test_structures_of_a_sweep_pair_and_a_parameter_of_one_of_them_makes_groups(
+    tmp_path: Path,
+) -> None:
     """The stiff spine reads no amplitude: its runs stand against those of each one, in pairs where seeds are shared."""
-    vary = {"spine": ["none", "stride_extension"], "frequency": [0.5, 0.9], "spine.amplitude": [0.2, 0.4]}
+    vary = {
+        "spine": ["none", "stride_extension"],
+        "frequency": [0.5, 0.9],
+        "spine.amplitude": [0.2, 0.4],
+    }
     spec = {key: value for key, value in RANDOM.items() if key != "spine"} | {"vary": vary}
     spec["compare"] = {"by": "spine", "for": ["spine.amplitude", "frequency"]}
     summary = run_sweep(spec, tmp_path / "both", simulator=FakeSimulator()).summary
     assert summary["rows"] == (2 + 4) * 12
-    gains = {tuple(each["for"].values()): each["metrics"]["speed"] for each in summary["comparison"]["groups"]}
+    gains = {
+        tuple(each["for"].values()): each["metrics"]["speed"]
+        for each in summary["comparison"]["groups"]
+    }
     assert set(gains) == {(0.2, 0.5), (0.2, 0.9), (0.4, 0.5), (0.4, 0.9)}
     for (amplitude, _), speed in gains.items():
-        assert speed["relative"] == pytest.approx(amplitude / 2, abs=0.03)  # as the fake robot gains
+        assert speed["relative"] == pytest.approx(
+            amplitude / 2, abs=0.03
+        )  # as the fake robot gains
         assert (speed["runs_base"], speed["runs_other"]) == (12, 12)
-    alike = spec | {"vary": {"spine": vary["spine"], "frequency": [0.5, 0.9]}, "compare": {"by": "spine"}}
-    same = run_sweep(alike, tmp_path / "alike", simulator=FakeSimulator()).summary["comparison"]["metrics"]["speed"]
-    assert same["difference"] == same["low"] == same["high"] == 0  # the same draws, and an amplitude that is not named
+    alike = spec | {
+        "vary": {"spine": vary["spine"], "frequency": [0.5, 0.9]},
+        "compare": {"by": "spine"},
+    }
+    same = run_sweep(alike, tmp_path / "alike", simulator=FakeSimulator()).summary["comparison"][
+        "metrics"
+    ]["speed"]
+    assert (
+        same["difference"] == same["low"] == same["high"] == 0
+    )  # the same draws, and an amplitude that is not named
 
 
 @pytest.mark.release
@@ -407,15 +539,21 @@ def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:
     """Summary, table and figures have it; `plot` makes the same bytes, and it may be asked for later."""
     spec = RANDOM | {"compare": {"by": "spine.amplitude", "for": ["frequency"]}}
     run_sweep(RANDOM, tmp_path, simulator=FakeSimulator())
-    result = run_sweep(spec | {"plots": True}, tmp_path, simulator=FakeSimulator(fail_at=0, error=AssertionError()))
+    result = run_sweep(
+        spec | {"plots": True}, tmp_path, simulator=FakeSimulator(fail_at=0, error=AssertionError())
+    )
     about = json.loads((tmp_path / "summary.json").read_text())["comparison"]
     assert (about["base"], about["other"]) == ("0", "0.4")
     assert [each["for"] for each in about["groups"]] == [{"frequency": 0.5}, {"frequency": 0.9}]
     assert about["groups"][0]["metrics"]["speed"]["relative"] == pytest.approx(0.2, abs=0.02)
     assert pq.read_table(tmp_path / "comparison.parquet").num_rows == 3 * len(about["metrics"])
     assert Sweep.from_file(tmp_path / "sweep.yaml").compare is not None
-    assert {"differences.png", "speed-gain-by-frequency.png"} <= {path.name for path in result.plots}
-    known = compare(tmp_path, by="spine.amplitude", groups=["frequency"]).about()["metrics"]["speed"]
+    assert {"differences.png", "speed-gain-by-frequency.png"} <= {
+        path.name for path in result.plots
+    }
+    known = compare(tmp_path, by="spine.amplitude", groups=["frequency"]).about()["metrics"][
+        "speed"
+    ]
     assert about["metrics"]["speed"] == pytest.approx(known)
 
 
@@ -429,7 +567,9 @@ def test_the_command_prints_and_writes(tmp_path: Path, monkeypatch: pytest.Monke
     made = {path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")}
     assert {"differences.svg", "speed-gain-by-frequency.png"} <= set(made)
     assert call("plot", tmp_path / "gain").exit_code == 0
-    assert made == {path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")}
+    assert made == {
+        path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")
+    }
     status = json_of("status", tmp_path / "gain")
     assert (status["kind"], status["complete"]) == ("comparison", True)
     shown = call(*asked, "--out", tmp_path / "gain.csv")
@@ -455,7 +595,9 @@ def test_figures_mark_what_is_beyond_noise(drawing) -> None:
     )
     rows = [row for row in found.rows("stride_extension", grouped=True) if row["metric"] == "speed"]
     assert filled == sum(row["beyond_noise"] for row in rows) > 0
-    texts = " ".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text")))
+    texts = " ".join(
+        text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))
+    )
     assert "gait lateral walk" in texts
     assert "3 of the other fell" in texts
     assert "frequency [Hz]" in texts
@@ -466,16 +608,27 @@ def test_a_difference_names_its_profiles(drawing, tmp_path: Path) -> None:
 
     def named(found) -> set[str]:
         """What the figures' notes say of profiles."""
-        texts = [each.get_text() for _, figure in figures_of_comparison(found.table) for each in figure.findobj(Text)]
-        return {name for text in texts for name in re.findall(r"^(profile.*?);", text, re.MULTILINE)}
+        texts = [
+            each.get_text()
+            for _, figure in figures_of_comparison(found.table)
+            for each in figure.findobj(Text)
+        ]
+        return {
+            name for text in texts for name in re.findall(r"^(profile.*?);", text, re.MULTILINE)
+        }
 
     run_sweep(RANDOM, tmp_path / "exact", simulator=FakeSimulator())
-    run_sweep(RANDOM | {"profile": "as_published"}, tmp_path / "published", simulator=FakeSimulator())
+    run_sweep(
+        RANDOM | {"profile": "as_published"}, tmp_path / "published", simulator=FakeSimulator()
+    )
     one = compare(tmp_path / "exact", by="spine.amplitude", groups=["frequency"])
     assert (one.about()["profiles"], named(one)) == (["exact"], {"profile exact"})
     two = compare(tmp_path / "exact", tmp_path / "published")
     clock = "(as_published simulates 2.5 times the given frequency by default)"
-    assert (two.profiles, named(two)) == (("exact", "as_published"), {f"profiles exact and as_published {clock}"})
+    assert (two.profiles, named(two)) == (
+        ("exact", "as_published"),
+        {f"profiles exact and as_published {clock}"},
+    )
     varied = {name: each for name, each in RANDOM.items() if name != "vary"} | {
         "vary": {"profile": ["exact", "as_published"], "spine.amplitude": [0.0, 0.4]}
     }
@@ -489,17 +642,27 @@ def test_a_difference_names_its_profiles(drawing, tmp_path: Path) -> None:
 def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
     """In one figure, and first among the differences; what has a better direction stands before what has none."""
     data = table()
-    for name, share in (("cost_of_transport", 0.9), ("electrical_cost_of_transport", 1.1), ("yaw_min", 1.5)):
+    for name, share in (
+        ("cost_of_transport", 0.9),
+        ("electrical_cost_of_transport", 1.1),
+        ("yaw_min", 1.5),
+    ):
         cost = np.where(np.array(data.column("spine").to_pylist()) == "none", 1.0, share)
-        field = pa.field(name, pa.float64(), metadata={"role": "metric", "unit": "1", "description": name})
-        data = data.append_column(field, pa.array(cost * (1 + 0.001 * np.arange(len(cost)) / len(cost))))
+        field = pa.field(
+            name, pa.float64(), metadata={"role": "metric", "unit": "1", "description": name}
+        )
+        data = data.append_column(
+            field, pa.array(cost * (1 + 0.001 * np.arange(len(cost)) / len(cost)))
+        )
     found = compare(data, by="spine", groups=["gait", "frequency"])
     figures = dict(figures_of_comparison(found.table))
     assert list(figures) == ["differences", "gains-by-gait-and-frequency"]
     titles = [ax.get_title() for ax in figures["gains-by-gait-and-frequency"].axes]
     assert titles == ["Speed", "Mechanical cost of transport", "Electrical cost of transport"]
     for ax, sign in zip(figures["gains-by-gait-and-frequency"].axes, (0, -1, 1), strict=True):
-        drawn = np.concatenate([line.get_ydata() for line in ax.get_lines() if len(line.get_xdata()) == 3])
+        drawn = np.concatenate(
+            [line.get_ydata() for line in ax.get_lines() if len(line.get_xdata()) == 3]
+        )
         assert not sign or (np.sign(drawn) == sign).all()
     listed = [label.get_text() for label in figures["differences"].axes[0].get_yticklabels()]
     assert listed[:3] == titles
@@ -509,7 +672,9 @@ def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
 def test_a_panel_may_lack_a_line_of_the_others(drawing) -> None:
     """The lateral walk is on flat ground alone: the panel of the other scene has the lines of the trots."""
     data = table(repeats=4)
-    there = (data.column("repeat").to_numpy() % 2 == 1) & (np.array(data.column("gait").to_pylist()) != "lateral_walk")
+    there = (data.column("repeat").to_numpy() % 2 == 1) & (
+        np.array(data.column("gait").to_pylist()) != "lateral_walk"
+    )
     about = {"role": "varied", "unit": "1", "description": "scene", "scale": "structure"}
     scene = pa.array(np.where(there, "planks", "flat").tolist())
     data = data.append_column(pa.field("scene", pa.string(), metadata=about), scene)
@@ -522,11 +687,26 @@ def test_a_panel_may_lack_a_line_of_the_others(drawing) -> None:
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"by": "spin"}, "by is 'spin', which is not varied; did you mean 'spine'? Varied: gait, spine, frequency."),
-        ({"by": "spine", "base": "balance"}, "base is 'balance': the table has none, stride_extension."),
-        ({"by": "spine", "groups": ["gate"]}, "for is 'gate', which is not varied; did you mean 'gait'?"),
-        ({"by": "spine", "where": {"frequency": 0.5}}, "where frequency is 0.5: the table has 0.4, 0.6, 0.8"),
-        ({"by": "spine", "drawn": ["sped"]}, "metric is 'sped', which no table has or one lacks; did you"),
+        (
+            {"by": "spin"},
+            "by is 'spin', which is not varied; did you mean 'spine'? Varied: gait, spine, frequency.",
+        ),
+        (
+            {"by": "spine", "base": "balance"},
+            "base is 'balance': the table has none, stride_extension.",
+        ),
+        (
+            {"by": "spine", "groups": ["gate"]},
+            "for is 'gate', which is not varied; did you mean 'gait'?",
+        ),
+        (
+            {"by": "spine", "where": {"frequency": 0.5}},
+            "where frequency is 0.5: the table has 0.4, 0.6, 0.8",
+        ),
+        (
+            {"by": "spine", "drawn": ["sped"]},
+            "metric is 'sped', which no table has or one lacks; did you",
+        ),
         ({}, "compare two directories, or with by two values of a column in one"),
     ],
 )
@@ -540,8 +720,13 @@ def test_what_cannot_be_compared_says_why(asked: dict, said: str) -> None:
 def test_tables_without_common_variants_are_refused(tmp_path: Path) -> None:
     """The sentence names the parameter that keeps them apart."""
     for name, values in {"a": [0.5, 0.6], "b": [0.7, 0.8]}.items():
-        run_sweep(RANDOM | {"vary": {"frequency": values}}, tmp_path / name, simulator=FakeSimulator())
-    with pytest.raises(ParameterError, match=r"no variant in common: frequency is 0.5, 0.6 in the one and 0.7, 0.8 in"):
+        run_sweep(
+            RANDOM | {"vary": {"frequency": values}}, tmp_path / name, simulator=FakeSimulator()
+        )
+    with pytest.raises(
+        ParameterError,
+        match=r"no variant in common: frequency is 0.5, 0.6 in the one and 0.7, 0.8 in",
+    ):
         compare(tmp_path / "a", tmp_path / "b")
     with pytest.raises(SpecError, match="no such directory"):
         compare(tmp_path / "a", tmp_path / "c")
@@ -550,12 +735,24 @@ def test_tables_without_common_variants_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("section", "said"),
     [
-        ("{by: frequencies}", "2: field 'compare.by' names 'frequencies', which is not varied; did you"),
+        (
+            "{by: frequencies}",
+            "2: field 'compare.by' names 'frequencies', which is not varied; did you",
+        ),
         ("{base: 1}", "2: field 'compare' has no 'by'"),
-        ("{by: frequency, base: 0.55}", "2: field 'compare.base' is the number 0.55, no value of frequency; allowed"),
+        (
+            "{by: frequency, base: 0.55}",
+            "2: field 'compare.base' is the number 0.55, no value of frequency; allowed",
+        ),
         ("{by: stride}", "2: field 'compare.by' names 'stride', which has one value"),
-        ("{by: frequency, for: frequency}", "2: field 'compare.for' names 'frequency', whose values are compared"),
-        ("{by: frequency, of: speed}", "2: field 'compare.of' is not a field of a comparison; allowed are by"),
+        (
+            "{by: frequency, for: frequency}",
+            "2: field 'compare.for' names 'frequency', whose values are compared",
+        ),
+        (
+            "{by: frequency, of: speed}",
+            "2: field 'compare.of' is not a field of a comparison; allowed are by",
+        ),
     ],
 )
 def test_a_wrong_section_is_refused_before_anything_runs(section: str, said: str) -> None:
@@ -595,6 +792,8 @@ def test_how_strides_vary_with_the_soles_radius_has_a_command(tmp_path: Path) ->
     told = json_of("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length")
     line = told["metrics"]["stride_length"]
     assert [line["base_mean"], line["other_mean"]] == pytest.approx(expected, rel=0.01)
-    shown = call("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length_cv", "--all").output
+    shown = call(
+        "compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length_cv", "--all"
+    ).output
     assert re.search(r"stride_length_cv\s+1\s+0\.00\d+\s+0\.00\d+", shown), shown
     assert "which tells no noise; give repeats" in shown

@@ -40,12 +40,16 @@ def test_a_lost_run_takes_its_partner_along_and_leaves_no_unpaired_run():
 def test_the_interval_over_variants_is_students_over_their_means(variants):
     """Four runs of each variant have little noise, so that the spread of the variants' means decides."""
     random = np.random.default_rng(variants)
-    values = np.repeat(random.normal(0.3, 1.0, variants), 4)[:, None] + random.normal(0.0, 1e-3, (4 * variants, 1))
+    values = np.repeat(random.normal(0.3, 1.0, variants), 4)[:, None] + random.normal(
+        0.0, 1e-3, (4 * variants, 1)
+    )
     cell = np.repeat(np.arange(variants), 4)
     found = two_stage(values, cell, np.arange(variants))
     means = values.reshape(variants, 4).mean(axis=1)
     low, high = stats.t.interval(0.95, variants - 1, means.mean(), stats.sem(means))
-    assert (found.estimate[0], found.low[0], found.high[0]) == pytest.approx((means.mean(), low, high))
+    assert (found.estimate[0], found.low[0], found.high[0]) == pytest.approx(
+        (means.mean(), low, high)
+    )
     assert found.p[0] == pytest.approx(stats.ttest_1samp(means, 0.0).pvalue)
 
 

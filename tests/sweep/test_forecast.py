@@ -34,14 +34,20 @@ def test_rows_chunks_and_steps_are_those_of_the_run(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     run_sweep(sweep, tmp_path / "out", chunk=9, simulator=FakeSimulator())
     written = sum(path.stat().st_size for path in (tmp_path / "out" / "results").iterdir())
-    assert 0.3 * written < found.disk_bytes < 10 * written  # the fake robot has three of the metrics
+    assert (
+        0.3 * written < found.disk_bytes < 10 * written
+    )  # the fake robot has three of the metrics
 
 
 def test_what_is_there_is_subtracted_and_gives_the_rate(tmp_path: Path) -> None:
     """Of a directory with half of its chunks, and with --extend of one that is smaller."""
-    run_sweep(SPEC, tmp_path, chunk=9, shard=(0, 2), simulator=FakeSimulator(engine="c", delay=0.05))
+    run_sweep(
+        SPEC, tmp_path, chunk=9, shard=(0, 2), simulator=FakeSimulator(engine="c", delay=0.05)
+    )
     files = contents(tmp_path)
-    found = sweep_forecast(Sweep.from_dict(SPEC), tmp_path, measure=lambda *_: pytest.fail("nothing is measured"))
+    found = sweep_forecast(
+        Sweep.from_dict(SPEC), tmp_path, measure=lambda *_: pytest.fail("nothing is measured")
+    )
     assert [found.counts[name] for name in ("rows", "rows_left", "batches")] == [36, 18, 2]
     assert found.engine == "c"
     assert found.rate_from.endswith(" steps/s, measured: 2 chunks of the directory")
@@ -49,7 +55,9 @@ def test_what_is_there_is_subtracted_and_gives_the_rate(tmp_path: Path) -> None:
     assert rate == pytest.approx(9 * 100 / 0.05, rel=0.2)
     assert found.rate_from.startswith(f"{rate:,.0f} ")
     more = Sweep.from_dict(SPEC | {"randomize": {"repeats": 2}})
-    with pytest.raises(DirectoryError, match="repeats is 1 there and 2 here; --extend would extend it"):
+    with pytest.raises(
+        DirectoryError, match="repeats is 1 there and 2 here; --extend would extend it"
+    ):
         sweep_forecast(more, tmp_path)
     assert sweep_forecast(more, tmp_path, extend=True).counts["rows_left"] == 72 - 18
     assert files == contents(tmp_path)
@@ -66,7 +74,15 @@ def test_an_unmeasured_gpu_engine_has_no_time(tmp_path: Path) -> None:
 def test_the_command_prints_it_and_makes_no_directory(tmp_path: Path) -> None:
     """For people and as JSON; the arguments are checked as in a run."""
     (tmp_path / "sweep.yaml").write_text(json.dumps(SPEC))
-    asked = ("sweep", tmp_path / "sweep.yaml", "--dry-run", "--engine", "mjx", "--out", tmp_path / "out")
+    asked = (
+        "sweep",
+        tmp_path / "sweep.yaml",
+        "--dry-run",
+        "--engine",
+        "mjx",
+        "--out",
+        tmp_path / "out",
+    )
     about = json_of(*asked)
     assert (about["rows"], about["wall_seconds"]) == (36, None)
     shown = call(*asked)

@@ -27,11 +27,15 @@ LANDSCAPES = {
 }
 
 
-def draws(rng: np.random.Generator, truth: np.ndarray, repeats: int, spread: float, noise: str) -> np.ndarray:
+def draws(
+    rng: np.random.Generator, truth: np.ndarray, repeats: int, spread: float, noise: str
+) -> np.ndarray:
     """Runs (repeats, points): what a repeat's friction does to all of them, and noise of each."""
     common = rng.normal(0.0, 0.005, (repeats, 1))
     own = (
-        rng.normal(size=(repeats, len(truth))) if noise == "normal" else rng.exponential(size=(repeats, len(truth))) - 1
+        rng.normal(size=(repeats, len(truth)))
+        if noise == "normal"
+        else rng.exponential(size=(repeats, len(truth))) - 1
     )
     return truth + common + spread * own
 
@@ -49,24 +53,33 @@ def study(rng, truth, asked: SoughtOptimum, spread=0.002, noise="normal"):
         there[found.wanted] = True
     assert not there[REPEATS : REPEATS + asked.fresh].any(), "fresh runs choose nothing"
     assert there[REPEATS:].sum() == found.spent <= asked.budget
-    base = draws(rng, np.zeros(1), len(all_runs), spread, noise)  # of the same draws, but for the friction: added below
+    base = draws(
+        rng, np.zeros(1), len(all_runs), spread, noise
+    )  # of the same draws, but for the friction: added below
     base += (all_runs - truth).mean(axis=1, keepdims=True)
     gains = all_runs[:, found.best] - base[:, 0]
     chose = there[:, found.best]
     each = [gains[REPEATS : REPEATS + asked.fresh], gains[chose]]
-    return found, [two_stage(own[:, None], np.zeros(len(own), int), np.zeros(1, int)) for own in each]
+    return found, [
+        two_stage(own[:, None], np.zeros(len(own), int), np.zeros(1, int)) for own in each
+    ]
 
 
 def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
     """Of 400 landscapes: how often the region holds the best point, and both intervals the gain; sizes and biases."""
     rng, truth, found = np.random.default_rng(7), LANDSCAPES[landscape], []
-    asked = SoughtOptimum.model_validate({"over": ["a"], "base": {"b": "none"}, "fresh": FRESH, "budget": budget})
+    asked = SoughtOptimum.model_validate(
+        {"over": ["a"], "base": {"b": "none"}, "fresh": FRESH, "budget": budget}
+    )
     for _ in range(TRIALS):
         verdict, each = study(rng, truth, asked, noise=noise)
         gain = truth[verdict.best]
         line = {"region holds it": verdict.region[truth.argmax()], "points": verdict.region.sum()}
         for name, own in zip(("fresh", "chosen"), each, strict=True):
-            line |= {name: own.low[0] <= gain <= own.high[0], f"{name} bias": 1e3 * (own.estimate[0] - gain)}
+            line |= {
+                name: own.low[0] <= gain <= own.high[0],
+                f"{name} bias": 1e3 * (own.estimate[0] - gain),
+            }
         found.append(line)
     return {name: float(np.mean([line[name] for line in found])) for name in found[0]}
 
@@ -82,10 +95,16 @@ def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landsca
     all points are alike, which is the case that the method is made for, and more often where most are worse."""
     found = shares(landscape, noise, budget)
     assert 0.93 <= found["region holds it"] <= (0.98 if landscape == "plateau" else 0.995), found
-    assert found["points"] <= (48 if landscape == "plateau" else 14 if noise == "normal" else 16), found
+    assert found["points"] <= (48 if landscape == "plateau" else 14 if noise == "normal" else 16), (
+        found
+    )
     # Differences of two skewed sides are symmetric with long tails, where Student's t is a little too wide.
-    assert 0.925 <= found["fresh"] <= (0.985 if (landscape, noise) == ("plateau", "skewed") else 0.975), found
-    assert abs(found["fresh bias"]) <= 0.1, found  # of noise of 0.6 mm/s: 400 means have a standard error of 0.03
+    assert (
+        0.925 <= found["fresh"] <= (0.985 if (landscape, noise) == ("plateau", "skewed") else 0.975)
+    ), found
+    assert abs(found["fresh bias"]) <= 0.1, (
+        found
+    )  # of noise of 0.6 mm/s: 400 means have a standard error of 0.03
     assert found["chosen bias"] >= 0.4, "the winner's curse"
 
 
@@ -102,9 +121,14 @@ def test_the_margin_is_the_quantile_of_the_largest_difference():
     assert hsu_margin(2, 10, 0.95) == pytest.approx(stats.t.ppf(0.95, 10), abs=0.01)
     rng = np.random.default_rng(0)
     for points, freedom in ((5, 10), (48, 141)):
-        z, s = rng.normal(size=(200_000, points)), np.sqrt(rng.chisquare(freedom, 200_000) / freedom)
+        z, s = (
+            rng.normal(size=(200_000, points)),
+            np.sqrt(rng.chisquare(freedom, 200_000) / freedom),
+        )
         largest = ((z[:, 1:] - z[:, :1]) / np.sqrt(2) / s[:, None]).max(axis=1)
-        assert hsu_margin(points, freedom, 0.95) == pytest.approx(np.quantile(largest, 0.95), abs=0.02)
+        assert hsu_margin(points, freedom, 0.95) == pytest.approx(
+            np.quantile(largest, 0.95), abs=0.02
+        )
 
 
 # --- through a sweep: its runs, files and refusals
@@ -124,7 +148,9 @@ def test_further_runs_are_rows_of_the_table_and_fresh_ones_chose_nothing(done):
     assert done.rows == len(table) == done.rows_done
     own = table[table.row < 3 * variants]
     assert len(own) == 3 * variants
-    assert (own.groupby(["repeat"]).seed.nunique() == 1).all(), "paired, also across gaits and with the base"
+    assert (own.groupby(["repeat"]).seed.nunique() == 1).all(), (
+        "paired, also across gaits and with the base"
+    )
     for answer in about["answers"]:
         here = table[table.gait == answer["for"]["gait"]]
         fresh = here[(here.repeat >= 3) & (here.repeat < 7)]
@@ -151,7 +177,11 @@ def test_further_runs_are_rows_of_the_table_and_fresh_ones_chose_nothing(done):
 def test_files_say_the_same(done):
     """Parquet, CSV and LaTeX."""
     lines = pq.read_table(done.out / "optimum.parquet").to_pylist()
-    assert [line["metric"] for line in lines[:3]] == ["speed", "cost_of_transport", "electrical_cost_of_transport"]
+    assert [line["metric"] for line in lines[:3]] == [
+        "speed",
+        "cost_of_transport",
+        "electrical_cost_of_transport",
+    ]
     assert (done.out / "optimum.csv").read_text().count("\n") == len(lines) + 1 == 7
     latex = (done.out / "optimum.tex").read_text()
     share = 100 * done.summary["optimum"]["answers"][0]["metrics"]["speed"]["relative"]
@@ -184,9 +214,16 @@ def test_the_figure_has_a_map_for_each_gait_with_the_gain_on_fresh_runs(done):
 
 
 def test_one_parameter_is_a_line_and_less_may_be_better(tmp_path):
-    spec = SPEC | {"vary": {"spine": ["none", "stride_extension"], "spine.amplitude": [0.1, 0.2, 0.3]}}
+    spec = SPEC | {
+        "vary": {"spine": ["none", "stride_extension"], "spine.amplitude": [0.1, 0.2, 0.3]}
+    }
     spec["randomize"] = {"repeats": 3, "paired": ["spine.amplitude"]}
-    asked = {"minimize": "cost_of_transport", "over": ["spine.amplitude"], "base": {"spine": "none"}, "fresh": 4}
+    asked = {
+        "minimize": "cost_of_transport",
+        "over": ["spine.amplitude"],
+        "base": {"spine": "none"},
+        "fresh": 4,
+    }
     spec["optimum"] = asked
     result = run_sweep(spec, tmp_path, simulator=Noisy())
     (answer,) = result.summary["optimum"]["answers"]
@@ -199,8 +236,17 @@ def test_one_parameter_is_a_line_and_less_may_be_better(tmp_path):
 
 def test_gains_and_best_variants_are_told_for_each_structure(tmp_path):
     """A grid from amplitude 0 over two gaits: a map of the gain for each, and no mean over the stiff runs."""
-    vary = {"gait": ["trot", "lateral_walk"], "spine.amplitude": [0.0, 0.2, 0.4], "spine.phase": [-1.0, 0.0, 1.0]}
-    spec = {"run": {"duration": 0.2, "warmup": 0}, "plots": False, "vary": vary, "spine": "stride_extension"}
+    vary = {
+        "gait": ["trot", "lateral_walk"],
+        "spine.amplitude": [0.0, 0.2, 0.4],
+        "spine.phase": [-1.0, 0.0, 1.0],
+    }
+    spec = {
+        "run": {"duration": 0.2, "warmup": 0},
+        "plots": False,
+        "vary": vary,
+        "spine": "stride_extension",
+    }
     result = run_sweep(spec, tmp_path, simulator=FakeSimulator())
     figure = dict(sweep_figures(tmp_path))["speed-gain-over-spine.amplitude-and-spine.phase"]
     assert [ax.get_title() for ax in figure.axes[:2]] == ["trot", "lateral walk"]
@@ -228,8 +274,15 @@ def test_it_resumes_anywhere_with_the_same_rows(tmp_path, done, stop):
 def test_it_may_be_sought_in_a_finished_directory(tmp_path):
     """No row of it depends on what is sought; without common draws the gain is not of pairs."""
     spec = {key: value for key, value in SPEC.items() if key != "optimum"}
-    spec |= {"spine": "stride_extension", "randomize": {"repeats": 3, "contact.friction": {"uniform": [0.8, 1.4]}}}
-    spec["vary"] = {"gait": ["trot"], "spine.amplitude": [0.0, 0.1, 0.3], "spine.phase": [-1.0, 0.0, 1.0]}
+    spec |= {
+        "spine": "stride_extension",
+        "randomize": {"repeats": 3, "contact.friction": {"uniform": [0.8, 1.4]}},
+    }
+    spec["vary"] = {
+        "gait": ["trot"],
+        "spine.amplitude": [0.0, 0.1, 0.3],
+        "spine.phase": [-1.0, 0.0, 1.0],
+    }
     first = run_sweep(spec, tmp_path, simulator=Noisy()).table
     sweep = Sweep.from_directory(tmp_path).seeking(
         "{over: [spine.amplitude, spine.phase], base: {spine.amplitude: 0}, fresh: 4}"
@@ -252,7 +305,10 @@ def test_it_may_be_sought_in_a_finished_directory(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"over": ["spine.phse"]}, "names 'spine.phse', which is not varied; did you mean 'spine.phase'?"),
+        (
+            {"over": ["spine.phse"]},
+            "names 'spine.phse', which is not varied; did you mean 'spine.phase'?",
+        ),
         ({"for": ["spine"]}, "names 'spine', of which the best value is sought"),
         ({"for": []}, "leaves out gait, which varies, too"),
         ({"base": {"spine": "balance"}}, "no value of spine; allowed are none, stride_extension"),
@@ -271,7 +327,10 @@ def test_single_runs_and_unlisted_values_tell_no_optimum():
     with pytest.raises(SpecError, match="needs repeats, because a single run tells no noise"):
         Sweep.from_dict(SPEC | {"randomize": {}})
     with pytest.raises(SpecError, match="drawn between bounds"):
-        Sweep.from_dict(SPEC | {"vary": SPEC["vary"] | {"spine.phase": {"uniform": [-1, 1]}}, "sample": {"sobol": 8}})
+        Sweep.from_dict(
+            SPEC
+            | {"vary": SPEC["vary"] | {"spine.phase": {"uniform": [-1, 1]}}, "sample": {"sobol": 8}}
+        )
     with pytest.raises(SpecError, match="names 'gait', which is no varied parameter"):
         Sweep.from_dict(SPEC | {"randomize": {"repeats": 2, "paired": ["gait"]}})
 
@@ -290,7 +349,9 @@ def test_lost_points_are_not_the_best(tmp_path):
 
 def test_runs_that_measure_the_gain_are_not_among_those_that_choose():
     """Blocks of a second stage begin after the fresh runs: of repeats 0, 1, fresh 2 to 6, the next are 7 and 8."""
-    asked = SoughtOptimum.model_validate({"over": ["a"], "base": {"b": "none"}, "fresh": 5, "budget": 40, "until": 1})
+    asked = SoughtOptimum.model_validate(
+        {"over": ["a"], "base": {"b": "none"}, "fresh": 5, "budget": 40, "until": 1}
+    )
     values = np.random.default_rng(0).normal(size=(30, 4))
     values[:2] = [[1.0, 1.01, 0.99, -9.0], [1.02, 1.0, 0.98, -9.1]]
     there = np.zeros(values.shape, bool)

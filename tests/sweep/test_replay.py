@@ -40,7 +40,11 @@ WALKS = {
     "physics": "fast",
     "set": {"servo.torque_limit": 0.02},
     "vary": {"frequency": [1.0, 1.2], "mass.front": [0.1695, 0.5]},
-    "randomize": {"repeats": 2, "start.x": {"uniform": [-0.1, 0.1]}, "start.y": {"uniform": [-0.1, 0.1]}},
+    "randomize": {
+        "repeats": 2,
+        "start.x": {"uniform": [-0.1, 0.1]},
+        "start.y": {"uniform": [-0.1, 0.1]},
+    },
 }
 ROWS = 8
 #: As short as a sweep can be; one chunk.
@@ -116,16 +120,23 @@ def test_the_recording_is_of_the_walk_that_the_table_measured(walks: Path, tmp_p
         recording = Recording.load(tmp_path / "row.npz")
         begin, end = 0.25 / stored["frequency"], 2 / stored["frequency"]
         assert recording.time[-1] == pytest.approx(end)
-        x, y = (np.interp([begin, end], recording.time, recording.sensors["position"][:, i]) for i in (0, 1))
+        x, y = (
+            np.interp([begin, end], recording.time, recording.sensors["position"][:, i])
+            for i in (0, 1)
+        )
         assert y[0] - y[1] == pytest.approx(stored["distance"], abs=2e-6), "float32 in the metrics"
         assert x[1] - x[0] == pytest.approx(stored["lateral_drift"], abs=2e-6)
-        assert recording.qpos[0, :2] == pytest.approx([stored["start.x"], stored["start.y"]], abs=2e-3)
+        assert recording.qpos[0, :2] == pytest.approx(
+            [stored["start.x"], stored["start.y"]], abs=2e-3
+        )
         assert recording.metadata["parameters"]["start.yaw"] == stored["start.yaw"]
         assert recording.metadata["metrics"]["distance"] == stored["distance"]
 
 
 @pytest.mark.release
-def test_a_run_that_ends_at_a_distance_is_repeated_and_its_recording_ends_there(tmp_path: Path) -> None:
+def test_a_run_that_ends_at_a_distance_is_repeated_and_its_recording_ends_there(
+    tmp_path: Path,
+) -> None:
     """Ten simulated seconds are allowed; the distance takes less than three."""
     spec = {
         "pilot": {"straight": {"distance": 0.08}},
@@ -144,7 +155,9 @@ def test_a_run_that_ends_at_a_distance_is_repeated_and_its_recording_ends_there(
 
 
 @pytest.mark.release
-def test_a_row_that_the_sweep_has_not_come_to_is_replayed_as_it_will_be(walks: Path, tmp_path: Path) -> None:
+def test_a_row_that_the_sweep_has_not_come_to_is_replayed_as_it_will_be(
+    walks: Path, tmp_path: Path
+) -> None:
     """Its chunk is missing: nothing to compare with; when the sweep goes on, the table gets the same numbers."""
     out = tmp_path / "part"
     shutil.copytree(walks, out)
@@ -180,32 +193,46 @@ def test_the_largest_relative_difference_is_named() -> None:
     assert agreement(stored, dict(stored), "c").equal
     assert not agreement(stored, stored | {"speed": float(np.nextafter(0.1, 1.0))}, "c").equal
     differs = agreement(stored, stored | {"speed": 0.11, "slip": 1.0}, "c")
-    assert (differs.equal, differs.metric, differs.stored, differs.replayed) == (False, "slip", 2.0, 1.0)
+    assert (differs.equal, differs.metric, differs.stored, differs.replayed) == (
+        False,
+        "slip",
+        2.0,
+        1.0,
+    )
     assert differs.relative_difference == pytest.approx(0.5)
     unknown = agreement(stored, stored | {"cost_of_transport": 3.0, "slip": 1.0}, "c")
     assert (unknown.metric, unknown.relative_difference) == ("cost_of_transport", math.inf)
 
 
 @pytest.mark.release
-def test_a_row_of_another_engine_is_compared_and_runs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_of_another_engine_is_compared_and_runs_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A table in closed form, as if of mjx: its speed is far from the robot's, which the report says."""
     run_sweep(SHORT, tmp_path, simulator=FakeSimulator(engine="mjx"))
     worlds = []
     opened = CSession.__init__
-    monkeypatch.setattr(CSession, "__init__", lambda self, *a: (worlds.append(len(a[2])), opened(self, *a))[1])
+    monkeypatch.setattr(
+        CSession, "__init__", lambda self, *a: (worlds.append(len(a[2])), opened(self, *a))[1]
+    )
     report = json_of(tmp_path, "--row", "0", "--engine", "c")
     assert worlds == [1]
     difference = report["comparison"]
     assert (report["engine"], difference["engine"], difference["equal"]) == ("c", "mjx", False)
     expected = {"speed": float(np.float32(speed(0.8))), "roll_std": 0.1}
-    shares = {n: abs(report["metrics"][n] - x) / max(abs(report["metrics"][n]), x) for n, x in expected.items()}
+    shares = {
+        n: abs(report["metrics"][n] - x) / max(abs(report["metrics"][n]), x)
+        for n, x in expected.items()
+    }
     worst = max(shares, key=shares.__getitem__)
     assert difference["metric"] == worst
     assert difference["relative_difference"] == pytest.approx(shares[worst])
     assert f"(engine mjx), most of all {worst}: " in report["compared"]
 
 
-@pytest.mark.parametrize(("begun", "taken"), [("mjx", "mjx"), ("c", "c"), ("fake", "auto"), (None, "auto")])
+@pytest.mark.parametrize(
+    ("begun", "taken"), [("mjx", "mjx"), ("c", "c"), ("fake", "auto"), (None, "auto")]
+)
 def test_the_engine_is_that_of_the_sweep(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: str | None, taken: str
 ) -> None:
@@ -249,7 +276,10 @@ def test_a_fall_is_dated(walks: Path) -> None:
     assert stored["duration"] > 0.0
     fell_at = json_of(walks, "--row", str(row))["metrics"]["failure_time"]
     assert fell_at == pytest.approx(0.25 / stored["frequency"] + stored["duration"], abs=0.0101)
-    assert f"It fell at {fell_at:.2f} s, of {2 / stored['frequency']:.2f} s." in call(walks, "--row", str(row)).stdout
+    assert (
+        f"It fell at {fell_at:.2f} s, of {2 / stored['frequency']:.2f} s."
+        in call(walks, "--row", str(row)).stdout
+    )
 
 
 def test_a_diverged_world_is_recorded_until_its_first_bad_sample(
@@ -295,7 +325,12 @@ def test_a_world_that_diverges_at_once_gives_a_sentence(
         ("out/sweep.yaml", "vary: {frequency: [0.8", "0", "out/sweep.yaml:1: not valid YAML"),
         ("other", "", "0", "out: no such directory."),
         ("out", "", "0", "out: this is a file, not a directory."),
-        ("out/other", "", "0", "out: not the directory of a sweep or a search; allowed is one with"),
+        (
+            "out/other",
+            "",
+            "0",
+            "out: not the directory of a sweep or a search; allowed is one with",
+        ),
     ],
 )
 def test_wrong_use_is_refused_before_a_simulator_is_built(
@@ -314,12 +349,19 @@ def test_wrong_use_is_refused_before_a_simulator_is_built(
     ("options", "sentence"),
     [
         (("--video", "row.avi"), "a video ends in .mp4, .gif or .webp"),
-        (("--video", "row.gif", "--camera", "moon"), "camera is 'moon': allowed is one of three_quarter"),
+        (
+            ("--video", "row.gif", "--camera", "moon"),
+            "camera is 'moon': allowed is one of three_quarter",
+        ),
         (("--record", "/sys/kernel/nermo/row.npz"), "cannot write in /sys/kernel/nermo: "),
     ],
 )
 def test_files_that_cannot_be_made_are_refused_before_a_simulator_is_built(
-    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], sentence: str
+    short: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...],
+    sentence: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(module, "Simulator", None)
@@ -344,7 +386,12 @@ def test_quiet_says_nothing_and_json_has_the_fields_of_a_walk(short: Path) -> No
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
     report, stored = json_of(short, "--row", "0"), row_of(short, 0)
     assert {"metrics", "parameters", "setup", "run", "engine", "versions"} <= set(report)
-    assert (report["row"], report["variant"], report["repeat"], report["seed"]) == (0, 0, 0, stored["seed"])
+    assert (report["row"], report["variant"], report["repeat"], report["seed"]) == (
+        0,
+        0,
+        0,
+        stored["seed"],
+    )
     assert report["metrics"]["distance"] == stored["distance"]
     assert report["parameters"]["frequency"] == 0.8
     assert report["parameters"]["stride"] > 0, "defaults are in it too"
@@ -369,7 +416,9 @@ def test_one_last_digit_is_a_difference(short: Path, tmp_path: Path) -> None:
     (path,) = (out / "results").iterdir()
     table = pq.read_table(path)
     at, values = table.column_names.index("roll_std"), table.column("roll_std").to_numpy()
-    changed = table.set_column(at, table.schema.field("roll_std"), pa.array(np.nextafter(values, 1.0)))
+    changed = table.set_column(
+        at, table.schema.field("roll_std"), pa.array(np.nextafter(values, 1.0))
+    )
     pq.write_table(changed.replace_schema_metadata(table.schema.metadata), path)
     difference = json_of(out, "--row", "0")["comparison"]
     assert (difference["equal"], difference["metric"]) == (False, "roll_std")

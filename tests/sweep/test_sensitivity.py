@@ -44,10 +44,17 @@ class Ishigami:
 
     def run(self, values, run, *, progress=None, notify=None):
         a, b, c = (np.pi * (values[name] - 0.65) / 0.1 for name in NAMES)
-        speed = np.sin(a) + 7 * np.sin(b) ** 2 + 0.1 * c**4 * np.sin(a) + 10 * (values.get("contact.friction", 1.0) - 1)
+        speed = (
+            np.sin(a)
+            + 7 * np.sin(b) ** 2
+            + 0.1 * c**4 * np.sin(a)
+            + 10 * (values.get("contact.friction", 1.0) - 1)
+        )
         fell = speed > self.falls
         metrics = {"speed": speed, "slip": np.full(len(speed), 0.1), "fell": fell.astype(float)}
-        return types.SimpleNamespace(metrics=metrics, status=np.where(fell, "fell", "ok"), engine="fake", steps=1)
+        return types.SimpleNamespace(
+            metrics=metrics, status=np.where(fell, "fell", "ok"), engine="fake", steps=1
+        )
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +67,11 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def indices(found) -> dict[tuple[str, str], dict]:
-    return {(line["parameter"], line["order"]): line for line in found.table.to_pylist() if not line["second"]}
+    return {
+        (line["parameter"], line["order"]): line
+        for line in found.table.to_pylist()
+        if not line["second"]
+    }
 
 
 def test_ishigamis_indices_are_those_in_closed_form(out: Path) -> None:
@@ -71,7 +82,11 @@ def test_ishigamis_indices_are_those_in_closed_form(out: Path) -> None:
     for key, line in indices(found).items():
         assert line["index"] == pytest.approx(KNOWN[key], abs=0.04), key
         assert line["low"] <= KNOWN[key] <= line["high"] or KNOWN[key] == 0
-    pairs = {(line["parameter"], line["second"]): line for line in found.table.to_pylist() if line["order"] == "second"}
+    pairs = {
+        (line["parameter"], line["second"]): line
+        for line in found.table.to_pylist()
+        if line["order"] == "second"
+    }
     assert set(pairs) == {("frequency", "stride"), ("frequency", "duty"), ("stride", "duty")}
     assert pairs["frequency", "duty"]["index"] == pytest.approx(PAIR / WHOLE, abs=0.06)
     assert abs(pairs["frequency", "stride"]["index"]) < 0.06
@@ -88,7 +103,9 @@ def test_the_sweep_itself_finds_them(out: Path) -> None:
 @pytest.mark.release
 def test_a_given_sample_tells_the_first_indices(tmp_path: Path) -> None:
     """By RBD-FAST, called by its name, with the sentence that interactions are not known."""
-    run_sweep(SPEC | {"sample": {"latin_hypercube": 2000}, "chunk": 2000}, tmp_path, simulator=Ishigami())
+    run_sweep(
+        SPEC | {"sample": {"latin_hypercube": 2000}, "chunk": 2000}, tmp_path, simulator=Ishigami()
+    )
     found = sensitivity(tmp_path)
     assert found.method == "rbd_fast"
     assert "Interactions are not known" in found.notes[0]
@@ -100,7 +117,11 @@ def test_a_given_sample_tells_the_first_indices(tmp_path: Path) -> None:
 def test_noise_is_in_the_total_indices_and_is_told(tmp_path: Path) -> None:
     """Uniform friction of width 1 adds a variance of 100 / 12; two repeats halve it, and tell how much it is."""
     spec = SPEC | {"sample": {"saltelli": 1024}, "chunk": 4000}
-    spec["randomize"] = {"repeats": 2, "contact.friction": {"uniform": [0.5, 1.5]}, "start.x": {"uniform": [0, 0.001]}}
+    spec["randomize"] = {
+        "repeats": 2,
+        "contact.friction": {"uniform": [0.5, 1.5]},
+        "start.x": {"uniform": [0, 0.001]},
+    }
     run_sweep(spec, tmp_path, simulator=Ishigami())
     found, half = sensitivity(tmp_path), 100 / 12 / 2
     assert found.noise == pytest.approx(half / (WHOLE + half), abs=0.03)
@@ -108,12 +129,18 @@ def test_noise_is_in_the_total_indices_and_is_told(tmp_path: Path) -> None:
     assert found.notes[-1] == "Profile exact."
     for (name, order), line in indices(found).items():
         noise = half if order == "total" else 0.0
-        assert line["index"] == pytest.approx((KNOWN[name, order] * WHOLE + noise) / (WHOLE + half), abs=0.07)
+        assert line["index"] == pytest.approx(
+            (KNOWN[name, order] * WHOLE + noise) / (WHOLE + half), abs=0.07
+        )
 
 
 def test_points_that_fell_are_left_out_and_counted(tmp_path: Path) -> None:
     """Whole blocks, since the estimators need all rows of one."""
-    run_sweep(SPEC | {"sample": {"saltelli": 256}, "chunk": 2000}, tmp_path, simulator=Ishigami(falls=12.0))
+    run_sweep(
+        SPEC | {"sample": {"saltelli": 256}, "chunk": 2000},
+        tmp_path,
+        simulator=Ishigami(falls=12.0),
+    )
     notes = " ".join(sensitivity(tmp_path).notes)
     assert "runs fell or were lost" in notes
     assert "of 256 points are left out" in notes
@@ -122,7 +149,10 @@ def test_points_that_fell_are_left_out_and_counted(tmp_path: Path) -> None:
 def test_runs_without_a_number_are_not_said_to_have_fallen(out: Path) -> None:
     """NaN in a metric of runs that ended well, beside others that fell."""
     table = read_table(out)
-    speed, status = table.column("speed").to_numpy().copy(), np.array(table.column("status").to_pylist(), object)
+    speed, status = (
+        table.column("speed").to_numpy().copy(),
+        np.array(table.column("status").to_pylist(), object),
+    )
     speed[:20] = np.nan
 
     def notes(**columns: object) -> str:
@@ -170,7 +200,9 @@ def test_the_design_begins_as_a_smaller_one_and_changes_one_parameter_at_a_time(
             np.testing.assert_array_equal(block[i + 1], expected)
     sweep = Sweep.from_dict(SPEC | {"sample": {"saltelli": 8}, "seed": 1})
     assert sweep.variants == len(sample(sweep)) == 40
-    np.testing.assert_allclose(sample(sweep).values["stride"], 0.55 + 0.2 * design.reshape(-1, 3)[:, 1])
+    np.testing.assert_allclose(
+        sample(sweep).values["stride"], 0.55 + 0.2 * design.reshape(-1, 3)[:, 1]
+    )
     pairs = Sweep.from_dict(SPEC | {"sample": {"saltelli": {"points": 8, "second_order": True}}})
     assert pairs.variants == 8 * 8
     assert Sweep.from_text(pairs.to_yaml()).digest() == pairs.digest() != sweep.digest()
@@ -179,7 +211,10 @@ def test_the_design_begins_as_a_smaller_one_and_changes_one_parameter_at_a_time(
 @pytest.mark.release
 def test_the_command_writes_what_plot_and_status_know(out: Path, tmp_path: Path) -> None:
     """JSON, a table for people, and figures that come out the same."""
-    assert json_of("sensitivity", out, "--out", tmp_path / "report")["indices"][0]["parameter"] == "frequency"
+    assert (
+        json_of("sensitivity", out, "--out", tmp_path / "report")["indices"][0]["parameter"]
+        == "frequency"
+    )
     figure = (tmp_path / "report" / "plots" / "speed-sensitivity.png").read_bytes()
     assert call("plot", tmp_path / "report").exit_code == 0
     assert (tmp_path / "report" / "plots" / "speed-sensitivity.png").read_bytes() == figure
@@ -203,5 +238,7 @@ def test_what_tells_nothing_says_why(out: Path, tmp_path: Path) -> None:
         with pytest.raises(ParameterError) as error:
             sensitivity(folder, metric)
         assert said in str(error.value)
-    with pytest.raises(SpecError, match=r"1: field 'sample.saltelli' is 100: expected a power of two, such as 64"):
+    with pytest.raises(
+        SpecError, match=r"1: field 'sample.saltelli' is 100: expected a power of two, such as 64"
+    ):
         Sweep.from_text("{sample: {saltelli: 100}, vary: {stride: {uniform: [0.5, 0.6]}}}")

@@ -51,14 +51,18 @@ def test_accepted_code_keeps_what_is_there_and_tells_the_rows_apart(begun, newer
     result = run_sweep(SPEC, begun, simulator=simulator)
     assert simulator.batches == [9]
     made = result.table.column("code").to_pylist()
-    assert {name: made.count(name) for name in codes_of(begun)} == dict.fromkeys(codes_of(begun), 18)
+    assert {name: made.count(name) for name in codes_of(begun)} == dict.fromkeys(
+        codes_of(begun), 18
+    )
     assert [each.package for each in codes_of(begun).values()][1:] == ["9.9.9"]
 
 
 def test_a_directory_keeps_its_engine_unless_another_one_is_accepted(begun):
     """A refusal says what differs, and nothing is written; once it is accepted, the summary names both."""
     before = contents(begun)
-    with pytest.raises(OtherCode, match=r"made by other code: engine fake, not other;.*--accept-new-code"):
+    with pytest.raises(
+        OtherCode, match=r"made by other code: engine fake, not other;.*--accept-new-code"
+    ):
         run_sweep(SPEC, begun, simulator=FakeSimulator(engine="other"))
     assert contents(begun) == before
     result = run_sweep(SPEC, begun, simulator=FakeSimulator(engine="other"), accept_new_code=True)
@@ -108,7 +112,9 @@ def test_rows_made_with_other_defaults_are_kept_and_not_used(begun, monkeypatch)
         patch.setattr(Sweep, "digest", lambda self: "beef")
         said = []
         result = run_sweep(SPEC, begun, simulator=FakeSimulator(), watch=Watch(warn=said.append))
-        assert said == [f"{begun} has parts of another job, or made with other defaults: now in former."]
+        assert said == [
+            f"{begun} has parts of another job, or made with other defaults: now in former."
+        ]
         assert {path.name: path.read_bytes() for path in begun.glob("former/results/*")} == kept
         assert result.chunks_run == result.table.num_rows / 9 == 4
         assert len(list(begun.glob("results/*"))) == 4
@@ -124,7 +130,9 @@ def test_a_stamp_reads_every_room_that_decides_the_numbers():
         name
         for room in code.ROOMS
         for path in (package / room).rglob("*.py")
-        for name in re.findall(r"^\s*(?:from|import) nermo_mjx\.(\w+)", path.read_text(), re.MULTILINE)
+        for name in re.findall(
+            r"^\s*(?:from|import) nermo_mjx\.(\w+)", path.read_text(), re.MULTILINE
+        )
     }
     assert {"dynamics", "physics"} <= imported
     # Directories say how a run is kept, not what it is; a policy is a controller, read from a file that is stamped.

@@ -57,27 +57,54 @@ EXTENSIONS = {
     ),
     "a parameter of one structure": (
         SMALL,
-        changed(vary={"spine": ["none", "stride_extension"], **SMALL["vary"], "spine.amplitude": [0.1, 0.2]}),
+        changed(
+            vary={
+                "spine": ["none", "stride_extension"],
+                **SMALL["vary"],
+                "spine.amplitude": [0.1, 0.2],
+            }
+        ),
         6,
     ),
-    "another model": (changed(tail="rigid"), changed(vary={"tail": ["articulated", "rigid"], **SMALL["vary"]}), 6),
-    "Sobol points": (changed(vary=UNIFORM, sample={"sobol": 5}), changed(vary=UNIFORM, sample={"sobol": 23}), 5),
+    "another model": (
+        changed(tail="rigid"),
+        changed(vary={"tail": ["articulated", "rigid"], **SMALL["vary"]}),
+        6,
+    ),
+    "Sobol points": (
+        changed(vary=UNIFORM, sample={"sobol": 5}),
+        changed(vary=UNIFORM, sample={"sobol": 23}),
+        5,
+    ),
     "structures of a sample": (
         changed(vary=UNIFORM, sample={"sobol": 5}, gait="walking_trot"),
         changed(vary=UNIFORM | {"gait": ["trot", "walking_trot"]}, sample={"sobol": 5}),
         5,
     ),
     "rows": (
-        {"plots": False, "rows": [{"gait": "trot", "frequency": 0.5}, {"gait": "lateral_walk", "frequency": 0.7}]},
         {
             "plots": False,
-            "rows": [{"gait": "lateral_walk", "frequency": 0.7}, {"gait": "lateral_walk", "frequency": 0.9}],
+            "rows": [
+                {"gait": "trot", "frequency": 0.5},
+                {"gait": "lateral_walk", "frequency": 0.7},
+            ],
+        },
+        {
+            "plots": False,
+            "rows": [
+                {"gait": "lateral_walk", "frequency": 0.7},
+                {"gait": "lateral_walk", "frequency": 0.9},
+            ],
         },
         1,
     ),
     "a row of a grid": (
         SMALL,
-        {"plots": False, "rows": [{"frequency": 0.7, "contact.friction": 1.0}], "randomize": SMALL["randomize"]},
+        {
+            "plots": False,
+            "rows": [{"frequency": 0.7, "contact.friction": 1.0}],
+            "randomize": SMALL["randomize"],
+        },
         1,
     ),
 }
@@ -155,7 +182,9 @@ def test_between_its_steps_the_former_sweep_can_be_gone_on_with_instead(tmp_path
     table = read_table(tmp_path)
     monkeypatch.setattr("nermo_mjx.sweep.store._with_files", lambda *given: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        run_sweep(changed(randomize={"repeats": 2}), tmp_path, simulator=FakeSimulator(), extend=True)
+        run_sweep(
+            changed(randomize={"repeats": 2}), tmp_path, simulator=FakeSimulator(), extend=True
+        )
     monkeypatch.undo()
     assert not any(tmp_path.glob("results/*"))
     simulator = FakeSimulator()
@@ -170,12 +199,17 @@ def test_an_interrupted_extension_goes_on_without_being_named_again(tmp_path):
     with pytest.raises(Interrupted):
         run_sweep(large, tmp_path, simulator=FakeSimulator(stop_at=1), extend=True)
     run_sweep(tmp_path / "sweep.yaml", tmp_path, simulator=FakeSimulator())
-    assert read_table(tmp_path).equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)
+    assert read_table(tmp_path).equals(
+        run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table
+    )
 
 
 def test_a_directory_is_extended_twice_and_keeps_what_left_the_table(tmp_path):
     """Rows that the second sweep does not have are in their folder, and come back with the third."""
-    sweeps = [changed(vary={"frequency": values, **FRICTION}) for values in ([0.5, 0.6], [0.6, 0.7], [0.5, 0.6, 0.7])]
+    sweeps = [
+        changed(vary={"frequency": values, **FRICTION})
+        for values in ([0.5, 0.6], [0.6, 0.7], [0.5, 0.6, 0.7])
+    ]
     simulators = [Counting() for _ in sweeps]
     for sweep, simulator in zip(sweeps, simulators, strict=True):
         result = run_sweep(sweep, tmp_path, chunk=3, simulator=simulator, extend=True)
@@ -186,10 +220,16 @@ def test_a_directory_is_extended_twice_and_keeps_what_left_the_table(tmp_path):
 
 
 REFUSED = {
-    "fixed": (changed(set={"stride": 0.8}), "set.stride is absent there and 0.8 here: what is not varied stays"),
+    "fixed": (
+        changed(set={"stride": 0.8}),
+        "set.stride is absent there and 0.8 here: what is not varied stays",
+    ),
     "seed": (changed(seed=3), "seed is 0 there and 3 here"),
     "length": (changed(run={"cycles": 3}), "run.cycles is 8 there and 3 here"),
-    "draws": (changed(randomize={"mass.front": {"uniform": [0.1, 0.17]}}), "randomize.mass.front.uniform is"),
+    "draws": (
+        changed(randomize={"mass.front": {"uniform": [0.1, 0.17]}}),
+        "randomize.mass.front.uniform is",
+    ),
 }
 
 
@@ -211,7 +251,9 @@ def test_a_latin_hypercube_has_no_further_points(tmp_path):
     """Its points depend on how many there are; repeats can be added."""
     few, many = (changed(vary=UNIFORM, sample={"latin_hypercube": count}) for count in (4, 8))
     run_sweep(few, tmp_path, simulator=FakeSimulator())
-    with pytest.raises(DirectoryError, match="a Latin hypercube of 4 points is not part of one of 8"):
+    with pytest.raises(
+        DirectoryError, match="a Latin hypercube of 4 points is not part of one of 8"
+    ):
         run_sweep(many, tmp_path, simulator=FakeSimulator(), extend=True)
     more = few | {"randomize": few["randomize"] | {"repeats": 2}}
     assert run_sweep(more, tmp_path, simulator=FakeSimulator(), extend=True).rows == 8
@@ -219,7 +261,9 @@ def test_a_latin_hypercube_has_no_further_points(tmp_path):
 
 def test_without_being_told_another_sweep_is_refused_and_extend_is_named(tmp_path):
     run_sweep(SMALL, tmp_path, simulator=FakeSimulator())
-    with pytest.raises(DirectoryError, match=r"randomize.repeats is 1 there and 2 here; .* with --extend\.$"):
+    with pytest.raises(
+        DirectoryError, match=r"randomize.repeats is 1 there and 2 here; .* with --extend\.$"
+    ):
         run_sweep(changed(randomize={"repeats": 2}), tmp_path, simulator=FakeSimulator())
 
 
@@ -230,7 +274,9 @@ def test_other_code_extends_only_when_it_is_told_to(tmp_path, monkeypatch):
     monkeypatch.setattr(code, "__version__", "9.9.9")
     with pytest.raises(OtherCode, match=r"not 9\.9\.9"):
         run_sweep(large, tmp_path, simulator=FakeSimulator(), extend=True)
-    result = run_sweep(large, tmp_path, simulator=FakeSimulator(), extend=True, accept_new_code=True)
+    result = run_sweep(
+        large, tmp_path, simulator=FakeSimulator(), extend=True, accept_new_code=True
+    )
     made = result.table.column("code").to_pylist()
     assert sorted(made.count(each) for each in set(made)) == [shared, result.rows - shared]
 
@@ -245,14 +291,28 @@ def test_rows_are_taken_from_another_directory(tmp_path):
     said, simulator = [], Counting()
     large = changed(vary={"frequency": [0.5, 0.7, 0.9, 1.1], **FRICTION})
     result = run_sweep(
-        large, tmp_path / "out", chunk=8, use=[source], simulator=simulator, watch=Watch(warn=said.append)
+        large,
+        tmp_path / "out",
+        chunk=8,
+        use=[source],
+        simulator=simulator,
+        watch=Watch(warn=said.append),
     )
     assert simulator.rows == 8 - 4
     assert said == [f"{damaged} is damaged; its runs are not used."]
-    assert result.table.equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)
+    assert result.table.equals(
+        run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table
+    )
     assert before == contents(source)
-    with pytest.raises(DirectoryError, match=r"rows of .*source cannot be used: run.cycles is 8 there and 5 here"):
-        run_sweep(SMALL | {"run": {"cycles": 5}}, tmp_path / "other", use=[source], simulator=FakeSimulator())
+    with pytest.raises(
+        DirectoryError, match=r"rows of .*source cannot be used: run.cycles is 8 there and 5 here"
+    ):
+        run_sweep(
+            SMALL | {"run": {"cycles": 5}},
+            tmp_path / "other",
+            use=[source],
+            simulator=FakeSimulator(),
+        )
     with pytest.raises(DirectoryError, match="no such directory"):
         run_sweep(SMALL, tmp_path / "other", use=[tmp_path / "nowhere"], simulator=FakeSimulator())
     assert not (tmp_path / "other").exists()
@@ -277,7 +337,12 @@ def test_directories_merge_into_one(tmp_path):
     assert before == contents(*sources)
     assert find_row(tmp_path / "both", 6).values["frequency"] == rows[6][1]
     simulator = FakeSimulator()
-    assert run_sweep(tmp_path / "both" / "sweep.yaml", tmp_path / "both", simulator=simulator).chunks_run == 0
+    assert (
+        run_sweep(
+            tmp_path / "both" / "sweep.yaml", tmp_path / "both", simulator=simulator
+        ).chunks_run
+        == 0
+    )
 
 
 def test_draws_of_a_row_are_the_same_whatever_else_is_varied(tmp_path):
@@ -297,26 +362,38 @@ def test_what_does_not_go_together_is_not_merged(tmp_path):
     run_sweep(changed(vary={"frequency": [0.5]}), tmp_path / "c", simulator=FakeSimulator())
     run_sweep(SMALL, tmp_path / "d", simulator=FakeSimulator(engine="other"))
     with pytest.raises(
-        DirectoryError, match=r"a and .*b cannot be merged: gait is trot there and lateral_walk here\.$"
+        DirectoryError,
+        match=r"a and .*b cannot be merged: gait is trot there and lateral_walk here\.$",
     ):
         merge_sweeps([tmp_path / "a", tmp_path / "b"], tmp_path / "out")
-    with pytest.raises(DirectoryError, match=r"c cannot be merged: only one of them varies contact.friction, on which"):
+    with pytest.raises(
+        DirectoryError,
+        match=r"c cannot be merged: only one of them varies contact.friction, on which",
+    ):
         merge_sweeps([tmp_path / "a", tmp_path / "c"], tmp_path / "out")
     for name, varied in (("e", {"frequency": [0.5]}), ("f", {"stride": [0.5, 0.6]})):
         run_sweep({"plots": False, "vary": varied}, tmp_path / name, simulator=FakeSimulator())
-    with pytest.raises(DirectoryError, match="e cannot be merged: it neither varies nor sets stride, which"):
+    with pytest.raises(
+        DirectoryError, match="e cannot be merged: it neither varies nor sets stride, which"
+    ):
         merge_sweeps([tmp_path / "e", tmp_path / "f"], tmp_path / "out")
     with pytest.raises(SpecError, match="two directories"):
         merge_sweeps([tmp_path / "a"], tmp_path / "out")
     with pytest.raises(OtherCode, match="engine fake, not other"):
         merge_sweeps([tmp_path / "a", tmp_path / "d"], tmp_path / "out")
-    assert merge_sweeps([tmp_path / "a", tmp_path / "d"], tmp_path / "out", accept_new_code=True).complete
+    assert merge_sweeps(
+        [tmp_path / "a", tmp_path / "d"], tmp_path / "out", accept_new_code=True
+    ).complete
 
 
 def test_the_command_merges_and_says_what_is_missing(tmp_path):
     """Sweeps of different repeats: the rest is named with the command that runs it."""
     run_sweep(changed(vary={"frequency": [0.5]}), tmp_path / "a", simulator=FakeSimulator())
-    run_sweep(changed(vary={"frequency": [0.7]}, randomize={"repeats": 2}), tmp_path / "b", simulator=FakeSimulator())
+    run_sweep(
+        changed(vary={"frequency": [0.7]}, randomize={"repeats": 2}),
+        tmp_path / "b",
+        simulator=FakeSimulator(),
+    )
     command = ("merge", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c")
     result = call(*command)
     assert result.exit_code == 0, result.stderr
@@ -325,7 +402,10 @@ def test_the_command_merges_and_says_what_is_missing(tmp_path):
     assert json_of(*command)["complete"] is False
     simulator = Counting()
     whole = run_sweep(
-        tmp_path / "c" / "sweep.yaml", tmp_path / "c", simulator=simulator, use=[tmp_path / "a", tmp_path / "b"]
+        tmp_path / "c" / "sweep.yaml",
+        tmp_path / "c",
+        simulator=simulator,
+        use=[tmp_path / "a", tmp_path / "b"],
     )
     assert whole.complete
     assert simulator.rows == 1

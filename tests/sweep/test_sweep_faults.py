@@ -75,7 +75,10 @@ def test_the_directory_holds_what_other_programs_rely_on(done):
     )
     assert all(metadata[b"description"] for metadata in about.values())
     assert sorted(pandas.read_parquet(done / "results")["row"]) == list(range(36))
-    assert "key" not in read_table(done).column_names + Results(sorted(done.glob("results/*"))).schema.names
+    assert (
+        "key"
+        not in read_table(done).column_names + Results(sorted(done.glob("results/*"))).schema.names
+    )
 
 
 # --- damage
@@ -85,7 +88,9 @@ def test_the_directory_holds_what_other_programs_rely_on(done):
     "damage",
     [
         lambda path, other: path.unlink(),
-        lambda path, other: path.write_bytes(path.read_bytes()[:-300] + b"?" + path.read_bytes()[-299:]),
+        lambda path, other: path.write_bytes(
+            path.read_bytes()[:-300] + b"?" + path.read_bytes()[-299:]
+        ),
     ],
 )
 def test_damaged_rows_are_told_kept_and_run_again(done, reference, damage):
@@ -94,7 +99,9 @@ def test_damaged_rows_are_told_kept_and_run_again(done, reference, damage):
     damage(path, part_of(done, 35))
     damaged = [path.read_bytes()] if path.exists() else []
     result = run_sweep(SPEC, done, simulator=FakeSimulator(), watch=Watch(warn=said.append))
-    assert said == [f"{path} is damaged; it is kept in results.aside, and its runs are made again."] * len(damaged)
+    assert said == [
+        f"{path} is damaged; it is kept in results.aside, and its runs are made again."
+    ] * len(damaged)
     assert [kept.read_bytes() for kept in done.glob("results.aside/*")] == damaged
     assert result.chunks_run == 1
     assert result.table.equals(reference)
@@ -108,11 +115,15 @@ def test_a_part_that_cannot_be_read_is_named(done):
         pq.read_metadata(path).row_group(0).column(pq.read_schema(path).names.index("speed")),
     )
     damaged = bytearray(content)
-    damaged[(speed.dictionary_page_offset or speed.data_page_offset) + speed.total_compressed_size - 1] ^= 1
+    damaged[
+        (speed.dictionary_page_offset or speed.data_page_offset) + speed.total_compressed_size - 1
+    ] ^= 1
     path.write_bytes(damaged)
     results = Results(parts)
     assert results.column("frequency").shape == (36,)
-    with pytest.raises(DirectoryError, match=rf"{path.name} cannot be read \(.*\): run the same command again"):
+    with pytest.raises(
+        DirectoryError, match=rf"{path.name} cannot be read \(.*\): run the same command again"
+    ):
         results.column("speed")
     path.write_bytes(content[:-20])
     with pytest.raises(DirectoryError, match=rf"{path.name} cannot be read"):
@@ -174,7 +185,10 @@ def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, 
     [
         (lambda out: (out / "sweep.yaml").write_text("vary: ["), "a sweep that cannot be read"),
         (lambda out: (out / "sweep.yaml").unlink(), "results of an unknown sweep"),
-        (lambda out: SPEC | {"seed": 5}, "the results of another sweep: seed is 0 there and 5 here; choose"),
+        (
+            lambda out: SPEC | {"seed": 5},
+            "the results of another sweep: seed is 0 there and 5 here; choose",
+        ),
         (
             lambda out: SPEC | {"run": {"cycles": 5, "warmup_cycles": 1}, "gait": "lateral_walk"},
             "the results of another sweep: gait is trot there and lateral_walk here; run.cycles is 4",
@@ -215,8 +229,16 @@ def test_places_that_are_no_directories_are_one_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("error", "expected", "sentence"),
     [
-        (ValueError("no\nsuch luck"), JobFailed, r"failed: ValueError: no\. What is finished is kept in .+: run the"),
-        (MemoryError(), JobFailed, r"failed: MemoryError\. .+: take a smaller --chunk in another directory\.$"),
+        (
+            ValueError("no\nsuch luck"),
+            JobFailed,
+            r"failed: ValueError: no\. What is finished is kept in .+: run the",
+        ),
+        (
+            MemoryError(),
+            JobFailed,
+            r"failed: MemoryError\. .+: take a smaller --chunk in another directory\.$",
+        ),
         (ParameterError("stride is 9."), SpecError, r"are refused: stride is 9\.$"),
     ],
 )
@@ -304,7 +326,10 @@ class Beside(FakeSimulator):
 @pytest.mark.release
 def test_three_shards_make_the_table_of_one(tmp_path, simulator):
     """Real walks in MuJoCo C, by one process and by shards 0/3 to 2/3: the same numbers, to the last bit."""
-    walks = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}}
+    walks = {
+        "vary": {"frequency": {"linspace": [0.7, 1.2, 7]}},
+        "run": {"cycles": 2, "warmup_cycles": 1},
+    }
     walks |= {"chunk": 2, "plots": False}
     walked = run_sweep(walks, tmp_path / "one", simulator=simulator("c")).table
     for part in range(3):
@@ -312,7 +337,9 @@ def test_three_shards_make_the_table_of_one(tmp_path, simulator):
         assert result.complete == (part == 2)
     assert result.table.schema.equals(walked.schema, check_metadata=True)
     for name in walked.column_names:
-        np.testing.assert_array_equal(result.table.column(name), walked.column(name), strict=True, err_msg=name)
+        np.testing.assert_array_equal(
+            result.table.column(name), walked.column(name), strict=True, err_msg=name
+        )
 
 
 def test_a_lost_shard_is_named_by_the_others(tmp_path, reference):
@@ -320,8 +347,12 @@ def test_a_lost_shard_is_named_by_the_others(tmp_path, reference):
     for shard in ((0, 3), (2, 3)):
         result = run_sweep(SPEC, tmp_path, chunk=4, shard=shard, simulator=FakeSimulator())
     assert (result.complete, result.rows_done, result.rows) == (False, 24, 36)
-    assert result.missing == ("12 of 36 runs are missing; unless they are being run, run them with --shard 1/3.")
-    assert run_sweep(SPEC, tmp_path, shard=(1, 3), simulator=FakeSimulator()).table.equals(reference)
+    assert result.missing == (
+        "12 of 36 runs are missing; unless they are being run, run them with --shard 1/3."
+    )
+    assert run_sweep(SPEC, tmp_path, shard=(1, 3), simulator=FakeSimulator()).table.equals(
+        reference
+    )
 
 
 def test_two_shards_begun_together_on_unlike_machines_do_not_mix_engines(tmp_path):
@@ -329,7 +360,9 @@ def test_two_shards_begun_together_on_unlike_machines_do_not_mix_engines(tmp_pat
     refused = []
 
     def second():
-        with pytest.raises(OtherCode, match=r"made by other code: engine c, not warp;.*--accept-new-code") as caught:
+        with pytest.raises(
+            OtherCode, match=r"made by other code: engine c, not warp;.*--accept-new-code"
+        ) as caught:
             run_sweep(SPEC, tmp_path, chunk=4, shard=(1, 2), simulator=FakeSimulator(engine="warp"))
         refused.append(caught.value)
 
@@ -345,11 +378,15 @@ def test_whichever_shard_finds_the_table_complete_sums_up(tmp_path, last):
     """The one that began first, too, where the other one ends before it."""
 
     def other():
-        assert not run_sweep(SPEC, tmp_path, chunk=4, shard=(1 - last, 2), simulator=FakeSimulator()).summary
+        assert not run_sweep(
+            SPEC, tmp_path, chunk=4, shard=(1 - last, 2), simulator=FakeSimulator()
+        ).summary
 
     result = run_sweep(SPEC, tmp_path, chunk=4, shard=(last, 2), simulator=Beside(other, at=2))
     assert result.complete
-    assert json.loads((tmp_path / "summary.json").read_text())["rows"] == result.summary["rows"] == 36
+    assert (
+        json.loads((tmp_path / "summary.json").read_text())["rows"] == result.summary["rows"] == 36
+    )
 
 
 def test_a_shard_that_died_before_it_summed_up_does_so_when_it_is_run_again(tmp_path, monkeypatch):
@@ -357,7 +394,9 @@ def test_a_shard_that_died_before_it_summed_up_does_so_when_it_is_run_again(tmp_
     whole = run_sweep(SPEC, tmp_path / "whole", chunk=4, simulator=FakeSimulator()).summary
     run_sweep(SPEC, tmp_path, chunk=4, shard=(0, 2), simulator=FakeSimulator())
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.sweep.run.summarize", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(
+            "nermo_mjx.sweep.run.summarize", lambda _: (_ for _ in ()).throw(KeyboardInterrupt)
+        )
         with pytest.raises(KeyboardInterrupt):
             run_sweep(SPEC, tmp_path, shard=(1, 2), simulator=FakeSimulator())
     assert not (tmp_path / "summary.json").exists()
@@ -369,16 +408,33 @@ def test_a_shard_that_died_before_it_summed_up_does_so_when_it_is_run_again(tmp_
     }
 
 
-RECORD_OF_THREE = {"rows": 3, "fields": {"set": {}}, "labelled": [], "parameters": {}, "comparison": None}
+RECORD_OF_THREE = {
+    "rows": 3,
+    "fields": {"set": {}},
+    "labelled": [],
+    "parameters": {},
+    "comparison": None,
+}
 
 
 WRONG = ({"rows": "3"}, {"fields": {}}, {"parameters": 1})
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{", "null", '{"rows": 3}', "[" * 5000, *(json.dumps(RECORD_OF_THREE | each) for each in WRONG)]
+    "text",
+    [
+        "",
+        "[]",
+        "{",
+        "null",
+        '{"rows": 3}',
+        "[" * 5000,
+        *(json.dumps(RECORD_OF_THREE | each) for each in WRONG),
+    ],
 )
 def test_a_damaged_record_is_one_sentence(tmp_path: Path, text: str) -> None:
     (tmp_path / RECORD).write_text(text)
-    with pytest.raises(DirectoryError, match=r"sweep.json is damaged: run nermo-mjx sweep .* again"):
+    with pytest.raises(
+        DirectoryError, match=r"sweep.json is damaged: run nermo-mjx sweep .* again"
+    ):
         SweepRecord.of_directory(tmp_path)

@@ -36,7 +36,10 @@ class Saver(FakeSimulator):
         result = super().run(values, run, **how)
         count = np.round(10 * values["frequency"]).astype(int)
         time = (1 + np.arange(count.max())) / 20
-        held = {name: np.tile(time, (len(count), 1)).astype(np.float32) for name in ("gyro_x", "gyro_y", "gyro_z")}
+        held = {
+            name: np.tile(time, (len(count), 1)).astype(np.float32)
+            for name in ("gyro_x", "gyro_y", "gyro_z")
+        }
         assert save == Saving(("gyro", "speed"), 20.0)
         speed = np.repeat(result.metrics["speed"][:, None], len(time), axis=1)
         result.series = Series(time, held | {"speed": speed}, count)
@@ -55,7 +58,10 @@ def samples(out: Path) -> pa.Table:
 def test_series_stand_beside_the_table_a_row_a_sample(tmp_path: Path) -> None:
     """Rows of the table and samples of the series tell the same; a chunk's last batch is filled up, which is left."""
     run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
-    frame, table = pandas.read_parquet(tmp_path / "series"), read_table(tmp_path).to_pandas().set_index("row")
+    frame, table = (
+        pandas.read_parquet(tmp_path / "series"),
+        read_table(tmp_path).to_pandas().set_index("row"),
+    )
     assert [*frame.columns] == ["row", "time", "gyro_x", "gyro_y", "gyro_z", "speed"]
     samples = frame.groupby("row")
     assert samples.size().to_dict() == np.round(10 * table["frequency"]).astype(int).to_dict()
@@ -63,7 +69,11 @@ def test_series_stand_beside_the_table_a_row_a_sample(tmp_path: Path) -> None:
     np.testing.assert_allclose(frame.time, frame.gyro_z, rtol=1e-6)
     assert (samples.time.diff().dropna() > 0).all()
     field = pq.read_schema(next(tmp_path.glob("series/*"))).field("gyro_x")
-    assert (field.type, meta(field)["unit"], meta(field)["role"]) == (pa.float32(), "rad/s", "signal")
+    assert (field.type, meta(field)["unit"], meta(field)["role"]) == (
+        pa.float32(),
+        "rad/s",
+        "signal",
+    )
 
 
 def test_a_stopped_sweep_goes_on_to_the_same_series(tmp_path: Path) -> None:
@@ -81,7 +91,9 @@ def test_series_come_along_when_a_sweep_is_extended_or_used(tmp_path: Path) -> N
     small = SAVED | {"vary": SAVED["vary"] | {"frequency": [0.7, 1.1]}}
     run_sweep(SAVED, tmp_path / "whole", chunk=5, simulator=Saver())
     run_sweep(small, tmp_path / "small", chunk=5, simulator=Saver())
-    run_sweep(SAVED, tmp_path / "used", chunk=5, simulator=(used := Saver()), use=[tmp_path / "small"])
+    run_sweep(
+        SAVED, tmp_path / "used", chunk=5, simulator=(used := Saver()), use=[tmp_path / "small"]
+    )
     run_sweep(SAVED, tmp_path / "small", simulator=(extended := Saver()), extend=True)
     for simulator, out in ((used, "used"), (extended, "small")):
         assert sum(simulator.batches) < 36
@@ -117,7 +129,10 @@ def test_what_is_saved_belongs_to_the_sweep(tmp_path: Path) -> None:
         ),
         ({"sensors": "gyro", "rate": 500}, "save.rate' is 500: .* the nearest is 100"),
         ({"sensors": "gyro", "rate": 0}, "save.rate' is 0: expected a finite number above 0"),
-        ({"sensors": "gyro", "rat": 50}, r"save.rat' is not a field of what is saved; .*did you mean 'rate'\?"),
+        (
+            {"sensors": "gyro", "rat": 50},
+            r"save.rat' is not a field of what is saved; .*did you mean 'rate'\?",
+        ),
     ],
 )
 def test_what_cannot_be_saved_is_refused(save: Any, message: str) -> None:
@@ -125,7 +140,9 @@ def test_what_cannot_be_saved_is_refused(save: Any, message: str) -> None:
         Sweep.from_dict({**SPEC, "save": save})
 
 
-def test_series_that_do_not_fit_are_refused_or_make_smaller_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_series_that_do_not_fit_are_refused_or_make_smaller_chunks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A run of 8 s has 160 samples of 16 + 4 x 4 bytes."""
     sweep, seconds = Sweep.from_dict(SAVED), np.array([4.0, 8.0, 8.0, 2.0])
     assert store.series_bytes(sweep, seconds) == 22 * 20 * 32
@@ -133,12 +150,18 @@ def test_series_that_do_not_fit_are_refused_or_make_smaller_chunks(monkeypatch: 
     monkeypatch.setattr(store, "simulated_seconds", lambda *_: seconds)
     assert store.chunk_with_series(sweep, None, lambda: 64) == 3
     assert store.chunk_with_series(sweep, 2, lambda: 64) == 2
-    with pytest.raises(SpecError, match=r"save takes 14.1 kB of memory for a chunk of 4 runs: .* take chunk: 3"):
+    with pytest.raises(
+        SpecError, match=r"save takes 14.1 kB of memory for a chunk of 4 runs: .* take chunk: 3"
+    ):
         store.chunk_with_series(sweep, 4, lambda: 64)
 
 
-def test_a_full_disk_is_seen_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 1000))
+def test_a_full_disk_is_seen_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        store.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 1000)
+    )
     with pytest.raises(DirectoryError, match="room for 1 kB, and the time series would take up to"):
         run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
     assert not list((tmp_path / "results").iterdir())
@@ -147,16 +170,23 @@ def test_a_full_disk_is_seen_before_the_work(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.release
 def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
     """Worlds of two lengths, one a quarter of the control rate, blocks that begin between two samples."""
-    saving = Saving(("front_left_foot_velocity", "spine_ctrl", "qvel_root_z", "yaw", "speed"), 100 / 3)
+    saving = Saving(
+        ("front_left_foot_velocity", "spine_ctrl", "qvel_root_z", "yaw", "speed"), 100 / 3
+    )
     simulator = shared_simulator(Setup(), "c")
-    result = simulator.run({"frequency": [1.0, 2.0]}, Run(cycles=0.6, warmup_cycles=0), record=True, save=saving)
+    result = simulator.run(
+        {"frequency": [1.0, 2.0]}, Run(cycles=0.6, warmup_cycles=0), record=True, save=saving
+    )
     kept, trace = result.series, result.trace
     assert kept is not None
     assert trace is not None
     np.testing.assert_allclose(kept.time, 0.03 * np.arange(1, 21), atol=1e-9)
     assert kept.count.tolist() == [20, 10], "0.6 and 0.3 s"
     at = np.searchsorted(trace.time, kept.time - 1e-6)
-    velocity, foot = trace.sensors["linear_velocity"][:, at], trace.sensors["foot_velocity"][:, at, 0]
+    velocity, foot = (
+        trace.sensors["linear_velocity"][:, at],
+        trace.sensors["foot_velocity"][:, at, 0],
+    )
     expected = {
         "front_left_foot_velocity_x": foot[..., 0],
         "front_left_foot_velocity_y": foot[..., 1],
@@ -169,7 +199,9 @@ def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
     for name, values in expected.items():
         np.testing.assert_allclose(kept.values[name], values, atol=1e-6, err_msg=name)
     w, x, y, z = np.moveaxis(trace.sensors["orientation"][:, at], -1, 0)
-    np.testing.assert_allclose(kept.values["yaw"], np.arctan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)), atol=1e-6)
+    np.testing.assert_allclose(
+        kept.values["yaw"], np.arctan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)), atol=1e-6
+    )
 
 
 def test_signals_have_the_names_of_the_models_sensors() -> None:
@@ -178,8 +210,12 @@ def test_signals_have_the_names_of_the_models_sensors() -> None:
     model, every = robot.physical, all_signals(robot)
     known = {name for signal in every for name in signal.names}
     # Velocities of the compliant joints are those of the state.
-    joints = {f"{name.removeprefix('qvel_')}_velocity" for name in known if name.startswith("qvel_")}
-    assert {model.sensor(i).name for i in range(model.nsensor)} - known - joints == {"tail_tip_force"}
+    joints = {
+        f"{name.removeprefix('qvel_')}_velocity" for name in known if name.startswith("qvel_")
+    }
+    assert {model.sensor(i).name for i in range(model.nsensor)} - known - joints == {
+        "tail_tip_force"
+    }
     assert sum(signal.source == "qpos" for signal in every) == model.nq
     assert sum(signal.source == "qvel" for signal in every) == model.nv
     (hip,) = chosen_signals(robot, Saving(("qpos_rear_left_hip",)))
@@ -195,9 +231,19 @@ def results(speed: list[float], status: list[str], variant: list[int]) -> Result
         pa.field("speed", pa.float64(), metadata={"role": "metric", "better": "high"}),
         pa.field("own", pa.float64(), metadata={"role": "metric", "better": "low"}),
     ]
-    table = pa.table({"row": range(len(speed)), "variant": variant, "status": status, "speed": speed, "own": speed})
+    table = pa.table(
+        {
+            "row": range(len(speed)),
+            "variant": variant,
+            "status": status,
+            "speed": speed,
+            "own": speed,
+        }
+    )
     for field in fields:
-        table = table.set_column(table.column_names.index(field.name), field, table.column(field.name))
+        table = table.set_column(
+            table.column_names.index(field.name), field, table.column(field.name)
+        )
     return Results(table)
 
 
@@ -230,13 +276,22 @@ def test_every_metric_with_a_better_direction_can_choose_what_is_kept() -> None:
     directed = [name for name, about in METRICS.items() if about.better]
     assert {"battery_time", "penetration", "lateral_drift"} < {*directed}
     for name in directed:
-        assert Sweep.from_dict({**SPEC, "keep": {"best": 1, "metric": name}}).keep == Keep(best=1, metric=name)
+        assert Sweep.from_dict({**SPEC, "keep": {"best": 1, "metric": name}}).keep == Keep(
+            best=1, metric=name
+        )
     values = pa.array([0.3, -0.2, 0.1, -0.4])
     columns = dict.fromkeys(("battery_time", "penetration", "lateral_drift"), values)
     fields = [pa.field(name, pa.float64(), metadata={"role": "metric"}) for name in columns]
-    rows = {"row": pa.array(range(4)), "variant": pa.array(range(4)), "status": pa.array(["ok"] * 4)}
+    rows = {
+        "row": pa.array(range(4)),
+        "variant": pa.array(range(4)),
+        "status": pa.array(["ok"] * 4),
+    }
     table = Results(
-        pa.table({**rows, **columns}, schema=pa.schema([*(pa.field(n, c.type) for n, c in rows.items()), *fields]))
+        pa.table(
+            {**rows, **columns},
+            schema=pa.schema([*(pa.field(n, c.type) for n, c in rows.items()), *fields]),
+        )
     )
     found = {name: [*kept_rows(table, Keep(best=1, metric=name))] for name in columns}
     assert found == {"battery_time": [0], "penetration": [3], "lateral_drift": [2]}
@@ -259,7 +314,9 @@ def test_kept_rows_are_recorded_once_and_again_if_they_are_lost(tmp_path: Path) 
     assert (told, file) == ([], tmp_path / "recordings" / f"row-{best:06d}.npz")
     recording = Recording.load(file)
     assert recording.time[-1] == pytest.approx(0.4)
-    assert recording.metadata["metrics"]["speed"] == read_table(tmp_path).column("speed")[best].as_py()
+    assert (
+        recording.metadata["metrics"]["speed"] == read_table(tmp_path).column("speed")[best].as_py()
+    )
     assert (recording.metadata["row"], recording.metadata["kept"]) == (best, "number 1 by speed")
     first = file.read_bytes(), file.stat().st_mtime_ns
     again = run_sweep({**KEPT, "keep": {"best": 2, "metric": "slip"}}, tmp_path, engine="c")
@@ -271,7 +328,9 @@ def test_kept_rows_are_recorded_once_and_again_if_they_are_lost(tmp_path: Path) 
     assert file.with_name(f"{file.name}.aside-1").read_bytes() == b"damaged"
 
 
-def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_sweep_records_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec, done = {**KEPT, "keep": {"best": 3}}, []
 
     def stopped(found: Any, *args: Any, **how: Any) -> Any:
@@ -296,8 +355,12 @@ def test_a_replay_that_gives_other_numbers_says_so(tmp_path: Path) -> None:
     told: list[str] = []
     run_sweep(KEPT, tmp_path, simulator=FakeSimulator(engine="c"), watch=Watch(warn=told.append))
     (sentence,) = told
-    assert sentence.startswith("row 2 as it is recorded: The metrics differ from the table's (engine c), most of all ")
-    assert Recording.load(tmp_path / "recordings" / "row-000002.npz").metadata["compared"] in sentence
+    assert sentence.startswith(
+        "row 2 as it is recorded: The metrics differ from the table's (engine c), most of all "
+    )
+    assert (
+        Recording.load(tmp_path / "recordings" / "row-000002.npz").metadata["compared"] in sentence
+    )
 
 
 @pytest.mark.parametrize(
@@ -322,7 +385,9 @@ def test_what_cannot_be_kept_is_refused(keep: Any, message: str) -> None:
 def test_what_is_kept_does_not_change_the_sweep() -> None:
     """So that a complete sweep can be asked for more of it."""
     assert Sweep.from_dict({**SPEC, "keep": {"fell": 3}}).digest() == Sweep.from_dict(SPEC).digest()
-    assert Sweep.from_text(Sweep.from_dict({**SPEC, "keep": {"fell": 3}}).to_yaml()).keep == Keep(fell=3)
+    assert Sweep.from_text(Sweep.from_dict({**SPEC, "keep": {"fell": 3}}).to_yaml()).keep == Keep(
+        fell=3
+    )
 
 
 @pytest.mark.parametrize("package", ["pandas", "polars", "duckdb"])
@@ -330,8 +395,12 @@ def test_series_open_in_the_lines_of_the_page(tmp_path: Path, package: str) -> N
     """As docs/files.md has them, but for runs that are shorter; one run, and runs beside their parameters, too."""
     module = pytest.importorskip(package)
     run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
-    section = (Path(__file__).parents[2] / "docs" / "files.md").read_text().partition("## Time series")[2]
-    lines = [line.replace("DIR", str(tmp_path)) for line in section.partition("\n## ")[0].splitlines()]
+    section = (
+        (Path(__file__).parents[2] / "docs" / "files.md").read_text().partition("## Time series")[2]
+    )
+    lines = [
+        line.replace("DIR", str(tmp_path)) for line in section.partition("\n## ")[0].splitlines()
+    ]
     (line,) = (line for line in lines if line.startswith(f"{package}."))
     found = eval(line.replace("time > 1", "time > 0.3"), {package: module})
     table = read_table(tmp_path)
@@ -363,4 +432,6 @@ def test_runs_without_their_series_are_made_again(tmp_path: Path, damage: str) -
     assert len(told) == 1
     assert f"{part} has no time series, or damaged ones; it is kept in results.aside" in told[0]
     assert samples(tmp_path).equals(before)
-    assert [path.read_bytes() for path in tmp_path.glob("series.aside/*")] == [damaged] * (damage == "flipped")
+    assert [path.read_bytes() for path in tmp_path.glob("series.aside/*")] == [damaged] * (
+        damage == "flipped"
+    )

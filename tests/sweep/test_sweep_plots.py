@@ -23,7 +23,10 @@ def plots_of(spec, out, simulator=None):
 @pytest.fixture(scope="module")
 def grid(tmp_path_factory):
     """Figures of a sweep over three parameters, by file name."""
-    return {path.name: path for path in plots_of(SPEC | {"plots": True}, tmp_path_factory.mktemp("plots"))}
+    return {
+        path.name: path
+        for path in plots_of(SPEC | {"plots": True}, tmp_path_factory.mktemp("plots"))
+    }
 
 
 @pytest.mark.release
@@ -58,12 +61,17 @@ def test_axes_carry_shown_units_and_panels_their_value(grid):
 
 def meshes(figure):
     return [
-        c for ax in figure.axes for c in ax.collections if isinstance(c, QuadMesh) and ax.get_label() != "<colorbar>"
+        c
+        for ax in figure.axes
+        for c in ax.collections
+        if isinstance(c, QuadMesh) and ax.get_label() != "<colorbar>"
     ]
 
 
 def points():
-    f, a, p = (column.ravel() for column in np.meshgrid(FREQUENCIES, AMPLITUDES, PHASES, indexing="ij"))
+    f, a, p = (
+        column.ravel() for column in np.meshgrid(FREQUENCIES, AMPLITUDES, PHASES, indexing="ij")
+    )
     return f, shown("spine.amplitude", "rad", a), shown("spine.phase", "rad", p), speed(f, a, p)
 
 
@@ -84,7 +92,9 @@ def test_cells_show_the_tables_numbers_on_one_colour_scale():
 def test_the_best_point_of_all_is_marked_where_it_is():
     """A single star stands at the maximum; the other panels have a ring at theirs."""
     f, x, y, z = points()
-    figure = heat_maps(x, y, shown("speed", "m/s", z), [(f"{v}", f == v) for v in FREQUENCIES], "t", "")
+    figure = heat_maps(
+        x, y, shown("speed", "m/s", z), [(f"{v}", f == v) for v in FREQUENCIES], "t", ""
+    )
     marks = [
         (tuple(c.get_offsets()[0]), len(c.get_paths()[0].vertices))
         for ax in figure.axes
@@ -104,13 +114,20 @@ def test_a_cell_without_a_good_run_stays_empty(tmp_path):
     masked = np.ma.getmaskarray(mesh.get_array())
     assert masked.sum() == np.isnan(z[f == 1.1]).sum() > 0
     spec = {"vary": {"frequency": [0.5, 1.0], "stride": [0.5, 1.0]}}
-    svg = next(path for path in plots_of(spec, tmp_path, FakeSimulator(falls_above=0.07)) if path.suffix == ".svg")
+    svg = next(
+        path
+        for path in plots_of(spec, tmp_path, FakeSimulator(falls_above=0.07))
+        if path.suffix == ".svg"
+    )
     assert "star: best, 50 mm/s" in svg.read_text()
 
 
 def test_repeats_share_a_cell_as_their_mean():
     """Two runs at one place show as one cell with their mean."""
-    x, y = shown("a", "1", np.array([0, 0, 1, 1, 0, 1])), shown("b", "1", np.array([0, 0, 0, 0, 1, 1]))
+    x, y = (
+        shown("a", "1", np.array([0, 0, 1, 1, 0, 1])),
+        shown("b", "1", np.array([0, 0, 0, 0, 1, 1])),
+    )
     z = shown("c", "1", np.array([1.0, 3.0, 5.0, 5.0, 7.0, np.nan]))
     mesh = meshes(heat_maps(x, y, z, [("", np.full(6, True))], "t", ""))[0]
     assert np.ma.filled(mesh.get_array(), -1).tolist() == [[2.0, 5.0], [7.0, -1.0]]
@@ -139,7 +156,9 @@ def test_gain_figure_shows_speed_relative_to_the_stiff_spine_in_percent(tmp_path
         assert mesh.get_cmap()(0.5)[:3] == pytest.approx((1, 1, 1), abs=0.05)
     marks = [(note.xy, note.get_text()) for ax in figure.axes for note in ax.texts]
     assert marks == [(pytest.approx((np.degrees(0.4), 0.0)), "+20 %")] * 4
-    assert [ax.get_title() for ax in figure.axes[:4]] == [f"frequency = {value:g} Hz" for value in FREQUENCIES]
+    assert [ax.get_title() for ax in figure.axes[:4]] == [
+        f"frequency = {value:g} Hz" for value in FREQUENCIES
+    ]
     svg = next(
         path
         for path in write_figures(figures_of_results(Results(result.table)), tmp_path)
@@ -167,7 +186,9 @@ def test_gain_figure_agrees_with_the_summary(tmp_path):
 def test_a_spine_that_only_slows_down_marks_its_least_loss(tmp_path):
     """The stiff spine itself is never the mark; far losses do not take the scale from the gains."""
     vary = SPEC["vary"] | {"spine.phase": [2.5, 3.1]}
-    figure = gain_figure(run_sweep(SPEC | {"vary": vary}, tmp_path, simulator=FakeSimulator()).table)
+    figure = gain_figure(
+        run_sweep(SPEC | {"vary": vary}, tmp_path, simulator=FakeSimulator()).table
+    )
     assert {note.get_text() for ax in figure.axes for note in ax.texts} == {"−8 %"}
     values = shown("gain", "%", np.array([0.0, 0.0, 5.0, -80.0]))
     x, y = shown("a", "1", np.array([0, 0, 1, 1])), shown("b", "1", np.array([0, 1, 0, 1]))
@@ -189,7 +210,9 @@ def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
     assert GAIN not in [name for name, _ in figures_of_results(Results(result.table))]
 
 
-@pytest.mark.release(cases=("change3-names3-texts3", "change5-names5-texts5", "change4-names4-texts4"))
+@pytest.mark.release(
+    cases=("change3-names3-texts3", "change5-names5-texts5", "change4-names4-texts4")
+)
 @pytest.mark.parametrize(
     ("change", "names", "texts"),
     [
@@ -203,9 +226,16 @@ def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
             ["speed-over-frequency"],
             ["profile exact; mean of 3 repeats"],
         ),
-        ({"vary": {"frequency": [0.5, 0.7], "duty": [0.5, 0.6]}}, ["speed-over-frequency-and-duty"], ["duty"]),
         (
-            {"vary": {"frequency": {"uniform": [0.5, 1]}, "duty": {"uniform": [0.5, 0.6]}}, "sample": {"sobol": 32}},
+            {"vary": {"frequency": [0.5, 0.7], "duty": [0.5, 0.6]}},
+            ["speed-over-frequency-and-duty"],
+            ["duty"],
+        ),
+        (
+            {
+                "vary": {"frequency": {"uniform": [0.5, 1]}, "duty": {"uniform": [0.5, 0.6]}},
+                "sample": {"sobol": 32},
+            },
             ["speed-over-each", "speed-over-pairs"],
             ["32 runs"],
         ),
@@ -215,7 +245,12 @@ def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
             ["contact friction"],
         ),
         (
-            {"vary": {name: {"linspace": [0.5, 0.6, 2]} for name in ("frequency", "duty", "stride", "turning.leg")}},
+            {
+                "vary": {
+                    name: {"linspace": [0.5, 0.6, 2]}
+                    for name in ("frequency", "duty", "stride", "turning.leg")
+                }
+            },
             ["speed-over-frequency-and-duty", "speed-over-stride-and-turning.leg"],
             ["mean over"],
         ),
@@ -235,7 +270,9 @@ def test_each_kind_of_sweep_gets_its_figures(tmp_path, change, names, texts):
 
 def test_the_same_table_gives_the_same_files(tmp_path):
     """Figures are byte-equal when drawn again, and need nothing but the table."""
-    result = run_sweep({"vary": {"frequency": [0.5, 0.7, 0.9]}}, tmp_path / "a", simulator=FakeSimulator())
+    result = run_sweep(
+        {"vary": {"frequency": [0.5, 0.7, 0.9]}}, tmp_path / "a", simulator=FakeSimulator()
+    )
     again = write_figures(figures_of_results(Results(result.table)), tmp_path / "b")
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.plots]
 

@@ -35,7 +35,9 @@ def stop_half_way(tmp_path, number):
     out, log = tmp_path / "out", tmp_path / "log"
     script = Path(__file__).parents[1] / "fakes" / "sweep_fake.py"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    process = subprocess.Popen([sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment)
+    process = subprocess.Popen(
+        [sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment
+    )
     waited = time.monotonic()
     while (log.read_text().count("\n") if log.exists() else 0) < 4:
         assert process.poll() is None, "the sweep ended too early"
@@ -157,7 +159,9 @@ def test_the_summary_says_what_the_closed_form_says(reference):
     assert best["parameters"] == {"frequency": 1.1, "spine.amplitude": 0.4, "spine.phase": 0.0}
     assert best["mean"] == pytest.approx(speed(1.1, 0.4, 0.0), rel=1e-6)
     grid = np.meshgrid(FREQUENCIES, AMPLITUDES, (-1.0, 0.0, 1.0), indexing="ij")
-    for line, mean in zip(summary["marginal_means"]["frequency"], speed(*grid).mean(axis=(1, 2)), strict=True):
+    for line, mean in zip(
+        summary["marginal_means"]["frequency"], speed(*grid).mean(axis=(1, 2)), strict=True
+    ):
         assert line["speed"] == pytest.approx(mean, rel=1e-6)
     assert [line["frequency"] for line in summary["spine_gain"]] == list(FREQUENCIES)
     for line in summary["spine_gain"]:
@@ -172,7 +176,9 @@ def test_the_summary_says_what_the_closed_form_says(reference):
 def test_repeats_are_averaged_and_their_spread_is_given(tmp_path):
     """The best variant's mean and standard deviation are those of its repeats in the table."""
     result = run_sweep(
-        {"vary": {"frequency": [0.5, 0.9]}, "randomize": {"repeats": 5}}, tmp_path, simulator=FakeSimulator()
+        {"vary": {"frequency": [0.5, 0.9]}, "randomize": {"repeats": 5}},
+        tmp_path,
+        simulator=FakeSimulator(),
     )
     best = result.summary["best"]["speed"]
     own = result.table.column("speed").to_numpy()[result.table.column("variant").to_numpy() == 1]
@@ -185,7 +191,11 @@ def test_repeats_are_averaged_and_their_spread_is_given(tmp_path):
 def test_fallen_robots_win_nothing(tmp_path):
     """Runs that fell are counted and kept in the table, but no best, mean or gain is theirs."""
     result = run_sweep(SPEC, tmp_path, simulator=FakeSimulator(falls_above=0.1))
-    assert result.summary["status"]["fell"] == np.sum(result.table.column("speed").to_numpy() > 0.1) > 0
+    assert (
+        result.summary["status"]["fell"]
+        == np.sum(result.table.column("speed").to_numpy() > 0.1)
+        > 0
+    )
     assert result.summary["best"]["speed"]["mean"] <= 0.1
     assert result.summary["metrics"]["speed"]["max"] <= 0.1
 
@@ -215,7 +225,12 @@ def test_a_variant_with_lost_runs_is_not_best_before_one_without(tmp_path, how):
     run_sweep(spec, tmp_path / "three", simulator=Falling(how))
     summary = json.loads((tmp_path / "three" / "summary.json").read_text())
     best = summary["best"]["speed"]
-    assert (best["parameters"], best["runs"], best["lost"], best["why"]) == ({"frequency": 0.7}, 4, 0.0, {})
+    assert (best["parameters"], best["runs"], best["lost"], best["why"]) == (
+        {"frequency": 0.7},
+        4,
+        0.0,
+        {},
+    )
     assert best["low"] < best["mean"] < best["high"]
     half = 3.182 * best["std"] / 2  # Student's t with 3 degrees of freedom
     assert best["high"] - best["mean"] == pytest.approx(half, rel=1e-3)
@@ -226,7 +241,9 @@ def test_a_variant_with_lost_runs_is_not_best_before_one_without(tmp_path, how):
     assert (alone["std"], alone["low"], alone["runs"], alone["lost"]) == (None, None, 1, 0.75)
     assert alone["why"] == {how: 3}
     shown = call("sweep", tmp_path / "one" / "sweep.yaml", "--out", tmp_path / "one").stdout
-    assert re.search(rf"mean ± 95 % interval.*\n.*\n *speed +max +100 +mm/s +75 % \(3 {how}\)", shown)
+    assert re.search(
+        rf"mean ± 95 % interval.*\n.*\n *speed +max +100 +mm/s +75 % \(3 {how}\)", shown
+    )
     shown = call("sweep", tmp_path / "three" / "sweep.yaml", "--out", tmp_path / "three").stdout
     assert re.search(r"speed +max +\d+\.?\d* ± \d.* mm/s +0 % ", shown)
 
@@ -250,7 +267,11 @@ def test_fixed_values_reach_the_simulator(tmp_path):
 
 def test_each_run_has_a_body_and_the_table_says_which(tmp_path):
     """The bodies' parameters reach the simulator and are columns, beside the body's number; chunks do not matter."""
-    spec = {"vary": {"frequency": [0.5, 0.6]}, "randomize": {"from": "identified", "repeats": 6}, "plots": False}
+    spec = {
+        "vary": {"frequency": [0.5, 0.6]},
+        "randomize": {"from": "identified", "repeats": 6},
+        "plots": False,
+    }
     whole = run_sweep(spec | {"chunk": 12}, tmp_path / "whole", simulator=FakeSimulator()).table
     parts = run_sweep(spec | {"chunk": 5}, tmp_path / "parts", simulator=FakeSimulator()).table
     assert parts.drop(["seed"]).equals(whole.drop(["seed"]))
@@ -260,7 +281,11 @@ def test_each_run_has_a_body_and_the_table_says_which(tmp_path):
         np.testing.assert_array_equal(whole.column(name).to_numpy(), column[body])
         assert meta(whole.schema.field(name))["role"] == "randomized"
     friction = whole.column("contact.friction").to_numpy()
-    slower = whole.column("speed").to_numpy() - 0.01 * (friction - 1.0) - whole.column("start.x").to_numpy()
+    slower = (
+        whole.column("speed").to_numpy()
+        - 0.01 * (friction - 1.0)
+        - whole.column("start.x").to_numpy()
+    )
     np.testing.assert_allclose(slower, speed(whole.column("frequency").to_numpy()), atol=1e-6)
 
 
@@ -279,7 +304,9 @@ def test_the_sweeps_of_the_repository_run(tmp_path, path):
     Nothing is recorded, which walks on an engine: see test_sweep_keep.py.
     """
     sweep = Sweep.from_file(path)
-    result = run_sweep(dataclasses.replace(sweep, plots=False, keep=None), tmp_path, simulator=FakeSimulator())
+    result = run_sweep(
+        dataclasses.replace(sweep, plots=False, keep=None), tmp_path, simulator=FakeSimulator()
+    )
     assert result.complete
     own = sweep.variants * sweep.repeats
     assert np.array_equal(result.table.column("row").to_numpy()[:own], np.arange(own))

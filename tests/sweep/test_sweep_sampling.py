@@ -19,7 +19,9 @@ def rows_of(**spec):
 
 def test_a_grid_runs_through_the_product_in_the_order_of_the_file():
     """The last axis of the file runs fastest, and repeats of a variant stand side by side."""
-    rows = rows_of(vary={"frequency": [0.5, 1.0], "duty": [0.4, 0.5, 0.6]}, randomize={"repeats": 2})
+    rows = rows_of(
+        vary={"frequency": [0.5, 1.0], "duty": [0.4, 0.5, 0.6]}, randomize={"repeats": 2}
+    )
     expected = [point for point in itertools.product([0.5, 1.0], [0.4, 0.5, 0.6]) for _ in range(2)]
     assert list(zip(rows.values["frequency"], rows.values["duty"], strict=True)) == expected
     assert rows.variant.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
@@ -62,7 +64,9 @@ def test_a_sobol_sample_of_any_size_is_quiet_and_within_bounds(recwarn):
 
 def test_listed_values_are_sampled_alike_often():
     """An axis of listed values takes only these, each as often."""
-    values = rows_of(vary={"pilot.output_limit": [0.2, 0.5, 0.8, 1.0]}, sample={"latin_hypercube": 40}).values
+    values = rows_of(
+        vary={"pilot.output_limit": [0.2, 0.5, 0.8, 1.0]}, sample={"latin_hypercube": 40}
+    ).values
     listed, counts = np.unique(values["pilot.output_limit"], return_counts=True)
     assert listed.tolist() == [0.2, 0.5, 0.8, 1.0]
     assert counts.tolist() == [10] * 4
@@ -93,7 +97,12 @@ def test_draws_of_a_variant_do_not_depend_on_the_other_variants():
 def test_repeats_differ_from_each_other():
     """Three repeats are three different starts, within a millimetre and a degree; the first is that of a single run."""
     rows = rows_of(vary={"frequency": [0.5, 0.6]}, randomize={"repeats": 3})
-    for name, most in (("start.x", 1e-3), ("start.y", 1e-3), ("start.yaw", np.radians(1)), ("start.phase", 0.02)):
+    for name, most in (
+        ("start.x", 1e-3),
+        ("start.y", 1e-3),
+        ("start.yaw", np.radians(1)),
+        ("start.phase", 0.02),
+    ):
         assert len(np.unique(rows.values[name])) == 5
         assert np.all((rows.values[name] == 0) == (rows.repeat == 0))
         assert np.abs(rows.values[name]).max() <= most
@@ -112,7 +121,9 @@ def test_draws_follow_their_distributions():
     assert abs(values["contact.friction"].mean() - 1.3) < error * 0.6 / np.sqrt(12)
     assert abs(values["mass.front"].mean() - 0.16) < error * 0.01
     assert abs(values["mass.front"].std() - 0.01) < error * 0.01
-    assert abs(np.log(values["stiffness.ankle"]).mean() - np.log(0.1)) < error * np.log(4) / np.sqrt(12)
+    assert abs(np.log(values["stiffness.ankle"]).mean() - np.log(0.1)) < error * np.log(
+        4
+    ) / np.sqrt(12)
 
 
 def test_a_wide_normal_distribution_stays_within_the_parameters_range():
@@ -124,16 +135,23 @@ def test_a_wide_normal_distribution_stays_within_the_parameters_range():
     drawn = rows_of(**spec).values["stance.stance_amplitude"]
     assert drawn.min() >= 0.0
     assert np.sum(drawn == 0.0) == 0
-    assert abs(np.median(drawn) - 0.6745 * 0.004) < 0.0008  # half-normal: its median is the quartile of the normal
+    assert (
+        abs(np.median(drawn) - 0.6745 * 0.004) < 0.0008
+    )  # half-normal: its median is the quartile of the normal
 
 
 def test_bodies_are_drawn_whole_by_weight_and_leave_other_draws_alone(monkeypatch):
     """All parameters of a row are of one body; bodies come as often as they weigh; other draws stay as they were."""
     text = ["servo.kp,contact.friction,objective,weight", "5,1.1,0,1", "6,1.2,0,2", "7,1.3,0,5"]
-    monkeypatch.setattr(identified, "bodies", lambda source="identified": identified.read_ensemble(text))
+    monkeypatch.setattr(
+        identified, "bodies", lambda source="identified": identified.read_ensemble(text)
+    )
     other = {"repeats": 2000, "mass.front": {"uniform": [0.15, 0.17]}}
     spec = {"vary": {"frequency": [0.5, 0.6]}}
-    plain, drawn = rows_of(**spec, randomize=other), rows_of(**spec, randomize={"from": "identified", **other})
+    plain, drawn = (
+        rows_of(**spec, randomize=other),
+        rows_of(**spec, randomize={"from": "identified", **other}),
+    )
     assert plain.body is None
     for name, column in plain.values.items():
         np.testing.assert_array_equal(drawn.values[name], column)
@@ -151,4 +169,6 @@ def test_a_normal_draw_is_truncated_to_the_parameters_range(mean, std):
     draw = Draw.model_validate({"normal": [mean, std]}).of("stance.stance_amplitude", about)
     share = np.linspace(0.0, 0.999, 50)
     low, high = (0.0 - mean) / std, (0.01 - mean) / std
-    np.testing.assert_allclose(draw.at(share), stats.truncnorm.ppf(share, low, high, mean, std), atol=1e-9)
+    np.testing.assert_allclose(
+        draw.at(share), stats.truncnorm.ppf(share, low, high, mean, std), atol=1e-9
+    )

@@ -44,7 +44,9 @@ def test_a_small_sweep_is_divided_among_all_processes():
 @pytest.mark.parametrize("devices", [1, 2, 3, 8])
 @pytest.mark.parametrize("rows", [5, 1000, 10_000_000])
 @pytest.mark.parametrize("engine", ["mjx", "warp"])
-def test_a_chunk_on_devices_fits_their_memory_and_divides_among_them(gibibytes, devices, rows, engine):
+def test_a_chunk_on_devices_fits_their_memory_and_divides_among_them(
+    gibibytes, devices, rows, engine
+):
     """Half of each device's memory at most, the same number of worlds on each, none of them idle for want of rows."""
     size = chunk_rows(engine, rows, memory=gibibytes * GIB, devices=devices, cores=16)
     assert size % devices == 0
@@ -56,7 +58,11 @@ def test_a_chunk_on_devices_fits_their_memory_and_divides_among_them(gibibytes, 
 
 def test_the_memory_of_a_world_is_what_was_measured_last():
     """In the benchmarks of this repository: enough for every batch, and not twice as much."""
-    runs = (Path(__file__).parents[2] / "docs" / "benchmarks" / "gpu_plan.jsonl").read_text().splitlines()
+    runs = (
+        (Path(__file__).parents[2] / "docs" / "benchmarks" / "gpu_plan.jsonl")
+        .read_text()
+        .splitlines()
+    )
     newest = {
         tuple(line[key] for key in ("target", "program", "worlds")): line["bytes_per_world"]
         for run in runs
@@ -88,8 +94,14 @@ SPECS = {
         "vary": {"duty": [0.4, 0.5, 0.6]},
         "randomize": {"repeats": 3, "frequency": {"uniform": [0.6, 0.9]}},
     },
-    "sobol": {"vary": {"frequency": {"uniform": [0.5, 1.5]}, "duty": {"uniform": [0.4, 0.6]}}, "sample": {"sobol": 9}},
-    "bodies": {"randomize": {"repeats": 8, "from": "identified"}, "vary": {"frequency": [0.5, 0.6]}},
+    "sobol": {
+        "vary": {"frequency": {"uniform": [0.5, 1.5]}, "duty": {"uniform": [0.4, 0.6]}},
+        "sample": {"sobol": 9},
+    },
+    "bodies": {
+        "randomize": {"repeats": 8, "from": "identified"},
+        "vary": {"frequency": [0.5, 0.6]},
+    },
     "only chance": {"randomize": {"repeats": 4, "contact.friction": {"uniform": [1.0, 1.6]}}},
 }
 
@@ -121,13 +133,17 @@ def test_a_grid_of_ten_million_rows_takes_no_memory():
         rows = Sample(Sweep.from_dict({"spine": "stride_extension", "vary": vary}))
         return rows, rows.take(np.arange(len(rows) - 3, len(rows)))
 
-    ending(dict.fromkeys(axes, 2))  # what the first sweep of a process imports and compiles does not count
+    ending(
+        dict.fromkeys(axes, 2)
+    )  # what the first sweep of a process imports and compiles does not count
     tracemalloc.start()
     rows, last = ending(axes)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(rows) == 10_000_000
-    assert last.values["spine.amplitude"].tolist() == pytest.approx([0.4 + 0.1 * i / 9 for i in (7, 8, 9)])
+    assert last.values["spine.amplitude"].tolist() == pytest.approx(
+        [0.4 + 0.1 * i / 9 for i in (7, 8, 9)]
+    )
     assert last.values["frequency"].tolist() == [0.5] * 3
     assert peak < 4_000_000
 
@@ -154,7 +170,10 @@ class Measuring(FakeSimulator):
 @pytest.mark.release
 def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     """Over a hundred chunks, memory grows by less than five of their tables would take."""
-    spec = {"vary": {"frequency": {"linspace": [0.5, 1.0, 1200]}, "duty": {"linspace": [0.4, 0.6, 10]}}, "plots": False}
+    spec = {
+        "vary": {"frequency": {"linspace": [0.5, 1.0, 1200]}, "duty": {"linspace": [0.4, 0.6, 10]}},
+        "plots": False,
+    }
     simulator = Measuring()
     tracemalloc.start()
     result = run_sweep(spec, tmp_path, chunk=100, simulator=simulator)
@@ -166,7 +185,10 @@ def test_finished_chunks_are_not_kept_in_memory(tmp_path):
 @pytest.mark.release
 def test_a_table_that_does_not_fit_is_read_column_by_column(tmp_path, monkeypatch):
     """The summary and the figures of a sweep are the same where only one column fits into memory at a time."""
-    spec = SPEC | {"plots": True, "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}}}
+    spec = SPEC | {
+        "plots": True,
+        "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}},
+    }
     usual = run_sweep(spec, tmp_path, chunk=5, simulator=FakeSimulator(falls_above=0.11))
     figures = [path.read_bytes() for path in usual.plots]
     monkeypatch.setattr("nermo_mjx.sweep.table.HELD", 1)

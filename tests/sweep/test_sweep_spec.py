@@ -34,22 +34,57 @@ STRAIGHT = "straight: {distance: 2.0}"
 
 #: What is replaced by what, the line of the message, and what it must say.
 WRONG = {
-    "unknown field": ("gait: trot", "gate: trot", 3, ["'gate' is not a field", "robot, scene", "did you mean 'gait'?"]),
-    "parameter as field": ("set:", "duty: 0.5\nset:", 7, ["'duty' is a parameter", "'vary', 'set'"]),
+    "unknown field": (
+        "gait: trot",
+        "gate: trot",
+        3,
+        ["'gate' is not a field", "robot, scene", "did you mean 'gait'?"],
+    ),
+    "parameter as field": (
+        "set:",
+        "duty: 0.5\nset:",
+        7,
+        ["'duty' is a parameter", "'vary', 'set'"],
+    ),
     "unknown parameter": (
         "spine.amplitude",
         "spine.amplitud",
         10,
         ["are spine.amplitude", "'spine.amplitude'?"],
     ),
-    "parameter without group": ("spine.amplitude", "amplitude", 10, ["spine.*", "did you mean 'spine.amplitude'?"]),
-    "unknown randomized": (FRICTION, "contact.fraction: {uniform: [1, 2]}", 13, ["did you mean 'contact.friction'?"]),
+    "parameter without group": (
+        "spine.amplitude",
+        "amplitude",
+        10,
+        ["spine.*", "did you mean 'spine.amplitude'?"],
+    ),
+    "unknown randomized": (
+        FRICTION,
+        "contact.fraction: {uniform: [1, 2]}",
+        13,
+        ["did you mean 'contact.friction'?"],
+    ),
     "wrong type": ("duty: 0.55", "duty: half", 7, ["'duty' is the text 'half': expected a number"]),
     "truth value": ("duty: 0.55", "duty: true", 7, ["'duty' is the truth value true"]),
-    "set is a list": ("{duty: 0.55}", "[0.55]", 7, ["'set' is the list [0.55]: expected a mapping"]),
+    "set is a list": (
+        "{duty: 0.55}",
+        "[0.55]",
+        7,
+        ["'set' is the list [0.55]: expected a mapping"],
+    ),
     "set out of range": ("duty: 0.55", "duty: 1.5", 7, ["'duty' is 1.5: allowed is [0.01, 1)"]),
-    "vary is a number": (FREQUENCY, "0.5", 9, ["'frequency' is the number 0.5", "linspace", "under 'set'"]),
-    "vary out of range": ("[0.0, 0.2, 0.4]", "[0.0, 0.9]", 10, ["'spine.amplitude' is 0.9: allowed is [0, 0.6] rad"]),
+    "vary is a number": (
+        FREQUENCY,
+        "0.5",
+        9,
+        ["'frequency' is the number 0.5", "linspace", "under 'set'"],
+    ),
+    "vary out of range": (
+        "[0.0, 0.2, 0.4]",
+        "[0.0, 0.9]",
+        10,
+        ["'spine.amplitude' is 0.9: allowed is [0, 0.6] rad"],
+    ),
     "linspace out of range": (
         FREQUENCY,
         "{linspace: [0.0, 1.2, 9]}",
@@ -57,36 +92,101 @@ WRONG = {
         ["'frequency' is 0: allowed is [0.001, 5] Hz"],
     ),
     "NaN": ("[0.4, 1.2, 9]", "[.nan, 1.2, 9]", 9, ["'frequency' is nan"]),
-    "text in a list": ("[0.0, 0.2, 0.4]", "[0.0, much]", 10, ["'spine.amplitude' is the text 'much'"]),
+    "text in a list": (
+        "[0.0, 0.2, 0.4]",
+        "[0.0, much]",
+        10,
+        ["'spine.amplitude' is the text 'much'"],
+    ),
     "empty list": ("{values: [0.0, 0.2, 0.4]}", "[]", 10, ["empty list, so the grid is empty"]),
     "count zero": ("1.2, 9]", "1.2, 0]", 9, ["count 0, so the grid is empty"]),
-    "count missing": ("1.2, 9]", "1.2]", 9, ["linspace with 2 numbers: expected [from, to, count]"]),
+    "count missing": (
+        "1.2, 9]",
+        "1.2]",
+        9,
+        ["linspace with 2 numbers: expected [from, to, count]"],
+    ),
     "repeated value": ("[0.0, 0.2, 0.4]", "[0.0, 0.2, 0.2]", 10, ["lists 0.2 twice"]),
     "span of zero": ("[0.4, 1.2, 9]", "[0.4, 0.4, 9]", 9, ["the same value"]),
-    "logspace of zero": ("{values: [0.0, 0.2, 0.4]}", "{logspace: [0, 0.4, 3]}", 10, ["not exponents"]),
-    "unknown form": ("{linspace: [0.4", "{linspce: [0.4", 9, ["the form 'linspce'", "did you mean 'linspace'?"]),
+    "logspace of zero": (
+        "{values: [0.0, 0.2, 0.4]}",
+        "{logspace: [0, 0.4, 3]}",
+        10,
+        ["not exponents"],
+    ),
+    "unknown form": (
+        "{linspace: [0.4",
+        "{linspce: [0.4",
+        9,
+        ["the form 'linspce'", "did you mean 'linspace'?"],
+    ),
     "uniform on a grid": (FREQUENCY, "{uniform: [0.4, 1.2]}", 9, ["a grid cannot list", "sobol"]),
     "nothing varied": (GOOD[GOOD.index("vary:") :], "vary: {}\n", 8, ["nothing to sweep"]),
     "too many": ("1.2, 9]", "1.2, 900000]", 8, ["105,300,000 runs", "a sampler"]),
-    "unknown gait": ("gait: trot", "gait: trtt", 3, ["'gait' is 'trtt'", "did you mean 'trot'?", "lateral_walk"]),
-    "unknown pilot": (STRAIGHT, "strait: {distance: 2.0}", 5, ["'pilot' is 'strait'", "did you mean 'straight'?"]),
+    "unknown gait": (
+        "gait: trot",
+        "gait: trtt",
+        3,
+        ["'gait' is 'trtt'", "did you mean 'trot'?", "lateral_walk"],
+    ),
+    "unknown pilot": (
+        STRAIGHT,
+        "strait: {distance: 2.0}",
+        5,
+        ["'pilot' is 'strait'", "did you mean 'straight'?"],
+    ),
     "pilot from Python": (f"{{{STRAIGHT}}}", "external", 5, ["from Python"]),
     "gait is a number": ("gait: trot", "gait: 3", 3, ["'gait' is the number 3: expected a name"]),
     "time step": ("scene: flat", "timestep: 0.0", 2, ["'timestep' is 0.0"]),
-    "pilot's option": ("distance: 2.0", "distanc: 2.0", 5, ["not an option of the pilot 'straight'", "'distance'?"]),
+    "pilot's option": (
+        "distance: 2.0",
+        "distanc: 2.0",
+        5,
+        ["not an option of the pilot 'straight'", "'distance'?"],
+    ),
     "pilot's distance": ("distance: 2.0", "distance: -2.0", 5, ["distance' is -2.0"]),
-    "pilot's radius": (STRAIGHT, "arc: {radius: 0.001}", 5, ["'pilot.radius' is 0.001: allowed is [0.05"]),
-    "unknown sampler": ("sample: grid", "sample: random", 12, ["'sample' is the text 'random'", "latin_hypercube"]),
-    "misspelt sampler": ("sample: grid", "sample: {sobl: 64}", 12, ["'sample.sobl'", "did you mean 'sobol'?"]),
+    "pilot's radius": (
+        STRAIGHT,
+        "arc: {radius: 0.001}",
+        5,
+        ["'pilot.radius' is 0.001: allowed is [0.05"],
+    ),
+    "unknown sampler": (
+        "sample: grid",
+        "sample: random",
+        12,
+        ["'sample' is the text 'random'", "latin_hypercube"],
+    ),
+    "misspelt sampler": (
+        "sample: grid",
+        "sample: {sobl: 64}",
+        12,
+        ["'sample.sobl'", "did you mean 'sobol'?"],
+    ),
     "sampler without size": (
         "sample: grid",
         "sample: sobol",
         12,
         ["'sobol' without its value", "{sobol: N}"],
     ),
-    "broken sample size": ("sample: grid", "sample: {sobol: 0}", 12, ["'sample.sobol' is 0: expected a whole number"]),
-    "unknown bodies": (FRICTION, "from: identifed", 13, ["'randomize.from' is the text 'identifed'", "'identified'?"]),
-    "body's parameter drawn": (FRICTION, f"from: identified, {FRICTION}", 13, ["also drawn by 'randomize.from'"]),
+    "broken sample size": (
+        "sample: grid",
+        "sample: {sobol: 0}",
+        12,
+        ["'sample.sobol' is 0: expected a whole number"],
+    ),
+    "unknown bodies": (
+        FRICTION,
+        "from: identifed",
+        13,
+        ["'randomize.from' is the text 'identifed'", "'identified'?"],
+    ),
+    "body's parameter drawn": (
+        FRICTION,
+        f"from: identified, {FRICTION}",
+        13,
+        ["also drawn by 'randomize.from'"],
+    ),
     "body's parameter set": (
         GOOD[GOOD.index("set:") :],
         "set: {servo.kp: 5.0}\nrandomize: {from: identified}\n",
@@ -94,11 +194,26 @@ WRONG = {
         ["also drawn by"],
     ),
     "no repeats": ("repeats: 3", "repeats: 0", 13, ["'randomize.repeats' is 0"]),
-    "draw out of range": ("[1.0, 1.6]", "[1.0, 16]", 13, ["'contact.friction' is 16: allowed is [0.05, 5]"]),
+    "draw out of range": (
+        "[1.0, 1.6]",
+        "[1.0, 16]",
+        13,
+        ["'contact.friction' is 16: allowed is [0.05, 5]"],
+    ),
     "draw upside down": ("[1.0, 1.6]", "[1.6, 1.0]", 13, ["the lower one comes first"]),
     "no spread": ("uniform: [1.0, 1.6]", "normal: [1.0, 0]", 13, ["standard deviation 0"]),
-    "varied and randomized": (FRICTION, "frequency: {uniform: [0.5, 0.6]}", 13, ["'randomize' and also under 'vary'"]),
-    "varied and set": ("duty: 0.55", "frequency: 0.5", 9, ["under 'vary' and also fixed under 'set'"]),
+    "varied and randomized": (
+        FRICTION,
+        "frequency: {uniform: [0.5, 0.6]}",
+        13,
+        ["'randomize' and also under 'vary'"],
+    ),
+    "varied and set": (
+        "duty: 0.55",
+        "frequency: 0.5",
+        9,
+        ["under 'vary' and also fixed under 'set'"],
+    ),
     "set by the pilot too": (
         GOOD[GOOD.index("pilot:") : GOOD.index("vary:")],
         "pilot: {arc: {radius: 0.5}}\nset: {pilot.radius: 0.4}\n",
@@ -111,7 +226,12 @@ WRONG = {
         10,
         ["'spine.amplitude' has no effect"],
     ),
-    "warm-up too long": (RUN, "{cycles: 2, warmup_cycles: 2}", 6, ["'run.warmup_cycles' is 2", "less than"]),
+    "warm-up too long": (
+        RUN,
+        "{cycles: 2, warmup_cycles: 2}",
+        6,
+        ["'run.warmup_cycles' is 2", "less than"],
+    ),
     "two lengths": (RUN, "{cycles: 2, duration: 3}", 6, ["'run.duration'", "either"]),
     "unknown run field": (RUN, "{cycels: 2}", 6, ["'run.cycels'", "did you mean 'cycles'?"]),
     "stride past workspace": (
@@ -177,10 +297,16 @@ def test_spec_errors_are_parameter_errors():
 def test_the_example_of_the_interface_is_read():
     """All sections arrive: choices, run, fixed values, axes in the order of the file, draws and repeats."""
     sweep = Sweep.from_text(GOOD)
-    assert (sweep.setup.gait, sweep.setup.spine, sweep.setup.pilot) == ("trot", "stride_extension", "straight")
+    assert (sweep.setup.gait, sweep.setup.spine, sweep.setup.pilot) == (
+        "trot",
+        "stride_extension",
+        "straight",
+    )
     assert (sweep.run.cycles, sweep.run.warmup_cycles, sweep.run.distance) == (8, 2, 2.0)
     assert [axis.name for axis in sweep.axes] == ["frequency", "spine.amplitude", "spine.phase"]
-    np.testing.assert_array_equal(sweep.axes[0].listed(), [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2])
+    np.testing.assert_array_equal(
+        sweep.axes[0].listed(), [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2]
+    )
     assert sweep.variants == 9 * 3 * 13
     assert sweep.repeats == 3
     assert sweep.constants == {"duty": 0.55}
@@ -202,7 +328,12 @@ def test_repeats_perturb_the_start_and_a_single_run_does_not():
         {},
         {"sample": {"sobol": 64}, "seed": 7, "chunk": 16, "plots": False},
         {"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "run": {"duration": 3}},
-        {"pilot": {"open_loop": {"turn_rate": 0.3}}, "run": {"cycles": 1}, "tail": "articulated", "cone": "pyramidal"},
+        {
+            "pilot": {"open_loop": {"turn_rate": 0.3}},
+            "run": {"cycles": 1},
+            "tail": "articulated",
+            "cone": "pyramidal",
+        },
         {"randomize": {"repeats": 2, "mass.front": {"normal": [0.16, 0.01]}}},
         {"randomize": {"repeats": 3, "from": "identified", "mass.front": {"normal": [0.16, 0.01]}}},
         {"vary": {"contact.friction": {"logspace": [0.1, 1.0, 4]}, "contact.width": [1e-5, 1e-4]}},
@@ -214,7 +345,12 @@ def test_repeats_perturb_the_start_and_a_single_run_does_not():
             }
         },
         {"vary": {"scene": ["flat", SCENE], "frequency": [0.5]}},
-        {"vary": {"pilot": ["straight", {"waypoints": {"points": WAY}}, ARC], "robot": ["nermo_lite"]}},
+        {
+            "vary": {
+                "pilot": ["straight", {"waypoints": {"points": WAY}}, ARC],
+                "robot": ["nermo_lite"],
+            }
+        },
         {"vary": {"physics": ["reference", "fast"], "steering": {"values": ["leg", "spine"]}}},
         {"vary": {"profile": ["exact", "as_published"], "routing": ["type1", "type3"]}},
     ],
@@ -246,7 +382,10 @@ def test_bodies_are_part_of_what_a_sweep_is(monkeypatch):
     from nermo_mjx.robot import identified
 
     spec = {"vary": {"frequency": [0.5, 0.6]}}
-    without, drawn = Sweep.from_dict(spec), Sweep.from_dict(spec | {"randomize": {"from": "identified"}})
+    without, drawn = (
+        Sweep.from_dict(spec),
+        Sweep.from_dict(spec | {"randomize": {"from": "identified"}}),
+    )
     assert drawn.resolved()["randomize"] == {"repeats": 1, "from": "identified"}
     assert "from" not in without.resolved()["randomize"]
     digests = [without.digest(), drawn.digest()]
@@ -263,7 +402,9 @@ def test_bodies_alone_are_enough_to_sweep():
 
 def test_pilot_options_become_parameters():
     """Radius, side and turn rate of a pilot are ordinary parameters for the simulator."""
-    sweep = Sweep.from_dict({"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "vary": {"frequency": [0.5]}})
+    sweep = Sweep.from_dict(
+        {"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "vary": {"frequency": [0.5]}}
+    )
     assert sweep.constants == {"pilot.radius": 0.4, "pilot.direction": -1.0}
 
 
@@ -285,7 +426,10 @@ def test_way_points_are_read():
         ("waypoints", "'pilot' is 'waypoints' without points: expected points"),
         ({"waypoints": {"points": [[0, 0], [0, -1, 2]]}}, r"has the list \[0, -1, 2\]"),
         ({"waypoints": {"points": [[0, 0], [0, 0], [1, 1]]}}, "Way point 1 repeats"),
-        ({"waypoints": {"points": [[0, 0], [0, 1], [0, "a"]]}}, "is the text 'a': expected a number"),
+        (
+            {"waypoints": {"points": [[0, 0], [0, 1], [0, "a"]]}},
+            "is the text 'a': expected a number",
+        ),
     ],
 )
 def test_wrong_way_points_are_refused(pilot, sentence):
@@ -302,4 +446,8 @@ def test_no_parameter_has_the_name_of_another_column() -> None:
         {"rows": [{"speed": 0.1}]},
         {"randomize": {"speed": {"uniform": [0, 1]}}},
     ):
-        refused(Sweep.from_dict, "field 'speed' is a (metric, and not a parameter|column of results)", form)
+        refused(
+            Sweep.from_dict,
+            "field 'speed' is a (metric, and not a parameter|column of results)",
+            form,
+        )

@@ -30,7 +30,12 @@ SCENE = """<mujoco model="step"><worldbody><geom name="floor" type="plane" size=
 <geom type="box" size="0.1 0.1 0.005" pos="0 -1 0"/></worldbody></mujoco>"""
 SPEC = {
     "plots": False,
-    "vary": {"gait": GAITS, "spine": SPINES, "frequency": [0.5, 0.8], "spine.amplitude": [0.1, 0.2]},
+    "vary": {
+        "gait": GAITS,
+        "spine": SPINES,
+        "frequency": [0.5, 0.8],
+        "spine.amplitude": [0.1, 0.2],
+    },
     "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}},
 }
 
@@ -69,7 +74,11 @@ def test_each_combination_is_a_row_and_what_a_structure_lacks_is_not_varied_in_i
     expected = []
     for gait, spine in itertools.product(GAITS, SPINES):
         amplitudes = [None] if spine == "none" else [0.1, 0.2]
-        expected += [(gait, spine, f, a) for f, a in itertools.product([0.5, 0.8], amplitudes) for _ in range(2)]
+        expected += [
+            (gait, spine, f, a)
+            for f, a in itertools.product([0.5, 0.8], amplitudes)
+            for _ in range(2)
+        ]
     assert columns(table, "gait", "spine", "frequency", "spine.amplitude") == expected
     assert columns_of(table, "varied") == ["gait", "spine", "frequency", "spine.amplitude"]
     assert meta(table.schema.field("gait"))["scale"] == "structure"
@@ -89,8 +98,14 @@ def test_runs_of_two_structures_have_the_same_draws(tmp_path):
 
 def test_a_sample_has_the_same_points_in_each_structure():
     """They pair, also where a structure reads only some of the parameters."""
-    vary = {"spine": SPINES, "frequency": {"uniform": [0.5, 1.0]}, "spine.amplitude": {"uniform": [0.1, 0.3]}}
-    rows = sample(Sweep.from_dict({"vary": vary, "sample": {"sobol": 16}, "randomize": SPEC["randomize"]}))
+    vary = {
+        "spine": SPINES,
+        "frequency": {"uniform": [0.5, 1.0]},
+        "spine.amplitude": {"uniform": [0.1, 0.3]},
+    }
+    rows = sample(
+        Sweep.from_dict({"vary": vary, "sample": {"sobol": 16}, "randomize": SPEC["randomize"]})
+    )
     without, extended = rows.take(rows.structure == 0), rows.take(rows.structure == 1)
     assert len(without) == len(extended) == 32
     np.testing.assert_array_equal(without.values["frequency"], extended.values["frequency"])
@@ -107,7 +122,10 @@ def test_a_structure_that_reads_nothing_of_a_sample_is_one_variant():
 def test_chunks_have_one_structure_and_each_gets_its_own_setup_run_and_values(tmp_path, asked):
     """Pilots with options of their own: radius where there is one, and a run that ends at its distance."""
     pilots = ["straight", ARC, {"straight": {"distance": 0.5}}]
-    spec = {"plots": False, "vary": {"pilot": pilots, "tail": ["rigid", "articulated"], "frequency": [0.5, 0.6, 0.7]}}
+    spec = {
+        "plots": False,
+        "vary": {"pilot": pilots, "tail": ["rigid", "articulated"], "frequency": [0.5, 0.6, 0.7]},
+    }
     table = run_sweep(spec, tmp_path, chunk=2, engine="c").table
     for path in tmp_path.glob("results/*"):
         assert len(set(columns(pq.read_table(path), "pilot", "tail"))) == 1
@@ -164,7 +182,9 @@ def test_a_time_step_is_that_of_each_physics_unless_it_is_given():
 def test_a_scene_of_ones_own_is_told_by_its_name_and_content(tmp_path):
     """In the table; a file beside the sweep's is found, and the directory needs neither."""
     (tmp_path / "step.xml").write_text(SCENE)
-    (tmp_path / "sweep.yaml").write_text("vary: {scene: [flat, step.xml]}\nset: {frequency: 0.8}\nplots: false\n")
+    (tmp_path / "sweep.yaml").write_text(
+        "vary: {scene: [flat, step.xml]}\nset: {frequency: 0.8}\nplots: false\n"
+    )
     run_sweep(tmp_path / "sweep.yaml", tmp_path / "out", simulator=FakeSimulator())
     (tmp_path / "step.xml").unlink()
     flat, own = read_table(tmp_path / "out").column("scene").to_pylist()
@@ -184,15 +204,27 @@ WRONG = {
     "empty values": ("gait: {values: []}", "is an empty list"),
     "a form": ("gait: {linspace: [1, 2, 3]}", "is a mapping of linspace: expected the list"),
     "twice": ("gait: [trot, lateral_walk, trot]", "lists trot twice"),
-    "the same pilot": ("pilot: [{arc: {radius: 1, direction: left}}, {arc: {direction: 1, radius: 1.0}}]", "twice"),
+    "the same pilot": (
+        "pilot: [{arc: {radius: 1, direction: left}}, {arc: {direction: 1, radius: 1.0}}]",
+        "twice",
+    ),
     "pilot's option": ("pilot: [straight, {arc: {radus: 1}}]", "did you mean 'radius'?"),
-    "two sources": ("profile: [exact, as_published]", "is varied and also given as 'profile': give it one source"),
+    "two sources": (
+        "profile: [exact, as_published]",
+        "is varied and also given as 'profile': give it one source",
+    ),
     "no effect in any": (
         "spine: [none, balance]\n  spine.phase: [0, 1]",
         "has no effect: it is read only with spine: stride_extension, and spine is none or balance",
     ),
-    "pilot's own number": ("pilot: [straight, {arc: {radius: 1}}]\n  pilot.radius: [1, 2]", "set by 'pilot.arc"),
-    "beyond the legs": ("gait: [trot, lateral_walk]\n  stance.swing_amplitude: [0.01, 0.04]", "'stance.swing_"),
+    "pilot's own number": (
+        "pilot: [straight, {arc: {radius: 1}}]\n  pilot.radius: [1, 2]",
+        "set by 'pilot.arc",
+    ),
+    "beyond the legs": (
+        "gait: [trot, lateral_walk]\n  stance.swing_amplitude: [0.01, 0.04]",
+        "'stance.swing_",
+    ),
     "too many": (
         "\n  ".join(f"{name}: [{', '.join('abcdefghijk')}]" for name in ("gait", "spine", "tail")),
         "makes 1,331 combinations of structures; allowed are 1,000",
@@ -219,14 +251,22 @@ def test_the_summary_names_structures(tmp_path):
     """The best one, the mean of each, and the gain over the spine that is switched off."""
     summary = json.loads(json.dumps(run_sweep(SPEC, tmp_path, simulator=FakeSimulator()).summary))
     best = summary["best"]["speed"]["parameters"]
-    assert (best["spine"], best["spine.amplitude"], best["frequency"]) == ("stride_extension", 0.2, 0.8)
+    assert (best["spine"], best["spine.amplitude"], best["frequency"]) == (
+        "stride_extension",
+        0.2,
+        0.8,
+    )
     assert [each["value"] for each in summary["marginal_means"]["gait"]] == sorted(GAITS)
     assert [each["value"] for each in summary["marginal_means"]["spine.amplitude"]] == [0.1, 0.2]
     assert "gait" not in summary["rank_correlations"]
     gain = summary["spine_gain"][-1]["best"]
     assert gain["parameters"]["spine.amplitude"] == 0.2
-    assert gain["ratio"] == pytest.approx(1.1, abs=0.01)  # 1 + 0.5 x 0.2, by the fake robot's formula
-    slowest = run_sweep(SPEC | {"vary": {"gait": GAITS}}, tmp_path / "names", simulator=FakeSimulator()).summary
+    assert gain["ratio"] == pytest.approx(
+        1.1, abs=0.01
+    )  # 1 + 0.5 x 0.2, by the fake robot's formula
+    slowest = run_sweep(
+        SPEC | {"vary": {"gait": GAITS}}, tmp_path / "names", simulator=FakeSimulator()
+    ).summary
     assert slowest["variants"] == 3
 
 
@@ -243,10 +283,21 @@ def test_the_authors_codes_of_gaits_are_accepted_and_shown_nowhere(tmp_path):
         place = rows.column_names.index("gait")
         pq.write_table(rows.set_column(place, rows.schema.field(place), former), part)
     assert read_table(tmp_path).equals(table)
-    found, named = (compare(tmp_path, by="spine", where={"gait": gait}) for gait in ("lat", "lateral_walk"))
+    found, named = (
+        compare(tmp_path, by="spine", where={"gait": gait}) for gait in ("lat", "lateral_walk")
+    )
     assert found.table.column("base_mean").equals(named.table.column("base_mean"))
     shown = call(
-        "compare", tmp_path, "--by", "spine", "--for", "gait", "--where", "gait=trt1", "--metric", "speed"
+        "compare",
+        tmp_path,
+        "--by",
+        "spine",
+        "--for",
+        "gait",
+        "--where",
+        "gait=trt1",
+        "--metric",
+        "speed",
     ).stdout
     assert "walking_trot" in shown
     assert "trt1" not in shown
@@ -282,7 +333,9 @@ def test_figures_put_structures_side_by_side(tmp_path):
     assert name == "speed-over-gait-and-frequency"
     assert [label.get_text() for label in chosen.axes[0].get_xticklabels()] == [*map(spoken, GAITS)]
     ((_, scatter),) = sweep_figures(tmp_path, x="spine", y="roll_std", color="speed")
-    assert [label.get_text() for label in scatter.axes[0].get_xticklabels()] == [*map(spoken, SPINES)]
+    assert [label.get_text() for label in scatter.axes[0].get_xticklabels()] == [
+        *map(spoken, SPINES)
+    ]
 
 
 @pytest.mark.release
@@ -306,7 +359,9 @@ def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp
     assert extended.summary["rows"] == 18
     assert extended.table.schema.equals(whole.table.schema, check_metadata=True)
     for name in whole.table.column_names:
-        np.testing.assert_array_equal(extended.table.column(name).to_numpy(), whole.table.column(name).to_numpy())
+        np.testing.assert_array_equal(
+            extended.table.column(name).to_numpy(), whole.table.column(name).to_numpy()
+        )
     assert set(before.column("speed").to_pylist()) < set(whole.table.column("speed").to_pylist())
     report = json_of("replay", tmp_path / "extended", "--row", "10")
     assert report["comparison"]["equal"]
@@ -316,12 +371,17 @@ def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp
 def test_parameters_and_structures_are_listed():
     listed = json_of("sweep", "--list-parameters")
     assert listed["structures"]["gait"]["allowed"][:5] == [*GAITS, "bound", "gallop"]
-    assert "trot, walking_trot, lateral_walk, bound, gallop" in call("sweep", "--list-parameters").stdout
+    assert (
+        "trot, walking_trot, lateral_walk, bound, gallop"
+        in call("sweep", "--list-parameters").stdout
+    )
 
 
 def test_the_command_says_where_a_parameter_is_not_varied(tmp_path, asked):
     """One sentence on standard error, as such rows would be expected."""
-    (tmp_path / "sweep.yaml").write_text("plots: false\nvary: {spine: [none, stride_extension], spine.phase: [0, 1]}\n")
+    (tmp_path / "sweep.yaml").write_text(
+        "plots: false\nvary: {spine: [none, stride_extension], spine.phase: [0, 1]}\n"
+    )
     result = call("sweep", tmp_path / "sweep.yaml", "--out", tmp_path / "out", "--engine", "c")
     assert "spine.phase is varied in 1 of 2 structures: the others do not read it." in result.stderr
     assert read_table(tmp_path / "out").column("spine.phase").to_pylist() == [None, 0.0, 1.0]

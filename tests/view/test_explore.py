@@ -52,36 +52,71 @@ def test_columns_bring_their_meaning_with_them(tmp_path: Path) -> None:
     assert runs.kind == "atlas"
     assert runs.columns["price"].better == "low", "the objective is minimized"
     assert list(runs.columns) == ["frequency", "speed", "shake", "price", "cell"]
-    assert start_of(runs) == {"x": "speed", "y": "shake", "colour": "price", "cells": True, "of": "best"}
+    assert start_of(runs) == {
+        "x": "speed",
+        "y": "shake",
+        "colour": "price",
+        "cells": True,
+        "of": "best",
+    }
     assert runs.atlas is not None
     assert runs.atlas["measures"] == list(MEASURES)
 
 
 def test_a_grid_begins_with_cells_and_a_sample_with_points(swept: Path, tmp_path: Path) -> None:
-    grid = {"x": "frequency", "y": "spine.amplitude", "colour": "speed", "cells": True, "of": "best"}
+    grid = {
+        "x": "frequency",
+        "y": "spine.amplitude",
+        "colour": "speed",
+        "cells": True,
+        "of": "best",
+    }
     assert start_of(runs_of(swept)) == grid
     start = start_of(runs_of(many(tmp_path / "many", 50)))
-    assert start == {"x": "frequency", "y": "speed", "colour": "speed", "cells": False, "of": "best"}
+    assert start == {
+        "x": "frequency",
+        "y": "speed",
+        "colour": "speed",
+        "cells": False,
+        "of": "best",
+    }
 
 
 def test_a_sweep_begins_with_the_gain_that_its_file_asks_for(swept: Path, tmp_path: Path) -> None:
     """Over the stiff spine where a grid has one, else over the base of the comparison; of repeats, their mean."""
     runs = with_gain(swept, runs_of(swept))
-    start = {"x": "spine.amplitude", "y": "spine.phase", "colour": "speed_gain", "cells": True, "of": "mean"}
+    start = {
+        "x": "spine.amplitude",
+        "y": "spine.phase",
+        "colour": "speed_gain",
+        "cells": True,
+        "of": "mean",
+    }
     assert start_of(runs) == start
-    gain, amplitude, phase = (runs.columns[name].values for name in ("speed_gain", "spine.amplitude", "spine.phase"))
+    gain, amplitude, phase = (
+        runs.columns[name].values for name in ("speed_gain", "spine.amplitude", "spine.phase")
+    )
     ok = runs.columns["status"].values == "ok"
-    np.testing.assert_allclose(gain, np.where(ok & (amplitude > 0), 50 * amplitude * np.cos(phase), np.nan), rtol=1e-5)
+    np.testing.assert_allclose(
+        gain, np.where(ok & (amplitude > 0), 50 * amplitude * np.cos(phase), np.nan), rtol=1e-5
+    )
     spec = {
         "run": SPEC["run"],
         "plots": False,
-        "vary": {"spine": ["stride_extension", "none"], "frequency": [0.5, 0.9], "stride": [0.8, 1.0]},
+        "vary": {
+            "spine": ["stride_extension", "none"],
+            "frequency": [0.5, 0.9],
+            "stride": [0.8, 1.0],
+        },
         "randomize": {"repeats": 2},
         "compare": {"by": "spine", "for": ["frequency"]},
     }
     run_sweep(spec, tmp_path, simulator=FakeSimulator())
     runs = with_gain(tmp_path, runs_of(tmp_path))
-    assert runs.columns["speed_gain"].description == "speed relative to the mean of none, all else equal"
+    assert (
+        runs.columns["speed_gain"].description
+        == "speed relative to the mean of none, all else equal"
+    )
     none = runs.columns["spine"].values == "none"
     assert np.isnan(runs.columns["speed_gain"].values[none]).all()
     assert np.isfinite(runs.columns["speed_gain"].values[~none]).all()
@@ -99,7 +134,9 @@ def test_the_picture_in_the_readme_is_what_its_command_gives() -> None:
 
 def test_a_grids_values_are_steps_and_a_samples_are_not(swept: Path, tmp_path: Path) -> None:
     def steps(path: Path) -> dict[str, bool]:
-        found = re.search(r'id="header">(.*?)</script>', explore(path, recordings=0).html, re.DOTALL)
+        found = re.search(
+            r'id="header">(.*?)</script>', explore(path, recordings=0).html, re.DOTALL
+        )
         assert found is not None
         return {field["name"]: field["stepped"] for field in json.loads(found[1])["fields"]}
 
@@ -161,7 +198,9 @@ def test_bodies_and_tendons_come_back_from_their_frames(dropped: Recording) -> N
             places.append(places[parent] + turns[parent].apply(frames.position[:, i]))
             turn = turns[parent] * turn
         turns.append(turn)
-    np.testing.assert_allclose(np.stack(places, axis=1) + origin[:, None], motion.position[:, frames.bodies], atol=1e-9)
+    np.testing.assert_allclose(
+        np.stack(places, axis=1) + origin[:, None], motion.position[:, frames.bodies], atol=1e-9
+    )
     for tendon in motion.tendons:
         within, points = frames.fixed(tendon.path - origin[:, None])
         for k, frame in enumerate(within):
@@ -169,7 +208,9 @@ def test_bodies_and_tendons_come_back_from_their_frames(dropped: Recording) -> N
             np.testing.assert_allclose(there + origin, tendon.path[:, k], atol=1e-9)
 
 
-def test_a_compact_recording_has_a_third_of_the_samples_and_less_than_half_the_size(dropped: Recording) -> None:
+def test_a_compact_recording_has_a_third_of_the_samples_and_less_than_half_the_size(
+    dropped: Recording,
+) -> None:
     sizes, samples = [], []
     for detail in (FULL, COMPACT):
         packer = Packer()
@@ -227,7 +268,9 @@ def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> 
         words += ["--set", f"{name}={runs.columns[name].values[place]}"]
     context = walk.make_context("walk", words[2:])
     other = ("engine", "record", "video", "camera", "as_json", "quiet")
-    wanted = planned_walk(**{name: value for name, value in context.params.items() if name not in other})
+    wanted = planned_walk(
+        **{name: value for name, value in context.params.items() if name not in other}
+    )
     assert wanted.run == Run(duration=4.0, warmup=1.5)
     setup = wanted.setup
     assert (setup.gait, setup.spine, setup.steering) == ("lateral_walk", "stride_extension", "mix")
@@ -236,15 +279,25 @@ def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> 
         "duty": 0.7,
         "pilot.radius": 0.5,
         "pilot.direction": -1.0,
-        **{name: runs.columns[name].values[place] for name in ("frequency", "spine.amplitude", "spine.phase")},
+        **{
+            name: runs.columns[name].values[place]
+            for name in ("frequency", "spine.amplitude", "spine.phase")
+        },
     }
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{"routing": "type1"}, {"timestep": 0.001}, {"pilot": "{straight: {distance: 1.0}}"}, {"controller": "a.py:B"}],
+    [
+        {"routing": "type1"},
+        {"timestep": 0.001},
+        {"pilot": "{straight: {distance: 1.0}}"},
+        {"controller": "a.py:B"},
+    ],
 )
-def test_what_walk_cannot_do_gets_no_walk_command(swept: Path, tmp_path: Path, changes: dict[str, Any]) -> None:
+def test_what_walk_cannot_do_gets_no_walk_command(
+    swept: Path, tmp_path: Path, changes: dict[str, Any]
+) -> None:
     path = spec_of(Path(shutil.copytree(swept, tmp_path / "sweep")), **changes)
     commands = commands_of(path, runs_of(path))
     assert commands["walk"] is None
@@ -275,7 +328,13 @@ def test_show_and_the_command_make_the_same_page(swept: Path, tmp_path: Path) ->
     result = call("view", swept, "--out", out, "--no-open", "--json")
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
-    assert told == {"page": str(out), "bytes": out.stat().st_size, "rows": 36, "recordings": 2, "opened": False}
+    assert told == {
+        "page": str(out),
+        "bytes": out.stat().st_size,
+        "rows": 36,
+        "recordings": 2,
+        "opened": False,
+    }
     page = show(swept)
     assert page.html == out.read_text(encoding="utf-8")
     assert page.height == 680
@@ -297,7 +356,11 @@ def test_wrong_use_is_said_in_a_sentence(swept: Path, dropped: Recording, tmp_pa
         ([file, "--recordings", "3"], 2, "--recordings is for the page of a directory"),
         ([swept, "--recordings", "-1"], 2, "-1"),
         ([tmp_path / "empty"], 2, "is not a results directory"),
-        ([tmp_path / "tuned"], 2, "is the directory of a tuning: the page of a directory shows the runs"),
+        (
+            [tmp_path / "tuned"],
+            2,
+            "is the directory of a tuning: the page of a directory shows the runs",
+        ),
         ([tmp_path / "begun"], 1, "holds no results yet"),
         ([path], 1, "atlas.parquet cannot be read"),
         ([tmp_path / "missing"], 2, "does not exist"),

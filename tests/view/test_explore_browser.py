@@ -37,7 +37,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rows(folder: Path) -> dict[str, np.ndarray]:
     """The table of the sweep that most pages show."""
     table = read_table(sweep(folder / "sweep", RECORDED))
-    return {name: np.asarray(table.column(name).to_numpy(zero_copy_only=False)) for name in table.column_names}
+    return {
+        name: np.asarray(table.column(name).to_numpy(zero_copy_only=False))
+        for name in table.column_names
+    }
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +81,9 @@ def choose(tab: Any, **choices: str) -> None:
 
 def place_of(tab: Any, row: int) -> tuple[float, float]:
     """Where a row is drawn in the window."""
-    x, y = tab.evaluate(f"(({{x, y}}) => [x, y])(explorer.chart.itemOf(explorer.table.placeOf.get({row})))")
+    x, y = tab.evaluate(
+        f"(({{x, y}}) => [x, y])(explorer.chart.itemOf(explorer.table.placeOf.get({row})))"
+    )
     return tab.box("#marks")["left"] + x, tab.box("#marks")["top"] + y
 
 
@@ -114,13 +119,19 @@ def test_a_gain_is_white_at_none_and_red_where_it_is_a_loss(tab: Any, page: Path
     assert min(none) > 235
     assert loss[0] > loss[2]
     assert gain[2] > gain[0]
-    groups = tab.evaluate("[...document.querySelectorAll('#colour optgroup')].map((each) => each.label)")
+    groups = tab.evaluate(
+        "[...document.querySelectorAll('#colour optgroup')].map((each) => each.label)"
+    )
     assert {"Parameters", "Walk"} <= set(groups)
     choose(tab, colour="spine.phase")
-    assert sum(abs(a - b) for a, b in zip(rgb(-3.14), rgb(3.14), strict=True)) < 30, "both ends of a turn"
+    assert sum(abs(a - b) for a, b in zip(rgb(-3.14), rgb(3.14), strict=True)) < 30, (
+        "both ends of a turn"
+    )
 
 
-def test_points_are_where_their_numbers_say_in_colours_of_viridis(tab: Any, page: Path, rows: dict[str, Any]) -> None:
+def test_points_are_where_their_numbers_say_in_colours_of_viridis(
+    tab: Any, page: Path, rows: dict[str, Any]
+) -> None:
     opened(tab, page)
     tab.key("c")
     choose(tab, x="spine.phase", y="speed", colour="speed")
@@ -131,7 +142,10 @@ def test_points_are_where_their_numbers_say_in_colours_of_viridis(tab: Any, page
         np.testing.assert_allclose(np.polyval(line, values[good]), places[:, column], atol=0.6)
         assert (line[0] > 0) == (column == 0), "to the right, and up"
     seen = tab.pixels()
-    for row, colour in ((int(np.argmin(rows["speed"])), (68, 1, 84)), (int(np.argmax(rows["speed"])), (253, 231, 37))):
+    for row, colour in (
+        (int(np.argmin(rows["speed"])), (68, 1, 84)),
+        (int(np.argmax(rows["speed"])), (253, 231, 37)),
+    ):
         x, y = np.round(place_of(tab, row)).astype(int)
         near = seen[y - 6 : y + 7, x - 6 : x + 7].reshape(-1, 3)
         assert np.abs(near - colour).max(axis=1).min() < 12, (row, rows["status"][row])
@@ -140,7 +154,9 @@ def test_points_are_where_their_numbers_say_in_colours_of_viridis(tab: Any, page
     assert "high is better" in text
 
 
-def test_cells_have_the_best_the_mean_and_the_worst_of_their_runs(tab: Any, page: Path, rows: dict[str, Any]) -> None:
+def test_cells_have_the_best_the_mean_and_the_worst_of_their_runs(
+    tab: Any, page: Path, rows: dict[str, Any]
+) -> None:
     """Of those that count: a run that fell is in its cell, and not in its value."""
     opened(tab, page)
     for of, function in (("best", np.max), ("mean", np.mean), ("worst", np.min)):
@@ -162,20 +178,29 @@ def test_cells_have_the_best_the_mean_and_the_worst_of_their_runs(tab: Any, page
 def test_an_atlas_shows_its_cells_where_its_measures_are(tab: Any, tmp_path: Path) -> None:
     path, values = atlas(tmp_path / "atlas")
     opened(tab, explore(path).save(tmp_path / "atlas.html"))
-    found = tab.evaluate("explorer.chart.items.map((item) => [item.box, explorer.table.rows[item.place]])")
+    found = tab.evaluate(
+        "explorer.chart.items.map((item) => [item.box, explorer.table.rows[item.place]])"
+    )
     assert sorted(row for _, row in found) == values["row"].tolist()
     frame = tab.evaluate("explorer.chart.frame")
     for (left, top, _, height), row in found:
         cell = int(values["cell"][np.flatnonzero(values["row"] == row)[0]])
         across, up = cell // MEASURES[1]["cells"], cell % MEASURES[1]["cells"]
         assert left == pytest.approx(frame["left"] + across * frame["width"] / 5, abs=0.1)
-        assert top + height == pytest.approx(frame["top"] + frame["height"] - up * frame["height"] / 4, abs=0.1)
+        assert top + height == pytest.approx(
+            frame["top"] + frame["height"] - up * frame["height"] / 4, abs=0.1
+        )
     tab.evaluate(f"explorer.choose(explorer.table.placeOf.get({values['row'][0]}))")
-    commands = tab.evaluate("[...document.querySelectorAll('#row code')].map((code) => code.textContent)")
+    commands = tab.evaluate(
+        "[...document.querySelectorAll('#row code')].map((code) => code.textContent)"
+    )
     again, walk = commands
     assert again.startswith("nermo-mjx replay ")
     assert again.endswith(f" --row {values['row'][0]}")
-    assert walk == f"nermo-mjx walk --gait lateral_walk --cycles 8 --warmup 2 --set frequency={values['frequency'][0]}"
+    assert (
+        walk
+        == f"nermo-mjx walk --gait lateral_walk --cycles 8 --warmup 2 --set frequency={values['frequency'][0]}"
+    )
 
 
 # --- pointer and keys
@@ -194,7 +219,9 @@ def test_a_click_shows_a_runs_numbers_and_its_commands(
     assert f"Row {row}" in text
     assert f"{1e3 * rows['speed'][row]:.4g} mm/s" in text
     assert f"{np.rad2deg(rows['spine.phase'][row]):.4g} deg".replace("-", "−") in text
-    commands = tab.evaluate("[...document.querySelectorAll('#row code')].map((code) => code.textContent)")
+    commands = tab.evaluate(
+        "[...document.querySelectorAll('#row code')].map((code) => code.textContent)"
+    )
     assert commands[0] == f"nermo-mjx replay {folder / 'sweep'} --row {row}"
     assert f"--set frequency={rows['frequency'][row]}" in commands[1]
     assert tab.evaluate("document.getElementById('tip').innerText").startswith(f"row {row}")
@@ -260,7 +287,9 @@ def test_keys_walk_choose_and_let_go(tab: Any, page: Path, rows: dict[str, Any])
 # --- filters
 
 
-def test_brushes_handles_and_names_keep_the_runs_that_they_say(tab: Any, page: Path, rows: dict[str, Any]) -> None:
+def test_brushes_handles_and_names_keep_the_runs_that_they_say(
+    tab: Any, page: Path, rows: dict[str, Any]
+) -> None:
     opened(tab, page)
     tab.key("c")
     choose(tab, x="frequency", y="speed")
@@ -270,7 +299,10 @@ def test_brushes_handles_and_names_keep_the_runs_that_they_say(tab: Any, page: P
     drag(tab, (left + 4, top + 4), (middle, top + frame["height"] - 4))
     slow = rows["frequency"] < 0.8
     assert tab.evaluate(COUNT) == slow.sum()
-    assert tab.evaluate("document.getElementById('count').textContent") == f"{slow.sum()} of 36 runs shown"
+    assert (
+        tab.evaluate("document.getElementById('count').textContent")
+        == f"{slow.sum()} of 36 runs shown"
+    )
     # A handle of another column, moved by a key.
     tab.evaluate("document.querySelector('[data-field=\"spine.amplitude\"] input').focus()")
     tab.key("ArrowRight")
@@ -280,7 +312,12 @@ def test_brushes_handles_and_names_keep_the_runs_that_they_say(tab: Any, page: P
     assert tab.evaluate(COUNT) == 36
     # A name: what fell is switched off.
     tab.click("[aria-label=status] button")
-    assert tab.evaluate("document.querySelector('[aria-label=status] button').getAttribute('aria-pressed')") == "false"
+    assert (
+        tab.evaluate(
+            "document.querySelector('[aria-label=status] button').getAttribute('aria-pressed')"
+        )
+        == "false"
+    )
     assert tab.evaluate(COUNT) == (rows["status"] == "ok").sum() < 36
     # Nothing left, and back again.
     tab.click("[aria-label=status] button:last-of-type")
@@ -294,7 +331,9 @@ def test_brushes_handles_and_names_keep_the_runs_that_they_say(tab: Any, page: P
     assert tab.evaluate(COUNT) == (rows["frequency"] < 0.8).sum()
 
 
-def test_rows_shown_are_saved_as_csv_with_all_digits(tab: Any, page: Path, rows: dict[str, Any]) -> None:
+def test_rows_shown_are_saved_as_csv_with_all_digits(
+    tab: Any, page: Path, rows: dict[str, Any]
+) -> None:
     opened(tab, page)
     tab.evaluate("explorer.filters.keep(explorer.table.field('frequency'), 0.6, 0.95)")
     text = tab.evaluate("explorer.csv")
@@ -314,13 +353,24 @@ def test_the_answer_of_an_optimum_is_whole(tab: Any, folder: Path, width: int) -
     tab.open(explore(out).save(folder / "optimum.html"), width, 800)
     tab.wait(READY)
     assert tab.evaluate("answer.scrollWidth <= answer.clientWidth")
-    assert tab.evaluate("[...answer.querySelectorAll('td')].every((each) => each.scrollWidth <= each.clientWidth + 1)")
-    heights = tab.evaluate("[...answer.querySelectorAll('tr')].slice(1).map((each) => each.offsetHeight)")
+    assert tab.evaluate(
+        "[...answer.querySelectorAll('td')].every((each) => each.scrollWidth <= each.clientWidth + 1)"
+    )
+    heights = tab.evaluate(
+        "[...answer.querySelectorAll('tr')].slice(1).map((each) => each.offsetHeight)"
+    )
     assert len(heights) == 2
     assert max(heights) < (62 if width == 1280 else 230)
-    heads = tab.evaluate("[...answer.querySelectorAll('td')].map((td) => getComputedStyle(td, '::before').content)")
-    assert sum(head not in ("none", "normal") for head in heads) == (0 if width == 1280 else len(heads) - 2)
-    first, second = (tab.evaluate(f"answer.querySelectorAll('tr')[{i}].classList.contains('shown')") for i in (1, 2))
+    heads = tab.evaluate(
+        "[...answer.querySelectorAll('td')].map((td) => getComputedStyle(td, '::before').content)"
+    )
+    assert sum(head not in ("none", "normal") for head in heads) == (
+        0 if width == 1280 else len(heads) - 2
+    )
+    first, second = (
+        tab.evaluate(f"answer.querySelectorAll('tr')[{i}].classList.contains('shown')")
+        for i in (1, 2)
+    )
     assert (first, second) == (True, False)
 
 
@@ -328,7 +378,10 @@ def test_ten_thousand_rows_with_structures_answer_at_once(tab: Any, tmp_path: Pa
     path = tmp_path / "many"
     opened(tab, explore(many(path, 10_000)).save(tmp_path / "many.html"))
     table = read_table(path)
-    gait, phase = table.column("gait").to_numpy(zero_copy_only=False), table.column("spine.phase").to_numpy()
+    gait, phase = (
+        table.column("gait").to_numpy(zero_copy_only=False),
+        table.column("spine.phase").to_numpy(),
+    )
     assert tab.evaluate(
         "[...document.querySelectorAll('[aria-label=gait] button')].map((b) => b.firstChild.data)"
     ) == sorted(NAMES)
@@ -373,8 +426,12 @@ def test_a_recording_plays_in_3d_and_closes(tab: Any, page: Path) -> None:
             place = tab.evaluate(f"""(() => {{ const [clip] = {inside}.clips; let found;
                 clip.pose(clip.at({walk.time[sample]}), (body, position) => {{
                     if (body === {data.body(body).id}) found = Array.from(position); }}); return found; }})()""")
-            np.testing.assert_allclose(place, data.body(body).xpos, atol=4e-4, err_msg=f"{body} at {sample}")
-    assert tab.evaluate("document.getElementById('theatre-title').textContent") == f"Row {RECORDED[0]}"
+            np.testing.assert_allclose(
+                place, data.body(body).xpos, atol=4e-4, err_msg=f"{body} at {sample}"
+            )
+    assert (
+        tab.evaluate("document.getElementById('theatre-title').textContent") == f"Row {RECORDED[0]}"
+    )
     tab.click("#theatre-after")
     tab.wait(
         f"{inside}?.player.time > 0.02 && document.querySelector('#theatre iframe').title.endsWith(' {RECORDED[1]}')"
@@ -382,7 +439,9 @@ def test_a_recording_plays_in_3d_and_closes(tab: Any, page: Path) -> None:
     assert tab.evaluate(SELECTED) == RECORDED[1]
     tab.wait("document.activeElement.tagName === 'IFRAME'")
     tab.key("Escape")
-    tab.wait("!document.getElementById('theatre').open && !document.querySelector('#theatre iframe')")
+    tab.wait(
+        "!document.getElementById('theatre').open && !document.querySelector('#theatre iframe')"
+    )
     assert tab.evaluate("document.activeElement.id") == "marks"
     assert tab.evaluate(SELECTED) == RECORDED[1], "the run is still chosen"
 
@@ -400,15 +459,21 @@ def test_the_page_needs_nothing_else(tab: Any, page: Path) -> None:
 @pytest.mark.parametrize(("width", "height"), [(390, 780), (1280, 720), (800, 600)])
 def test_everything_fits_its_window(tab: Any, page: Path, width: int, height: int) -> None:
     opened(tab, page, width, height)
-    width, height = tab.evaluate("[innerWidth, innerHeight]")  # Firefox has no window as narrow as a phone
+    width, height = tab.evaluate(
+        "[innerWidth, innerHeight]"
+    )  # Firefox has no window as narrow as a phone
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
     assert tab.outside(["marks", "x", "save", "help"], width, height, 20) == []
     assert tab.box("#marks")["width"] * tab.box("#marks")["height"] > 0.3 * width * height
-    tab.evaluate("document.querySelector('[data-field=\"spine.phase\"] input').scrollIntoView() ?? null")
+    tab.evaluate(
+        "document.querySelector('[data-field=\"spine.phase\"] input').scrollIntoView() ?? null"
+    )
     assert 0 <= tab.box("[data-field='spine.phase']")["top"] < height
 
 
-def test_a_dark_page_is_dark_and_its_points_can_be_seen(tab: Any, page: Path, rows: dict[str, Any]) -> None:
+def test_a_dark_page_is_dark_and_its_points_can_be_seen(
+    tab: Any, page: Path, rows: dict[str, Any]
+) -> None:
     light = opened(tab, page).pixels().mean()
     opened(tab, page, dark=True)
     assert tab.pixels().mean() < light / 2

@@ -37,13 +37,24 @@ from nermo_mjx.view.recorded import spans
 ROBOT = Geometry()
 
 
-def drawn_of(recording: Recording, folder: Path, formats: Sequence[str] = FORMATS) -> tuple[list[Path], list[str]]:
+def drawn_of(
+    recording: Recording, folder: Path, formats: Sequence[str] = FORMATS
+) -> tuple[list[Path], list[str]]:
     """The files of a recording's figures, and the notes on those that there are not."""
     notes: list[str] = []
-    return write_figures(figures_of_recording(recording, notes.append), folder, formats=formats), notes
+    return write_figures(
+        figures_of_recording(recording, notes.append), folder, formats=formats
+    ), notes
 
 
-NAMES = ("gait-diagram", "orientation", "foot-paths", "foot-paths-over-ground", "servo-angles", "ground-path")
+NAMES = (
+    "gait-diagram",
+    "orientation",
+    "foot-paths",
+    "foot-paths-over-ground",
+    "servo-angles",
+    "ground-path",
+)
 #: A lateral walk of a cycle a second.
 OFFSETS = dict(zip(LIMBS, (0.63, 0.14, 0.0, 0.54), strict=True))
 VALUES = {"frequency": 1.0, "duty": 0.68, "tracking.clock_ratio": 1.0, "start.phase": 0.25}
@@ -80,7 +91,9 @@ def recording() -> Recording:
     }
     qpos = np.tile(model.qpos0, (600, 1))
     metadata = {"setup": {"gait": "lateral_walk"}, "parameters": VALUES}
-    return Recording(time, qpos, np.zeros((600, model.nv)), ctrl, sensors, model_hash(model), metadata)
+    return Recording(
+        time, qpos, np.zeros((600, model.nv)), ctrl, sensors, model_hash(model), metadata
+    )
 
 
 def texts(figure: matplotlib.figure.Figure) -> str:
@@ -88,10 +101,14 @@ def texts(figure: matplotlib.figure.Figure) -> str:
 
 
 @pytest.mark.release
-def test_all_figures_are_written_with_units_and_are_no_blanks(recording: Recording, tmp_path: Path) -> None:
+def test_all_figures_are_written_with_units_and_are_no_blanks(
+    recording: Recording, tmp_path: Path
+) -> None:
     files, notes = drawn_of(recording, tmp_path)
     assert notes == []
-    assert [file.name for file in files] == [f"{name}.{form}" for name in NAMES for form in ("png", "svg")]
+    assert [file.name for file in files] == [
+        f"{name}.{form}" for name in NAMES for form in ("png", "svg")
+    ]
     for file in files[::2]:
         picture = imread(file)
         assert min(picture.shape[:2]) > 200  # tests draw at half the size
@@ -105,7 +122,9 @@ def test_all_figures_are_written_with_units_and_are_no_blanks(recording: Recordi
 def bars(figure: matplotlib.figure.Figure) -> list[list[tuple[float, float]]]:
     """(begin, end) of the bars of each row of the diagram: measured, planned, measured, ..."""
     rows = [c for c in figure.axes[0].collections if isinstance(c, PolyCollection)]
-    return [[(p.vertices[:, 0].min(), p.vertices[:, 0].max()) for p in row.get_paths()] for row in rows]
+    return [
+        [(p.vertices[:, 0].min(), p.vertices[:, 0].max()) for p in row.get_paths()] for row in rows
+    ]
 
 
 def test_the_gait_diagram_shows_planned_and_measured_contact(recording: Recording) -> None:
@@ -127,7 +146,9 @@ def test_the_gait_diagram_shows_planned_and_measured_contact(recording: Recordin
         assert word in text
 
 
-def test_a_recording_that_does_not_say_its_gait_shows_what_was_measured(recording: Recording) -> None:
+def test_a_recording_that_does_not_say_its_gait_shows_what_was_measured(
+    recording: Recording,
+) -> None:
     figure = gait_diagram(RecordedGait(dataclasses.replace(recording, metadata={})))
     assert figure is not None
     assert len(bars(figure)) == 4
@@ -155,7 +176,9 @@ def test_the_way_on_the_ground_and_its_mean(recording: Recording) -> None:
     figure = ground_path(RecordedGait(recording))
     assert figure is not None
     torso, mean = figure.axes[0].lines[:2]
-    np.testing.assert_allclose(torso.get_xdata(), 100.0 * (recording.time - recording.time[0]), atol=1e-6)
+    np.testing.assert_allclose(
+        torso.get_xdata(), 100.0 * (recording.time - recording.time[0]), atol=1e-6
+    )
     np.testing.assert_allclose(torso.get_ydata(), 0.0, atol=1e-9)
     np.testing.assert_allclose(np.diff(mean.get_xdata()), 1.0, atol=1e-6)
     assert figure.axes[0].get_xlabel() == "ahead of the start [mm]"
@@ -185,7 +208,9 @@ def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> No
     for found in in_leg_frame(robot.model, qpos):
         np.testing.assert_allclose(found, np.asarray(pose.foot), atol=4e-4)
     ctrl = np.concatenate([servo[:, 0], servo[:, 1], [0.0, 0.0]])[None]
-    np.testing.assert_allclose(commanded_feet(ctrl, "type3", ROBOT)[0], np.asarray(pose.foot), atol=1e-6)
+    np.testing.assert_allclose(
+        commanded_feet(ctrl, "type3", ROBOT)[0], np.asarray(pose.foot), atol=1e-6
+    )
     figure = leg_paths(RecordedGait(recording), robot)
     assert figure is not None
     assert "ahead of the axis [mm]" in texts(figure)
@@ -197,12 +222,16 @@ def test_servo_angles_are_commanded_and_measured(recording: Recording) -> None:
     assert figure is not None
     assert len(figure.axes) == 4
     measured, commanded = figure.axes[0].lines[:2]
-    np.testing.assert_allclose(commanded.get_ydata(), np.degrees(recording.ctrl[-len(commanded.get_ydata()) :, 0]))
+    np.testing.assert_allclose(
+        commanded.get_ydata(), np.degrees(recording.ctrl[-len(commanded.get_ydata()) :, 0])
+    )
     np.testing.assert_allclose(measured.get_ydata(), 0.9 * np.asarray(commanded.get_ydata()))
 
 
 def test_what_a_recording_lacks_is_left_out_and_said(recording: Recording, tmp_path: Path) -> None:
-    poor = dataclasses.replace(recording, sensors={"orientation": recording.sensors["orientation"]}, model_hash="other")
+    poor = dataclasses.replace(
+        recording, sensors={"orientation": recording.sensors["orientation"]}, model_hash="other"
+    )
     files, notes = drawn_of(poor, tmp_path, ("svg",))
     assert [file.name for file in files] == ["orientation.svg"]
     assert "There is no gait-diagram: the recording lacks its sensors." in notes

@@ -66,7 +66,9 @@ def test_a_file_of_keyframes_needs_mujoco_alone(recording: Recording, tmp_path: 
     assert len(keys) == count == 11
     samples = np.abs(recording.time - keys[:, :1]).argmin(axis=1)
     np.testing.assert_allclose(np.diff(keys[:, 0]), 0.05, atol=1e-9)
-    wanted = np.concatenate([recording.time[:, None], recording.qpos, recording.qvel, recording.ctrl], axis=1)
+    wanted = np.concatenate(
+        [recording.time[:, None], recording.qpos, recording.qvel, recording.ctrl], axis=1
+    )
     np.testing.assert_allclose(keys, wanted[samples], atol=2e-5)
 
 
@@ -112,10 +114,14 @@ def test_a_recording_plays_in_real_time_or_faster_and_again(recording: Recording
         window.model.body("torso").id,
     )
     assert window.model.light_castshadow[0]
-    np.testing.assert_allclose(np.array(window.sun)[:, :2], 0.0, atol=1e-9, err_msg="the sun stands above the robot")
+    np.testing.assert_allclose(
+        np.array(window.sun)[:, :2], 0.0, atol=1e-9, err_msg="the sun stands above the robot"
+    )
 
 
-def test_what_cannot_be_played_is_said(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_played_is_said(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(ParameterError, match="speed is 0"):
         play(recording, speed=0.0)
     with pytest.raises(ParameterError, match="keyframes, of 5,000"):
@@ -124,7 +130,11 @@ def test_what_cannot_be_played_is_said(recording: Recording, tmp_path: Path, mon
         write_keyframes(recording, tmp_path / "a.xml", rate=-1.0)
     with pytest.raises(RecordingError, match="cannot be written"):
         write_keyframes(recording, tmp_path / "missing" / "a.xml")
-    if "DISPLAY" not in os.environ and "WAYLAND_DISPLAY" not in os.environ and sys.platform == "linux":
+    if (
+        "DISPLAY" not in os.environ
+        and "WAYLAND_DISPLAY" not in os.environ
+        and sys.platform == "linux"
+    ):
         with pytest.raises(RecordingError, match="needs a display"):
             play(recording)
 
@@ -133,7 +143,17 @@ def test_what_cannot_be_played_is_said(recording: Recording, tmp_path: Path, mon
 def test_the_robots_mjcf_by_itself_has_the_same_physics(tmp_path: Path) -> None:
     """`model --xml`, copied to an empty folder: MuJoCo without this package steps it to the same state."""
     file = tmp_path / "robot.xml"
-    command = [sys.executable, "-m", "nermo_mjx", "model", "--tail", "articulated", "--xml", str(file), "--quiet"]
+    command = [
+        sys.executable,
+        "-m",
+        "nermo_mjx",
+        "model",
+        "--tail",
+        "articulated",
+        "--xml",
+        str(file),
+        "--quiet",
+    ]
     subprocess.run(command, check=True)
     script = (
         "import sys, mujoco, numpy as np\n"

@@ -17,7 +17,14 @@ from PIL import Image, ImageSequence
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, render, video
-from nermo_mjx.view.camera import INSIDE, OUTSIDE, draw_support, is_inside, smooth_path, support_polygon
+from nermo_mjx.view.camera import (
+    INSIDE,
+    OUTSIDE,
+    draw_support,
+    is_inside,
+    smooth_path,
+    support_polygon,
+)
 from nermo_mjx.view.video import Pane, frame_samples, write_video
 
 SCENE = """
@@ -38,7 +45,9 @@ def model() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(SCENE)
 
 
-def walk(model: mujoco.MjModel, seconds: float = 0.3, rate: float = 100.0, speed: float = 0.5) -> Recording:
+def walk(
+    model: mujoco.MjModel, seconds: float = 0.3, rate: float = 100.0, speed: float = 0.5
+) -> Recording:
     """A box that glides to -y at `speed` m/s."""
     time = np.arange(round(seconds * rate) + 1) / rate
     qpos = np.tile(model.qpos0, (len(time), 1))
@@ -47,7 +56,9 @@ def walk(model: mujoco.MjModel, seconds: float = 0.3, rate: float = 100.0, speed
 
 
 @pytest.mark.usefixtures("drawing")
-def test_an_mp4_has_the_size_and_length_asked_for_and_moves(model: mujoco.MjModel, tmp_path: Path) -> None:
+def test_an_mp4_has_the_size_and_length_asked_for_and_moves(
+    model: mujoco.MjModel, tmp_path: Path
+) -> None:
     calls: list[tuple[int, int]] = []
     path = render(
         walk(model),
@@ -60,17 +71,32 @@ def test_an_mp4_has_the_size_and_length_asked_for_and_moves(model: mujoco.MjMode
     )
     with imageio.get_reader(path) as reader:
         frames, meta = [np.asarray(frame) for frame in reader], reader.get_meta_data()
-    assert (meta["codec"], meta["pix_fmt"][:7], meta["fps"]) == ("h264", "yuv420p", 20), "as players can play it"
+    assert (meta["codec"], meta["pix_fmt"][:7], meta["fps"]) == ("h264", "yuv420p", 20), (
+        "as players can play it"
+    )
     assert len(frames) == 7, "0.3 s at 20 frames/s, both ends included"
     assert frames[0].shape == (96, 128, 3)
-    assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0, "the floor passes under the robot"
+    assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0, (
+        "the floor passes under the robot"
+    )
     assert calls == [(i, 7) for i in range(1, 8)]
     assert [file.name for file in path.parent.iterdir()] == ["walk.mp4"]
 
 
 @pytest.mark.usefixtures("drawing")
-def test_a_gif_by_its_suffix_at_half_speed_from_a_camera_of_the_model(model: mujoco.MjModel, tmp_path: Path) -> None:
-    path = render(walk(model), model, tmp_path / "walk.gif", fps=20, width=63, height=49, speed=0.5, camera="own")
+def test_a_gif_by_its_suffix_at_half_speed_from_a_camera_of_the_model(
+    model: mujoco.MjModel, tmp_path: Path
+) -> None:
+    path = render(
+        walk(model),
+        model,
+        tmp_path / "walk.gif",
+        fps=20,
+        width=63,
+        height=49,
+        speed=0.5,
+        camera="own",
+    )
     frames = imageio.mimread(path)
     assert len(frames) == 13
     assert frames[0].shape[:2] == (49, 63)
@@ -80,12 +106,16 @@ def test_a_gif_by_its_suffix_at_half_speed_from_a_camera_of_the_model(model: muj
 def test_a_webp_shows_what_a_gif_shows(model: mujoco.MjModel, tmp_path: Path) -> None:
     """All frames, without end, in real time, and the same picture but for its compression."""
     options: dict = {"fps": 10, "width": 64, "height": 48}
-    gif, webp = (render(walk(model), model, tmp_path / f"walk.{kind}", **options) for kind in ("gif", "webp"))
+    gif, webp = (
+        render(walk(model), model, tmp_path / f"walk.{kind}", **options) for kind in ("gif", "webp")
+    )
     with Image.open(gif) as one, Image.open(webp) as other:
         assert other.format == "WEBP"
         assert other.info["loop"] == 0
         assert other.n_frames == one.n_frames == 4
-        for first, second in zip(ImageSequence.Iterator(one), ImageSequence.Iterator(other), strict=True):
+        for first, second in zip(
+            ImageSequence.Iterator(one), ImageSequence.Iterator(other), strict=True
+        ):
             difference = np.subtract(first.convert("RGB"), second.convert("RGB"), dtype=float)
             assert np.abs(difference).mean() < 8.0
             assert second.info["duration"] == 100
@@ -103,8 +133,18 @@ def test_a_gif_lasts_as_long_as_its_frames_should(tmp_path: Path, fps: int, coun
 
 @pytest.mark.usefixtures("drawing")
 @pytest.mark.parametrize("camera", ["side", "top", "three_quarter", "high", "front", "rear"])
-def test_every_following_view_keeps_the_robot_in_the_middle(model: mujoco.MjModel, tmp_path: Path, camera: str) -> None:
-    path = render(walk(model, seconds=4.0), model, tmp_path / "w.gif", fps=1, width=64, height=48, camera=camera)
+def test_every_following_view_keeps_the_robot_in_the_middle(
+    model: mujoco.MjModel, tmp_path: Path, camera: str
+) -> None:
+    path = render(
+        walk(model, seconds=4.0),
+        model,
+        tmp_path / "w.gif",
+        fps=1,
+        width=64,
+        height=48,
+        camera=camera,
+    )
     for frame in imageio.mimread(path):
         colour = np.asarray(frame)[..., :3].astype(int)
         red = (colour[..., 0] > 1.5 * colour[..., 1]) & (colour[..., 0] > 60)
@@ -123,8 +163,16 @@ def test_every_following_view_keeps_the_robot_in_the_middle(model: mujoco.MjMode
         ("walk.mp4", {"fps": 0}, "1 to 240 frames/s"),
         ("walk.gif", {"fps": 51}, r"^fps is 51: allowed is \[1, 50\] in a GIF"),
         ("walk.mp4", {"speed": -1.0}, "speed above 0"),
-        ("walk.gif", {"camera": "nose"}, "camera is 'nose': allowed is one of three_quarter, .*own"),
-        ("walk.gif", {"overlays": ("tail",)}, "overlay is 'tail': allowed is one of gait, servos, support"),
+        (
+            "walk.gif",
+            {"camera": "nose"},
+            "camera is 'nose': allowed is one of three_quarter, .*own",
+        ),
+        (
+            "walk.gif",
+            {"overlays": ("tail",)},
+            "overlay is 'tail': allowed is one of gait, servos, support",
+        ),
         ("walk.gif", {"overlays": ("gait",)}, "needs the sensor 'foot_force'"),
         ("walk.gif", {"overlays": ("gait", "gait")}, "each name once"),
     ],
@@ -147,7 +195,9 @@ def test_a_diverged_run_is_shown_up_to_where_it_diverged(model: mujoco.MjModel) 
 
 
 def test_frames_show_the_nearest_sample(model: mujoco.MjModel) -> None:
-    np.testing.assert_array_equal(frame_samples(walk(model, 1.0, rate=100), 25, 1.0), np.arange(0, 101, 4))
+    np.testing.assert_array_equal(
+        frame_samples(walk(model, 1.0, rate=100), 25, 1.0), np.arange(0, 101, 4)
+    )
     slow = frame_samples(walk(model, 1.0, rate=10), 50, 1.0)
     np.testing.assert_array_equal(slow, np.round(np.arange(51) / 5 + 1e-9).astype(int))
 
@@ -162,12 +212,19 @@ def test_the_camera_follows_a_steady_walk_without_lag_and_without_shaking() -> N
 
 @pytest.mark.release
 @pytest.mark.usefixtures("drawing")
-def test_side_by_side_shows_both_in_step_with_captions_and_ways(model: mujoco.MjModel, tmp_path: Path) -> None:
+def test_side_by_side_shows_both_in_step_with_captions_and_ways(
+    model: mujoco.MjModel, tmp_path: Path
+) -> None:
     slow, fast = walk(model, seconds=2.0, speed=0.1), walk(model, seconds=1.0, speed=0.2)
-    panes = [Pane(slow, "Start", ["speed 100 mm/s"]), Pane(fast, "Best", ["speed 200 mm/s", "a long line " * 12])]
+    panes = [
+        Pane(slow, "Start", ["speed 100 mm/s"]),
+        Pane(fast, "Best", ["speed 200 mm/s", "a long line " * 12]),
+    ]
     path = render(panes, model, tmp_path / "both.mp4", fps=4, width=120, height=80, speed=0.5)
     frames = [np.asarray(frame).astype(int) for frame in imageio.get_reader(path)]
-    assert len(frames) == 9, "as long as the shorter one, 1 s at half speed and 4 frames/s, both ends included"
+    assert len(frames) == 9, (
+        "as long as the shorter one, 1 s at half speed and 4 frames/s, both ends included"
+    )
     assert frames[0].shape[1] == 2 * 120 + 4
     assert frames[0].shape[0] > 80 + 3 * 18 + 40, "long captions have more lines"
     bars = frames[-1][-40 + 11, :, 0] < 100
@@ -177,7 +234,9 @@ def test_side_by_side_shows_both_in_step_with_captions_and_ways(model: mujoco.Mj
     assert np.abs(frames[0] - frames[-1])[:60].mean() < 1.0, "captions stand still"
 
 
-def test_side_by_side_needs_a_recording_and_an_even_picture(model: mujoco.MjModel, tmp_path: Path) -> None:
+def test_side_by_side_needs_a_recording_and_an_even_picture(
+    model: mujoco.MjModel, tmp_path: Path
+) -> None:
     with pytest.raises(ParameterError, match="at least one recording"):
         render([], model, tmp_path / "v.mp4")
     with pytest.raises(ParameterError, match="even width"):
@@ -189,8 +248,12 @@ def trotting(model: mujoco.MjModel, seconds: float = 4.0) -> Recording:
     bare = walk(model, seconds, speed=0.1)
     first = (bare.time % 1.0) < 0.5
     force = np.stack([first, ~first, ~first, first], axis=1) * 0.7
-    feet = np.array([[0.04, -0.06, 0.0], [-0.04, -0.06, 0.0], [0.04, 0.06, 0.0], [-0.04, 0.06, 0.0]])
-    position = feet + np.pad(bare.qpos[:, None, 1:2], ((0, 0), (0, 3), (1, 1)), mode="constant")[:, :1]
+    feet = np.array(
+        [[0.04, -0.06, 0.0], [-0.04, -0.06, 0.0], [0.04, 0.06, 0.0], [-0.04, 0.06, 0.0]]
+    )
+    position = (
+        feet + np.pad(bare.qpos[:, None, 1:2], ((0, 0), (0, 3), (1, 1)), mode="constant")[:, :1]
+    )
     angle = np.sin(2 * np.pi * bare.time)[:, None] * np.ones(9)
     sensors = {"foot_force": force, "foot_position": position, "servo_angle": angle}
     return Recording(bare.time, bare.qpos, bare.qvel, angle, sensors=sensors)
@@ -198,12 +261,24 @@ def trotting(model: mujoco.MjModel, seconds: float = 4.0) -> Recording:
 
 @pytest.mark.release
 @pytest.mark.usefixtures("drawing")
-def test_the_footfall_passes_below_the_picture_in_step_with_the_time(model: mujoco.MjModel, tmp_path: Path) -> None:
+def test_the_footfall_passes_below_the_picture_in_step_with_the_time(
+    model: mujoco.MjModel, tmp_path: Path
+) -> None:
     """Left of the cursor is what was: its width says when the feet last changed."""
     recording = trotting(model)
-    path = render(recording, model, tmp_path / "w.mp4", fps=4, width=320, height=96, overlays=("gait", "support"))
+    path = render(
+        recording,
+        model,
+        tmp_path / "w.mp4",
+        fps=4,
+        width=320,
+        height=96,
+        overlays=("gait", "support"),
+    )
     frames = [np.asarray(frame).astype(int) for frame in imageio.get_reader(path)]
-    assert frames[0].shape[0] == 96 + video.Strip(recording, video.gait_panels(recording), 320).height
+    assert (
+        frames[0].shape[0] == 96 + video.Strip(recording, video.gait_panels(recording), 320).height
+    )
     room = 320 - video.MARGIN
     for i, seconds in ((1, 0.25), (8, 2.0), (11, 2.75), (16, 4.0)):
         strip = frames[i][96 + 11, video.MARGIN :]  # the row of the front left foot
@@ -244,7 +319,11 @@ PAIR = np.array([1.0, 0.0, 0.0, 1.0])
     ],
 )
 def test_the_scene_shows_polygon_and_centre_of_mass(
-    model: mujoco.MjModel, force: np.ndarray, tail: float | None, colour: tuple[float, ...], parts: int
+    model: mujoco.MjModel,
+    force: np.ndarray,
+    tail: float | None,
+    colour: tuple[float, ...],
+    parts: int,
 ) -> None:
     """Four feet are corners, two make a line, which nothing is inside of; with a tail that bears a load, a triangle."""
     recording = trotting(model, seconds=0.2)
@@ -252,7 +331,9 @@ def test_the_scene_shows_polygon_and_centre_of_mass(
     if tail is not None:
         recording.sensors["tail_force"] = np.full(len(recording.time), tail)
     scene, centre = mujoco.MjvScene(model, 100), np.array([0.002, recording.qpos[3, 1] + 0.01, 0.1])
-    draw_support(scene, recording, 3, centre, None if tail is None else np.array([0.02, 0.25, 0.004]))
+    draw_support(
+        scene, recording, 3, centre, None if tail is None else np.array([0.02, 0.25, 0.004])
+    )
     assert scene.ngeom == parts
     np.testing.assert_allclose(scene.geoms[parts - 1].rgba, colour, atol=1e-6)
     np.testing.assert_allclose(scene.geoms[parts - 1].pos, centre, atol=1e-6)
@@ -268,7 +349,10 @@ def without_gl(monkeypatch: pytest.MonkeyPatch) -> None:
     ("lacks", "remedy"),
     [
         (without_gl, "apt-get install libosmesa6"),
-        (lambda patch: patch.setitem(sys.modules, "imageio_ffmpeg", None), r"pip install imageio-ffmpeg"),
+        (
+            lambda patch: patch.setitem(sys.modules, "imageio_ffmpeg", None),
+            r"pip install imageio-ffmpeg",
+        ),
         (
             lambda patch: patch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg"),
             r"IMAGEIO_FFMPEG_EXE is '/nowhere/ffmpeg', .* or write a \.gif",
@@ -277,7 +361,11 @@ def without_gl(monkeypatch: pytest.MonkeyPatch) -> None:
     ids=["GL", "ffmpeg", "its program"],
 )
 def test_a_machine_that_lacks_something_gets_the_remedy(
-    model: mujoco.MjModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lacks: Callable, remedy: str
+    model: mujoco.MjModel,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    lacks: Callable,
+    remedy: str,
 ) -> None:
     lacks(monkeypatch)
     with pytest.raises(VideoError, match=remedy):
@@ -311,5 +399,7 @@ def test_the_order_of_imports_does_not_matter_without_a_display() -> None:
     )
     hidden = {"MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM"}
     environment = {key: value for key, value in os.environ.items() if key not in hidden}
-    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
+    )
     assert done.stdout == "(32, 48, 3)\n"

@@ -58,8 +58,12 @@ def test_the_ground_carries_the_robot(walk: Recording, motion: Motion) -> None:
     """
     total = sum(contact.force for contact in motion.contacts)
     for sample in range(50, 300, 10):
-        np.testing.assert_allclose(total[sample], posed(walk, sample).qfrc_constraint[:3], atol=1e-3)
-    assert total[50:300, 2].mean() == pytest.approx(9.81 * load_robot().model.body_mass.sum(), rel=0.1)
+        np.testing.assert_allclose(
+            total[sample], posed(walk, sample).qfrc_constraint[:3], atol=1e-3
+        )
+    assert total[50:300, 2].mean() == pytest.approx(
+        9.81 * load_robot().model.body_mass.sum(), rel=0.1
+    )
 
 
 @pytest.mark.release
@@ -70,7 +74,11 @@ def test_contact_forces_are_those_that_the_feet_felt(walk: Recording) -> None:
     steps = round((walk.time[1] - walk.time[0]) / model.opt.timestep)
     states = []
     for sample in range(20, 280):
-        data.qpos[:], data.qvel[:], data.ctrl[:] = walk.qpos[sample], walk.qvel[sample], walk.ctrl[sample + 1]
+        data.qpos[:], data.qvel[:], data.ctrl[:] = (
+            walk.qpos[sample],
+            walk.qvel[sample],
+            walk.ctrl[sample + 1],
+        )
         mujoco.mj_step(model, data, steps - 1)
         states.append((data.qpos.copy(), data.qvel.copy()))
     after = slice(21, 281)
@@ -120,9 +128,13 @@ def test_drawn_tendons_are_as_long_as_mujocos(walk: Recording, motion: Motion) -
 
 
 def test_forces_are_those_of_the_runs_own_body(walk: Recording) -> None:
-    heavy = dataclasses.replace(walk, metadata={**walk.metadata, "parameters": {"mass.front": 0.3, "frequency": 0.8}})
+    heavy = dataclasses.replace(
+        walk, metadata={**walk.metadata, "parameters": {"mass.front": 0.3, "frequency": 0.8}}
+    )
     model = recorded_model(heavy, robot_of(heavy))
-    assert model.body_mass.sum() - load_robot().model.body_mass.sum() == pytest.approx(0.3 - 0.1695, abs=1e-3)
+    assert model.body_mass.sum() - load_robot().model.body_mass.sum() == pytest.approx(
+        0.3 - 0.1695, abs=1e-3
+    )
     robot = robot_of(walk)
     assert recorded_model(walk, robot) is robot.model
 
@@ -160,7 +172,15 @@ def test_all_shapes_are_packed_with_their_colours() -> None:
     assert colours["box"] == [1, 0, 0, 1]
     np.testing.assert_allclose(colours["sphere"], [0.5, 0.25, 0.5, 1], atol=0.01)
     assert colours["capsule"] == [0, 1, 0, 0.5]
-    assert [geom["collides"] for geom in shapes["geoms"]] == [False, False, False, False, True, False, False]
+    assert [geom["collides"] for geom in shapes["geoms"]] == [
+        False,
+        False,
+        False,
+        False,
+        True,
+        False,
+        False,
+    ]
     assert shapes["meshes"][0]["vertices"]["shape"] == [4, 3]
     assert shapes["meshes"][0]["faces"]["shape"][1] == 3
 
@@ -227,7 +247,9 @@ def test_constant_and_empty_values_can_be_packed() -> None:
 
 def test_a_page_needs_nothing_else_and_is_small(walk: Recording) -> None:
     page = show(walk, walk)
-    assert not re.findall(r"(?:src|href)=[\"'](?!data:)", page.html), "something is loaded from elsewhere"
+    assert not re.findall(r"(?:src|href)=[\"'](?!data:)", page.html), (
+        "something is loaded from elsewhere"
+    )
     assert "<!--" not in page.html.replace("<!doctype", "")
     # Two walks of 3 s; one of 10 s is about as large.
     assert len(page.html) < 2.5e6
@@ -235,7 +257,9 @@ def test_a_page_needs_nothing_else_and_is_small(walk: Recording) -> None:
 
 
 def test_texts_of_a_recording_cannot_break_the_page(walk: Recording) -> None:
-    evil = dataclasses.replace(walk, metadata={**walk.metadata, "versions": {"x": "</script><script>alert(1)//"}})
+    evil = dataclasses.replace(
+        walk, metadata={**walk.metadata, "versions": {"x": "</script><script>alert(1)//"}}
+    )
     assert "</script><script>alert" not in show(evil).html
 
 
@@ -272,7 +296,10 @@ def test_an_experiments_recording_has_its_cases_name_and_figures(walk: Recording
     recording = dataclasses.replace(walk, metadata=about)
     assert title_of(recording) == "trot, 0.67 Hz, with spine"
     assert headline_of(recording) == [["speed", "79.1 mm/s"], ["profile", "exact"]]
-    assert details_of(recording)[0] == {"title": "Case", "rows": [["profile", "exact"], ["spine", "yes"]]}
+    assert details_of(recording)[0] == {
+        "title": "Case",
+        "rows": [["profile", "exact"], ["spine", "yes"]],
+    }
 
 
 def test_limbs_have_the_colours_of_all_figures() -> None:
@@ -289,7 +316,12 @@ def test_the_command_writes_a_page(walk: Recording, tmp_path: Path) -> None:
     result = call("view", path, path, "--out", out, "--no-open", "--json")
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
-    assert told == {"page": str(out), "bytes": out.stat().st_size, "samples": len(walk.time), "opened": False}
+    assert told == {
+        "page": str(out),
+        "bytes": out.stat().st_size,
+        "samples": len(walk.time),
+        "opened": False,
+    }
 
 
 @pytest.mark.release
@@ -311,11 +343,15 @@ def test_the_command_opens_a_browser_where_there_is_one(
     assert opened[0].startswith("file:///")
     assert result.stdout.startswith("wrote ")
     assert Path(opened[0].removeprefix("file://")).stat().st_mode & 0o044 == 0o044
-    assert call("view", path, "--no-open", "--quiet").stdout.startswith("wrote "), "else nobody knows where it lies"
+    assert call("view", path, "--no-open", "--quiet").stdout.startswith("wrote "), (
+        "else nobody knows where it lies"
+    )
     assert len(opened) == 1
 
 
-def test_the_command_refuses_another_scene_and_another_kind_of_file(walk: Recording, tmp_path: Path) -> None:
+def test_the_command_refuses_another_scene_and_another_kind_of_file(
+    walk: Recording, tmp_path: Path
+) -> None:
     """What is no recording of this robot is refused by all commands alike, see test_cli.py."""
     path = walk.save(tmp_path / "walk.npz")
     dataclasses.replace(walk, metadata={"setup": {"scene": "moon"}}).save(tmp_path / "moon.npz")

@@ -51,7 +51,9 @@ def tab(browser: chromium.Browser) -> Iterator[chromium.Tab]:
         assert page.nameless() == []
 
 
-def opened(tab: chromium.Tab, path: Path, width: int = 560, height: int = 420, dark: bool = False) -> chromium.Tab:
+def opened(
+    tab: chromium.Tab, path: Path, width: int = 560, height: int = 420, dark: bool = False
+) -> chromium.Tab:
     """The page, held at its beginning."""
     tab.open(path, width, height, dark)
     tab.wait(READY)
@@ -82,18 +84,33 @@ def test_the_page_has_all_it_needs_and_complains_of_nothing(tab: chromium.Tab, o
     assert "speed" in tab.evaluate("document.querySelector('.figures').textContent")
 
 
-def test_bodies_are_where_mujoco_puts_them(tab: chromium.Tab, one: Path, pair: tuple[Recording, Recording]) -> None:
+def test_bodies_are_where_mujoco_puts_them(
+    tab: chromium.Tab, one: Path, pair: tuple[Recording, Recording]
+) -> None:
     """Between samples they are between."""
     opened(tab, one)
     walk, bodies = pair[0], "viewer.stage.actors[0].robot.bodies"
     for sample in (0, 77, 150, 199):
         data = posed(walk, sample)
         tab.evaluate(f"viewer.player.seek({walk.time[sample]})")
-        for body in ("torso", "head", "spine_hip", "front_left_foot", "rear_right_foot", "rear_left_pulley"):
+        for body in (
+            "torso",
+            "head",
+            "spine_hip",
+            "front_left_foot",
+            "rear_right_foot",
+            "rear_left_pulley",
+        ):
             shown = f"{bodies}[{data.body(body).id}]"
-            place, (x, y, z, w) = tab.evaluate(f"[{shown}.position.toArray(), {shown}.quaternion.toArray()]")
-            np.testing.assert_allclose(place, data.body(body).xpos, atol=1e-4, err_msg=f"{body} at sample {sample}")
-            assert abs(np.dot([w, x, y, z], data.body(body).xquat)) == pytest.approx(1, abs=1e-7), body
+            place, (x, y, z, w) = tab.evaluate(
+                f"[{shown}.position.toArray(), {shown}.quaternion.toArray()]"
+            )
+            np.testing.assert_allclose(
+                place, data.body(body).xpos, atol=1e-4, err_msg=f"{body} at sample {sample}"
+            )
+            assert abs(np.dot([w, x, y, z], data.body(body).xquat)) == pytest.approx(1, abs=1e-7), (
+                body
+            )
     tab.evaluate(f"viewer.player.seek({walk.time[100:102].mean()})")
     places = [posed(walk, sample).body("front_right_foot").xpos for sample in (100, 101)]
     place = tab.evaluate(f"{bodies}[{data.body('front_right_foot').id}].position.toArray()")
@@ -123,13 +140,19 @@ def test_the_page_opens_in_motion(tab: chromium.Tab, one: Path) -> None:
     assert tab.evaluate("viewer.player.playing")
 
 
-def test_a_phone_cuts_no_number_and_names_both_recordings(tab: chromium.Tab, tmp_path: Path) -> None:
+def test_a_phone_cuts_no_number_and_names_both_recordings(
+    tab: chromium.Tab, tmp_path: Path
+) -> None:
     walks = Path(__file__).parents[2] / "docs" / "howto" / "terrain" / "walks" / "stairs"
     opened(tab, show(walks / "free.npz", walks / "stiff.npz").save(tmp_path / "two.html"), 390, 844)
     spans = "[...document.querySelectorAll('.figures span')]"
     assert tab.evaluate(f"{spans}.length") > 6
-    assert tab.evaluate(f"{spans}.every((each) => each.getBoundingClientRect().right <= innerWidth - 100)")
-    heads = tab.evaluate("[...document.querySelectorAll('.run h1')].map((each) => each.textContent)")
+    assert tab.evaluate(
+        f"{spans}.every((each) => each.getBoundingClientRect().right <= innerWidth - 100)"
+    )
+    heads = tab.evaluate(
+        "[...document.querySelectorAll('.run h1')].map((each) => each.textContent)"
+    )
     assert [head.partition(":")[0] for head in heads] == ["Afree", "Bstiff"]
 
 
@@ -155,7 +178,9 @@ def test_playing_goes_on_scrubbing_jumps_and_keys_step(tab: chromium.Tab, one: P
     assert tab.evaluate(time) == pytest.approx(2.0, abs=0.02)
     tab.click("#scrub", 0.5)
     assert tab.evaluate(time) == pytest.approx(1.0, abs=0.05)
-    assert tab.evaluate("document.getElementById('clock').textContent").startswith(f"{tab.evaluate(time):.2f} / 2.0")
+    assert tab.evaluate("document.getElementById('clock').textContent").startswith(
+        f"{tab.evaluate(time):.2f} / 2.0"
+    )
 
 
 def test_speed_and_loop(tab: chromium.Tab, one: Path) -> None:
@@ -184,9 +209,13 @@ def test_plots_go_with_the_time_and_a_click_seeks(tab: chromium.Tab, one: Path) 
     width = tab.evaluate("document.querySelector('[data-plot=force] .area').clientWidth")
     tab.click("[data-plot=force] .area", (40 + 0.25 * (width - 54)) / width)
     assert tab.evaluate("viewer.player.time") == pytest.approx(0.01 + 0.25 * 1.99, abs=0.02)
-    reading = tab.evaluate("document.querySelector('[data-plot=attitude] output').textContent").replace("−", "-")
+    reading = tab.evaluate(
+        "document.querySelector('[data-plot=attitude] output').textContent"
+    ).replace("−", "-")
     row = tab.evaluate("viewer.clips[0].rowAt(viewer.player.time)")
-    roll = tab.evaluate(f"viewer.clips[0].plots.find((p) => p.key === 'attitude').lines[0].values[{row}]")
+    roll = tab.evaluate(
+        f"viewer.clips[0].plots.find((p) => p.key === 'attitude').lines[0].values[{row}]"
+    )
     assert float(reading) == pytest.approx(roll, abs=0.06)
 
 
@@ -223,7 +252,9 @@ def test_keys_change_the_picture_and_change_it_back(tab: chromium.Tab, one: Path
     assert share_changed(before, stage_picture(tab)) < 0.0005
 
 
-def test_dragging_turns_and_the_camera_follows_unless_told_not_to(tab: chromium.Tab, one: Path) -> None:
+def test_dragging_turns_and_the_camera_follows_unless_told_not_to(
+    tab: chromium.Tab, one: Path
+) -> None:
     opened(tab, one)
     tab.evaluate("viewer.player.seek(0.2)")
     camera = "viewer.stage.man.camera.position.toArray()"
@@ -251,22 +282,33 @@ def test_a_dark_page_is_dark(tab: chromium.Tab, one: Path) -> None:
 # --- two recordings
 
 
-def test_two_recordings_are_shown_in_step(tab: chromium.Tab, two: Path, pair: tuple[Recording, Recording]) -> None:
+def test_two_recordings_are_shown_in_step(
+    tab: chromium.Tab, two: Path, pair: tuple[Recording, Recording]
+) -> None:
     opened(tab, two, 1000, 600)
     tab.evaluate(f"viewer.player.seek({pair[0].time[150]})")
     places = []
     for clip, walk in enumerate(pair):
         torso = posed(walk, 150).body("torso")
-        place = tab.evaluate(f"viewer.stage.actors[{clip}].robot.bodies[{torso.id}].position.toArray()")
+        place = tab.evaluate(
+            f"viewer.stage.actors[{clip}].robot.bodies[{torso.id}].position.toArray()"
+        )
         np.testing.assert_allclose(place, torso.xpos, atol=1e-4)
         places.append(place)
     assert tab.evaluate("document.querySelectorAll('#runs .mark').length") == 2
     over = stage_picture(tab)
     tab.key("b")
     shift = tab.evaluate("viewer.stage.actors[1].group.position.toArray()")
-    assert shift[1] == pytest.approx(places[0][1] - places[1][1], abs=0.02), "in the first one's place"
+    assert shift[1] == pytest.approx(places[0][1] - places[1][1], abs=0.02), (
+        "in the first one's place"
+    )
     tab.key("b")
-    assert tab.evaluate("viewer.stage.actors[1].group.position.x - viewer.stage.actors[0].group.position.x") > 0.1
+    assert (
+        tab.evaluate(
+            "viewer.stage.actors[1].group.position.x - viewer.stage.actors[0].group.position.x"
+        )
+        > 0.1
+    )
     assert share_changed(over, stage_picture(tab)) > 0.05
     assert " | " in tab.evaluate("document.querySelector('[data-plot=force] output').textContent")
     tab.key("i")
@@ -303,11 +345,17 @@ def test_help_opens_lists_the_keys_and_closes(tab: chromium.Tab, one: Path) -> N
     assert not tab.evaluate("document.getElementById('help').open")
 
 
-def test_a_frame_in_a_notebook_works(tab: chromium.Tab, pair: tuple[Recording, Recording], tmp_path: Path) -> None:
+def test_a_frame_in_a_notebook_works(
+    tab: chromium.Tab, pair: tuple[Recording, Recording], tmp_path: Path
+) -> None:
     path = tmp_path / "notebook.html"
-    path.write_text(f"<!doctype html><meta charset=utf-8><body>{show(pair[0], height=400)._repr_html_()}</body>")
+    path.write_text(
+        f"<!doctype html><meta charset=utf-8><body>{show(pair[0], height=400)._repr_html_()}</body>"
+    )
     tab.open(path, 800, 500)
-    tab.wait("document.querySelector('iframe')?.contentDocument?.documentElement?.dataset.ready === 'yes'")
+    tab.wait(
+        "document.querySelector('iframe')?.contentDocument?.documentElement?.dataset.ready === 'yes'"
+    )
     assert tab.evaluate("document.querySelector('iframe').clientHeight") == 400
     assert tab.evaluate("document.querySelector('iframe').contentWindow.viewer.stage !== null")
 
@@ -326,14 +374,19 @@ def test_a_page_of_another_model_draws_its_shapes_and_meshes(
         mujoco.mj_step(model, data)
         rows.append((data.qpos.copy(), data.qvel.copy()))
     qpos, qvel = (np.array(each) for each in zip(*rows, strict=True))
-    monkeypatch.setattr("nermo_mjx.view.clip.robot_of", lambda _: type("Robot", (), {"model": model, "config": None}))
+    monkeypatch.setattr(
+        "nermo_mjx.view.clip.robot_of",
+        lambda _: type("Robot", (), {"model": model, "config": None}),
+    )
     monkeypatch.setattr("nermo_mjx.view.clip.recorded_model", lambda *_: model)
     recording = Recording(np.arange(1, 51) * model.opt.timestep, qpos, qvel, np.zeros((50, 0)))
     opened(tab, show(recording).save(tmp_path / "mesh.html"))
     picture = stage_picture(tab)
     red = (picture[..., 0] > 90) & (picture[..., 1] < 60) & (picture[..., 2] < 60)
     assert red.mean() > 0.005
-    assert tab.evaluate("viewer.clips[0].model.fine[1].seen.attributes.position.count") == 12, "four triangles"
+    assert tab.evaluate("viewer.clips[0].model.fine[1].seen.attributes.position.count") == 12, (
+        "four triangles"
+    )
 
 
 def test_the_curved_skull_is_smooth(tab: chromium.Tab, one: Path) -> None:
@@ -370,7 +423,9 @@ def test_moving_pictures_are_coarse_and_stills_are_fine(tab: chromium.Tab, one: 
     assert tab.evaluate(f"[{triangles}, {pixels}]") == still
     orbit = "viewer.stage.look('top')"
     assert (
-        tab.evaluate(f"new Promise((done) => {{ {orbit}; requestAnimationFrame(() => done({triangles})); }})")
+        tab.evaluate(
+            f"new Promise((done) => {{ {orbit}; requestAnimationFrame(() => done({triangles})); }})"
+        )
         < still[0] / 2
     )
 
@@ -393,15 +448,21 @@ def test_the_ground_is_as_light_without_lamps_as_with_them(tab: chromium.Tab, on
     opened(tab, one)
     tab.evaluate("viewer.player.seek(1.0)")
     plain = stage_picture(tab)
-    tab.evaluate("viewer.stage.quality.still = { share: 1, plain: false, coarse: false }; viewer.player.seek(1.0)")
+    tab.evaluate(
+        "viewer.stage.quality.still = { share: 1, plain: false, coarse: false }; viewer.player.seek(1.0)"
+    )
     glossy = stage_picture(tab)
     assert np.median(np.abs(plain - glossy).max(axis=2)) <= 2
     # The shadows lie in the same places, and are as dark.
-    dark = [(picture.max(axis=2) < 200) & (picture.min(axis=2) > 120) for picture in (plain, glossy)]
+    dark = [
+        (picture.max(axis=2) < 200) & (picture.min(axis=2) > 120) for picture in (plain, glossy)
+    ]
     assert (dark[0] & dark[1]).sum() / (dark[0] | dark[1]).sum() > 0.6
 
 
-def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(program: str, one: Path) -> None:
+def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(
+    program: str, one: Path
+) -> None:
     with chromium.browser(program, webgl=False) as running, running.tab() as tab:
         opened(tab, one, 900, 600)
         assert tab.evaluate("viewer.stage") is None
@@ -411,11 +472,15 @@ def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(program:
         assert tab.evaluate("document.querySelector('[data-plot=force] output').textContent") != ""
 
 
-def test_a_page_that_may_not_start_says_so(browser: chromium.Browser, one: Path, tmp_path: Path) -> None:
+def test_a_page_that_may_not_start_says_so(
+    browser: chromium.Browser, one: Path, tmp_path: Path
+) -> None:
     """As in a frame whose host forbids scripts from data URLs."""
     rule = "<meta http-equiv='Content-Security-Policy' content=\"script-src 'unsafe-inline'\">"
     path = tmp_path / "forbidden.html"
-    path.write_text(one.read_text(encoding="utf-8").replace("</title>", f"</title>{rule}", 1), encoding="utf-8")
+    path.write_text(
+        one.read_text(encoding="utf-8").replace("</title>", f"</title>{rule}", 1), encoding="utf-8"
+    )
     with browser.tab() as tab:
         tab.open(path, 700, 400)
         tab.wait("document.getElementById('failed') && !document.getElementById('failed').hidden")

@@ -32,7 +32,9 @@ class Network:
 
     def reads(self, phase, sensors):
         w, x, y, z = sensors.orientation
-        down = jnp.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+        down = jnp.stack(
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)]
+        )
         clock = jnp.stack([jnp.cos(2.0 * jnp.pi * phase), jnp.sin(2.0 * jnp.pi * phase)])
         touch = jnp.tanh(sensors.foot_force / 0.1)
         return jnp.concatenate([0.1 * sensors.gyro, down, sensors.servo_angle[:9], touch, clock])

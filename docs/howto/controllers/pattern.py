@@ -17,10 +17,16 @@ from nermo_mjx import LIMBS, leg_servos, parameter_tree, quantity
 
 @parameter_tree
 class Parameters:
-    frequency: Any = quantity(0.8, unit="Hz", low=0.1, high=3.0, doc="intrinsic frequency of the legs")
+    frequency: Any = quantity(
+        0.8, unit="Hz", low=0.1, high=3.0, doc="intrinsic frequency of the legs"
+    )
     coupling: Any = quantity(0.5, unit="Hz", low=0.0, high=10.0, doc="w, strength between two legs")
-    feedback: Any = quantity(0.2, unit="Hz/N", low=0.0, high=5.0, doc="s, what a newton on the foot slows its leg")
-    offset: Any = quantity((0.0, 0.5, 0.5, 0.0), unit="1", low=0.0, high=1.0, labels=LIMBS, doc="o, of a leg's phase")
+    feedback: Any = quantity(
+        0.2, unit="Hz/N", low=0.0, high=5.0, doc="s, what a newton on the foot slows its leg"
+    )
+    offset: Any = quantity(
+        (0.0, 0.5, 0.5, 0.0), unit="1", low=0.0, high=1.0, labels=LIMBS, doc="o, of a leg's phase"
+    )
     reach: Any = quantity(0.05, unit="m", low=0.0, high=0.06, doc="length of a stride")
     lift: Any = quantity(0.01, unit="m", low=0.0, high=0.02, doc="height of a swing")
     bend: Any = quantity(0.2, unit="rad", low=0.0, high=0.4, doc="servo amplitude of the spine")
@@ -36,8 +42,13 @@ class PatternGenerator:
         angle = 2.0 * jnp.pi * phase
         neutral = jnp.array([[-0.005, -0.045], [-0.005, -0.045], [0.0, -0.05], [0.0, -0.05]])
         # The first half of a leg's cycle is its swing, forward (-y) and raised.
-        step = jnp.stack([0.5 * params.reach * jnp.cos(angle), params.lift * jnp.maximum(jnp.sin(angle), 0.0)], axis=-1)
-        return leg_servos(neutral + step, spine=0.5 * params.bend * (jnp.cos(angle[1]) - jnp.cos(angle[0])))
+        step = jnp.stack(
+            [0.5 * params.reach * jnp.cos(angle), params.lift * jnp.maximum(jnp.sin(angle), 0.0)],
+            axis=-1,
+        )
+        return leg_servos(
+            neutral + step, spine=0.5 * params.bend * (jnp.cos(angle[1]) - jnp.cos(angle[0]))
+        )
 
     def init(self, params, sensors, phase):
         return phase + params.offset

@@ -49,9 +49,11 @@ GAIT = {
     "pilot.grip": (0.1, 1.5),
 }
 #: The same of a spine that bends.
-BENDING = {"spine.amplitude": (0.0, 0.5), "spine.phase": (-3.14, 3.14), "turning.spine": (0.0, 1.0)} | {
-    f"spine.harmonics.{name}": (-0.3, 0.3) for name in ("cos1", "sin1", "cos3", "sin3")
-}
+BENDING = {
+    "spine.amplitude": (0.0, 0.5),
+    "spine.phase": (-3.14, 3.14),
+    "turning.spine": (0.0, 1.0),
+} | {f"spine.harmonics.{name}": (-0.3, 0.3) for name in ("cos1", "sin1", "cos3", "sin3")}
 #: Masses within 10 % of the model's, servos and spine within 20 %: the ranges of the training files.
 BODIES = {
     "mass.front": (0.1525, 0.1865),
@@ -65,7 +67,16 @@ BODIES = {
 MEASURED = ["speed", "cost_of_transport", "electrical_cost_of_transport", "cross_track_peak"]
 UNSEEN = 1  # marks the walks that choose nothing
 SLACK = {"build.spine_slack": 0.004}
-POLES = ((0, 0), (0, -0.1), (0.06, -0.35), (-0.06, -0.75), (0.06, -1.15), (-0.06, -1.55), (0.06, -1.95), (-0.06, -2.35))
+POLES = (
+    (0, 0),
+    (0, -0.1),
+    (0.06, -0.35),
+    (-0.06, -0.75),
+    (0.06, -1.15),
+    (-0.06, -1.55),
+    (0.06, -1.95),
+    (-0.06, -2.35),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,7 +117,14 @@ class Ground:
         self.places = places
         self.simulators = {
             place.scene: Simulator(
-                Setup(scene=place.scene, gait="trot", trajectory="free", spine=mode, physics="fast", **place.pilot),
+                Setup(
+                    scene=place.scene,
+                    gait="trot",
+                    trajectory="free",
+                    spine=mode,
+                    physics="fast",
+                    **place.pilot,
+                ),
                 engine="c",
             )
             for place in places
@@ -115,16 +133,24 @@ class Ground:
     def inside(self, gait: Gait) -> bool:
         """Whether the legs reach the feet's paths."""
         try:
-            next(iter(self.simulators.values())).parameters({name: np.array([value]) for name, value in gait.items()})
+            next(iter(self.simulators.values())).parameters(
+                {name: np.array([value]) for name, value in gait.items()}
+            )
         except ParameterError:
             return False
         return True
 
-    def walk(self, place: Place, gaits: list[Gait], random: np.random.Generator, run: Run) -> pd.DataFrame:
+    def walk(
+        self, place: Place, gaits: list[Gait], random: np.random.Generator, run: Run
+    ) -> pd.DataFrame:
         """A walk of each gait over each height, a row for each: gait, status, metrics, and `aside`, the largest
         distance from the path over what is allowed. All gaits have the same starts and bodies."""
         n = len(place.heights)
-        drawn = {"start.phase": (0.0, 1.0), "start.yaw": (-0.1, 0.1), "contact.friction": (0.8, 1.6)} | BODIES
+        drawn = {
+            "start.phase": (0.0, 1.0),
+            "start.yaw": (-0.1, 0.1),
+            "contact.friction": (0.8, 1.6),
+        } | BODIES
         starts = {name: random.uniform(*ends, n) for name, ends in drawn.items()}
         if None not in place.heights:
             starts["terrain.height"] = np.array(place.heights)
@@ -135,7 +161,11 @@ class Ground:
         result = self.simulators[place.scene].run({**self.body, **given, **place.values}, run)
         walks = pd.DataFrame({name: np.asarray(column) for name, column in result.metrics.items()})
         aside = walks.cross_track_peak / place.corridor
-        return walks.assign(gait=np.repeat(np.arange(len(gaits)), n), ok=np.asarray(result.status) == "ok", aside=aside)
+        return walks.assign(
+            gait=np.repeat(np.arange(len(gaits)), n),
+            ok=np.asarray(result.status) == "ok",
+            aside=aside,
+        )
 
 
 def gaits() -> pd.DataFrame:
@@ -143,7 +173,9 @@ def gaits() -> pd.DataFrame:
     return pd.read_csv(HERE / "gaits.csv", dtype={"seed": str}).set_index(["spine", "seed"])
 
 
-def scores_of(ground: Ground, tried: list[Gait], random: np.random.Generator) -> tuple[np.ndarray, str]:
+def scores_of(
+    ground: Ground, tried: list[Gait], random: np.random.Generator
+) -> tuple[np.ndarray, str]:
     """What each gait is worth [m], and how many walks of all of them passed each scene.
 
     Far enough is 0.55 m in 7 s; farther counts a fifth. A fall costs 0.6 m, and so does a way twice as wide as allowed;
@@ -154,16 +186,24 @@ def scores_of(ground: Ground, tried: list[Gait], random: np.random.Generator) ->
         walks = ground.walk(place, tried, random, Run(duration=7.0, warmup=0.5))
         distance, aside = walks.distance.fillna(0.0), walks.aside.fillna(2.0)
         energy = walks.electrical_cost_of_transport.fillna(400.0).clip(0.0, 400.0)
-        score = np.clip(distance, -0.2, 0.55) + 0.2 * np.clip(distance - 0.55, 0.0, None) - 0.0005 * energy
+        score = (
+            np.clip(distance, -0.2, 0.55)
+            + 0.2 * np.clip(distance - 0.55, 0.0, None)
+            - 0.0005 * energy
+        )
         score -= 0.6 * (~walks.ok + np.clip(aside - 1.0, 0.0, 1.0))
         scores += score.groupby(walks.gait).mean() / len(ground.places)
-        passed.append(f"{place.scene} {(walks.ok & (distance >= 0.35) & (aside <= 1.0)).mean():.0%}")
+        passed.append(
+            f"{place.scene} {(walks.ok & (distance >= 0.35) & (aside <= 1.0)).mean():.0%}"
+        )
     return np.asarray(scores), f"{scores.mean():.3f} m, {', '.join(passed)}"
 
 
 def begun(spine: str, ground: Ground, random: np.random.Generator) -> Gait:
     """The gait that a search begins with; that of the free spine bends at the phase that serves it best."""
-    known = gaits().loc["stiff" if spine == "free" else spine, "begin"].dropna().to_dict() | {"frequency": FREQUENCY}
+    known = gaits().loc["stiff" if spine == "free" else spine, "begin"].dropna().to_dict() | {
+        "frequency": FREQUENCY
+    }
     if spine != "free":
         return known
     bend = dict.fromkeys(BENDING, 0.0) | {"spine.amplitude": 0.1, "turning.spine": 0.3}
@@ -174,7 +214,13 @@ def begun(spine: str, ground: Ground, random: np.random.Generator) -> Gait:
     return tried[int(np.argmax(scores))]
 
 
-def search(spine: str, ground: Ground, seed: int, generations: int = GENERATIONS, population: int = POPULATION) -> Gait:
+def search(
+    spine: str,
+    ground: Ground,
+    seed: int,
+    generations: int = GENERATIONS,
+    population: int = POPULATION,
+) -> Gait:
     """The gait that is found, parameter -> value."""
     random = np.random.default_rng(seed)
     begin = begun(spine, ground, random)
@@ -185,7 +231,9 @@ def search(spine: str, ground: Ground, seed: int, generations: int = GENERATIONS
     strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.02, 0.98), 0.03, options)
 
     def gait_of(point: Any) -> Gait:
-        return begin | dict(zip(space, (low + np.asarray(point) * (high - low)).tolist(), strict=True))
+        return begin | dict(
+            zip(space, (low + np.asarray(point) * (high - low)).tolist(), strict=True)
+        )
 
     for generation in range(generations):
         points: list[np.ndarray] = []
@@ -204,7 +252,12 @@ def measured(ground: Ground, gait: Gait, seed: int) -> pd.DataFrame:
     for i, place in enumerate(ground.places):
         heights = (None if None in place.heights else 0.01,) * len(place.heights) * POPULATION
         random = np.random.default_rng([seed, i, UNSEEN])
-        walks = ground.walk(dataclasses.replace(place, heights=heights), [gait], random, Run(duration=10.0, warmup=1.0))
+        walks = ground.walk(
+            dataclasses.replace(place, heights=heights),
+            [gait],
+            random,
+            Run(duration=10.0, warmup=1.0),
+        )
         passed = walks.ok & (walks.distance >= 0.5) & (walks.aside <= 1.0)
         counts = {"walks": len(walks), "successes": passed.sum(), "falls": (~walks.ok).sum()}
         rows.append({"scene": place.scene} | counts | walks[MEASURED].median().to_dict())
@@ -226,7 +279,9 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
     above the others, with half of the 95 % interval: Student's t over the seeds, whose walks have the same bodies."""
     table = table[table.seed.str.isdigit()].assign(success=table.successes / table.walks)
     table = table.drop(columns=["walks", "successes"])
-    every = table.groupby(["spine", "seed"], as_index=False).mean(numeric_only=True).assign(scene="all")
+    every = (
+        table.groupby(["spine", "seed"], as_index=False).mean(numeric_only=True).assign(scene="all")
+    )
     seeds = pd.concat([table, every]).set_index(["scene", "seed", "spine"]).unstack("spine")
     rows = {}
     for name in ("success", *MEASURED):

@@ -53,7 +53,9 @@ def recorded(ground: Ground, spine: str, seed: str, folder: Path) -> list[Path]:
     for place in PLACES:
         values = {**gait, **place.values, "contact.friction": 1.2}
         values |= {} if None in place.heights else {"terrain.height": 0.01}
-        result = ground.simulators[place.scene].run(values, Run(duration=10.0, warmup=1.0), record=True)
+        result = ground.simulators[place.scene].run(
+            values, Run(duration=10.0, warmup=1.0), record=True
+        )
         speed, aside = (float(result.metrics[name][0]) for name in ("speed", "cross_track_peak"))
         outcome = f"{result.status[0]}, {1000 * speed:.0f} mm/s, {1000 * aside:.0f} mm aside"
         print(f"{spine} {seed} on {place.scene}: {outcome}", flush=True)
@@ -69,14 +71,19 @@ def rendered(files: list[Path], out: Path) -> None:
 
 if __name__ == "__main__":
     bent, straight = Ground("free"), Ground("stiff")
-    beside = [recorded(bent if spine == "free" else straight, spine, SHOWN, HERE / "walks") for spine in SPINES]
+    beside = [
+        recorded(bent if spine == "free" else straight, spine, SHOWN, HERE / "walks")
+        for spine in SPINES
+    ]
     with tempfile.TemporaryDirectory() as folder:
         for files in zip(*beside, strict=True):
             name, film = files[0].parent.name, Path(folder, "beside.gif")
             rendered(list(files), film)
             frames, durations = pictures.read_film(film)
             if name == FILM:
-                pictures.write_film(frames, durations, IMAGES / "spines" / f"{name}.webp", width=456)
+                pictures.write_film(
+                    frames, durations, IMAGES / "spines" / f"{name}.webp", width=456
+                )
             else:
                 pictures.write_picture(frames[len(frames) // 2], IMAGES / "spines" / f"{name}.webp")
         films = []

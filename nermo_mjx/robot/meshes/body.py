@@ -104,8 +104,12 @@ def upper(leg: LegGeometry, stout: float) -> Shape:
 def lower(leg: LegGeometry, stout: float) -> Shape:
     """From the knee to the ankle: a tongue between the cheeks above, a fork below; the tendon is tied to a lug."""
     length, tie, side = MM * leg.l3, MM * leg.l2, leg.knee_direction
-    tongue = plate(strut((0.0, 0.0), (0.0, 5.0 - length), 2.2 * stout, 1.5 * stout), -TONGUE, TONGUE)
-    fork = plate(strut((0.0, 4.8 - length), (0.0, -length), 1.4 * stout, 1.7 * stout), 1.0, 2.1, 0.25)
+    tongue = plate(
+        strut((0.0, 0.0), (0.0, 5.0 - length), 2.2 * stout, 1.5 * stout), -TONGUE, TONGUE
+    )
+    fork = plate(
+        strut((0.0, 4.8 - length), (0.0, -length), 1.4 * stout, 1.7 * stout), 1.0, 2.1, 0.25
+    )
     yoke = block((-2.1, -1.35 * stout, 3.6 - length), (2.1, 1.35 * stout, 5.8 - length), 0.4)
     lug = plate(strut((0.0, 0.6 - tie), (1.6 * side, -tie), 1.3, 0.8), -TONGUE + 0.3, TONGUE - 0.3)
     return join(tongue, fork, fork.mirrored(), yoke, lug)
@@ -125,7 +129,9 @@ def foot(leg: LegGeometry, stout: float) -> Shape:
     for z, depth, width in stations:
         section = superellipse(width, 0.9 * depth * stout, 3.0, 10)
         rings.append(np.column_stack([section, np.full(10, z)]))
-    knuckle = turned_part([(-0.95, 1.5 * stout), (-0.75, 1.7 * stout), (0.75, 1.7 * stout), (0.95, 1.5 * stout)], 14)
+    knuckle = turned_part(
+        [(-0.95, 1.5 * stout), (-0.75, 1.7 * stout), (0.75, 1.7 * stout), (0.95, 1.5 * stout)], 14
+    )
     return join(loft(rings), knuckle)
 
 
@@ -158,8 +164,18 @@ BEHIND: Final = 13.0
 
 
 #: The bar toward the spine, and the rump: y, middle z, half-width, half-height [mm].
-NECK: Final = ((0.5, 0.6, 4.0, 3.4), (3.0, -2.2, 5.0, 2.4), (7.0, -4.2, 7.0, 1.8), (11.0, -4.4, 8.0, 1.6))
-RUMP: Final = ((20.0, -9.4, 11.0, 6.6), (25.0, -8.6, 10.0, 6.0), (29.5, -7.0, 7.0, 4.6), (32.0, -5.8, 3.6, 2.6))
+NECK: Final = (
+    (0.5, 0.6, 4.0, 3.4),
+    (3.0, -2.2, 5.0, 2.4),
+    (7.0, -4.2, 7.0, 1.8),
+    (11.0, -4.4, 8.0, 1.6),
+)
+RUMP: Final = (
+    (20.0, -9.4, 11.0, 6.6),
+    (25.0, -8.6, 10.0, 6.0),
+    (29.5, -7.0, 7.0, 4.6),
+    (32.0, -5.8, 3.6, 2.6),
+)
 
 
 def hip_shapes(geometry: Geometry) -> dict[str, Shape]:
@@ -216,7 +232,9 @@ def spine_shapes(geometry: Geometry) -> dict[str, Shape]:
 
 def end_disc() -> Shape:
     """The disc from which the tendons come: an oval with an eyelet on each side, from x = -EXIT - 1.5 to -EXIT."""
-    oval = turned_part([(-EXIT - 1.5, 0.9), (-EXIT - 1.2, 1.0), (-EXIT - 0.3, 1.0), (-EXIT, 0.9)], 12)
+    oval = turned_part(
+        [(-EXIT - 1.5, 0.9), (-EXIT - 1.2, 1.0), (-EXIT - 0.3, 1.0), (-EXIT, 0.9)], 12
+    )
     oval = Shape(oval.vertices * [1.0, BESIDE + 0.4, HEIGHT], oval.faces)
     eyelet = turned_part([(-EXIT - 1.8, 1.25), (-EXIT + 0.15, 1.25)], 6)
     return join(oval, eyelet.moved(y=BESIDE), eyelet.moved(y=-BESIDE))
@@ -227,7 +245,10 @@ def vertebra(after: Float[np.ndarray, "4 4"]) -> Shape:
     front = end_disc().turned("z", np.pi)
     rear = end_disc().transformed(after[:3, :3], after[:3, 3])
     return join(
-        front, rear, waisted(pose_along(np.eye(4), EXIT), after @ pose_along(np.eye(4), -EXIT)), _process(after)
+        front,
+        rear,
+        waisted(pose_along(np.eye(4), EXIT), after @ pose_along(np.eye(4), -EXIT)),
+        _process(after),
     )
 
 
@@ -261,9 +282,15 @@ def _process(after: np.ndarray) -> Shape:
     """The fin on a vertebra's back, leaning to the rear."""
     middle = after[:3, 3] / 2
     rings = []
-    for height, reach, width, lean in ((2.0, 3.4, 1.5, 0.0), (HEIGHT, 2.4, 1.1, 0.6), (HEIGHT + 2.6, 1.2, 0.7, 1.9)):
+    for height, reach, width, lean in (
+        (2.0, 3.4, 1.5, 0.0),
+        (HEIGHT, 2.4, 1.1, 0.6),
+        (HEIGHT + 2.6, 1.2, 0.7, 1.9),
+    ):
         section = rounded_rectangle(reach, width, 0.5)
-        rings.append(middle + np.column_stack([section[:, 0] + lean, section[:, 1], np.full(8, height)]))
+        rings.append(
+            middle + np.column_stack([section[:, 0] + lean, section[:, 1], np.full(8, height)])
+        )
     return loft(rings)
 
 
@@ -317,9 +344,15 @@ def torso_frame(geometry: Geometry) -> Shape:
 def crest(y: float) -> Shape:
     """A fin on the back beam, where a rib is clamped."""
     rings = []
-    for up, reach, width, lean in ((0.5, 2.6, 2.0, 0.0), (2.6, 2.0, 1.4, 0.5), (4.4, 1.0, 0.8, 1.6)):
+    for up, reach, width, lean in (
+        (0.5, 2.6, 2.0, 0.0),
+        (2.6, 2.0, 1.4, 0.5),
+        (4.4, 1.0, 0.8, 1.6),
+    ):
         section = rounded_rectangle(width, reach, 0.5)
-        rings.append(np.column_stack([section[:, 0], section[:, 1] + y + lean, np.full(8, back(y) + up)]))
+        rings.append(
+            np.column_stack([section[:, 0], section[:, 1] + y + lean, np.full(8, back(y) + up)])
+        )
     return loft(rings)
 
 
@@ -338,9 +371,19 @@ def shoulder_bracket(geometry: Geometry) -> list[Shape]:
     core = block((-13.6, low, z - w - 1.0), (13.6, high, upper + w + 1.0), 1.0)
     post = block((-5.6, low - 1.5, upper + w - 1.0), (5.6, high, back(-60.0) + 1.0), 1.0)
     # The neck's servo stands upright before the bracket; its clamp reaches around it.
-    clamp = block((-7.0, TORSO_NECK[1] - 8.0, TORSO_NECK[2] - 17.0), (7.0, low + 2.0, TORSO_NECK[2] - 8.5), 1.2)
+    clamp = block(
+        (-7.0, TORSO_NECK[1] - 8.0, TORSO_NECK[2] - 17.0),
+        (7.0, low + 2.0, TORSO_NECK[2] - 8.5),
+        1.2,
+    )
     collar = turned_part([(-2.2, 7.2), (-1.7, 7.6), (-0.5, 7.6), (0.0, 7.0)], 18)
-    return [*plates, core, post, clamp, Shape(collar.vertices[:, [1, 2, 0]] + TORSO_NECK, collar.faces)]
+    return [
+        *plates,
+        core,
+        post,
+        clamp,
+        Shape(collar.vertices[:, [1, 2, 0]] + TORSO_NECK, collar.faces),
+    ]
 
 
 # ---
@@ -363,7 +406,10 @@ def redraw(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     # The spine's are attached with its name as prefix.
     drawn = {
         **shapes(geometry),
-        **{f"spine_{name.removeprefix('spine_')}": shape for name, shape in spine_shapes(geometry).items()},
+        **{
+            f"spine_{name.removeprefix('spine_')}": shape
+            for name, shape in spine_shapes(geometry).items()
+        },
     }
     for mesh in spec.meshes:
         # Both sides share one file; the right side is mirrored by its scale.

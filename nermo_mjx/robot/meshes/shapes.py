@@ -63,7 +63,9 @@ def join(*shapes: Shape) -> Shape:
     offsets = np.cumsum([0, *(len(shape.vertices) for shape in shapes[:-1])])
     return Shape(
         np.concatenate([shape.vertices for shape in shapes]),
-        np.concatenate([shape.faces + offset for shape, offset in zip(shapes, offsets, strict=True)]),
+        np.concatenate(
+            [shape.faces + offset for shape, offset in zip(shapes, offsets, strict=True)]
+        ),
     )
 
 
@@ -81,7 +83,9 @@ def loft(rings: Sequence[Any] | np.ndarray, ring_closed: bool = False) -> Shape:
     vertices = points.reshape(-1, 3)
     if not ring_closed:
         tips = np.stack([points[0].mean(axis=0), points[-1].mean(axis=0)])
-        for tip, ring in zip((count * size, count * size + 1), (index[0][::-1], index[-1]), strict=True):
+        for tip, ring in zip(
+            (count * size, count * size + 1), (index[0][::-1], index[-1]), strict=True
+        ):
             faces.append(np.stack([np.full(size, tip), ring, np.roll(ring, -1)], axis=1))
         vertices = np.concatenate([vertices, tips])
     return _outward(Shape(vertices, np.concatenate(faces)))
@@ -91,7 +95,16 @@ def rounded_rectangle(width: float, height: float, corner: float) -> Float[np.nd
     """Rectangle of half-width and half-height with cut corners, around the origin."""
     w, h, c = width, height, min(corner, 0.95 * width, 0.95 * height)
     return np.array(
-        [[w, -h + c], [w, h - c], [w - c, h], [-w + c, h], [-w, h - c], [-w, -h + c], [-w + c, -h], [w - c, -h]]
+        [
+            [w, -h + c],
+            [w, h - c],
+            [w - c, h],
+            [-w + c, h],
+            [-w, h - c],
+            [-w, -h + c],
+            [-w + c, -h],
+            [w - c, -h],
+        ]
     )
 
 
@@ -100,7 +113,11 @@ def superellipse(width: float, height: float, power: float, sides: int) -> Float
     t = 2 * np.pi * np.arange(sides) / sides
     c, s = np.cos(t), np.sin(t)
     return np.stack(
-        [width * np.sign(c) * np.abs(c) ** (2 / power), height * np.sign(s) * np.abs(s) ** (2 / power)], axis=1
+        [
+            width * np.sign(c) * np.abs(c) ** (2 / power),
+            height * np.sign(s) * np.abs(s) ** (2 / power),
+        ],
+        axis=1,
     )
 
 
@@ -128,12 +145,23 @@ def frame_plate(outline: Any, window: Any, low: float, high: float, chamfer: flo
     """A plate as `plate` makes it, with a window; the points of the two outlines (N, 2) correspond [mm]."""
     outer, inner = np.asarray(outline, float), np.asarray(window, float)
     edge = _inset(outer, chamfer)
-    levels = ((low, inner), (low, edge), (low + chamfer, outer), (high - chamfer, outer), (high, edge), (high, inner))
-    rings = np.stack([np.column_stack([np.full(len(outer), x), points]) for x, points in levels], axis=1)
+    levels = (
+        (low, inner),
+        (low, edge),
+        (low + chamfer, outer),
+        (high - chamfer, outer),
+        (high, edge),
+        (high, inner),
+    )
+    rings = np.stack(
+        [np.column_stack([np.full(len(outer), x), points]) for x, points in levels], axis=1
+    )
     return loft(rings, ring_closed=True)
 
 
-def strut(start: tuple[float, float], end: tuple[float, float], r0: float, r1: float, sides: int = 6) -> np.ndarray:
+def strut(
+    start: tuple[float, float], end: tuple[float, float], r0: float, r1: float, sides: int = 6
+) -> np.ndarray:
     """Outline of a link: a circle of radius r0 at `start` and of r1 at `end`, and their tangents; (2 sides, 2) [mm]."""
     p, q = np.asarray(start, float), np.asarray(end, float)
     along = np.arctan2(*(q - p)[::-1])
@@ -159,7 +187,13 @@ def turned_part(profile: Any, sides: int = 20) -> Shape:
     return loft([[x, 0.0, 0.0] + radius * circle for x, radius in np.asarray(profile, float)])
 
 
-def tube(path: Any, radii: Any, sides: int = 6, up: Sequence[float] = (0.0, 1.0, 0.0), closed: bool = False) -> Shape:
+def tube(
+    path: Any,
+    radii: Any,
+    sides: int = 6,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    closed: bool = False,
+) -> Shape:
     """An elliptic tube along a path (N, 3) [mm].
 
     Args:
@@ -195,7 +229,11 @@ def _inset(outline: np.ndarray, distance: float) -> np.ndarray:
 def _outward(shape: Shape) -> Shape:
     """The shape with its faces turned so that they enclose a positive volume."""
     a, b, c = (shape.vertices[shape.faces[:, i]] - shape.vertices.mean(axis=0) for i in range(3))
-    return shape if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else Shape(shape.vertices, shape.faces[:, ::-1])
+    return (
+        shape
+        if np.einsum("ij,ij->", a, np.cross(b, c)) > 0
+        else Shape(shape.vertices, shape.faces[:, ::-1])
+    )
 
 
 # ---
@@ -224,7 +262,9 @@ def creased(shape: Shape, angle: float = CREASE) -> Shape:
         for group in _smooth_groups(vertex, faces, shape.faces, normal, np.cos(angle)):
             owner.update(((face, vertex), len(vertices)) for face in group)
             vertices.append(shape.vertices[vertex])
-    split = [[owner[face, vertex] for vertex in shape.faces[face].tolist()] for face in kept.tolist()]
+    split = [
+        [owner[face, vertex] for vertex in shape.faces[face].tolist()] for face in kept.tolist()
+    ]
     return Shape(np.array(vertices), np.array(split))
 
 
@@ -239,7 +279,10 @@ def _smooth_groups(
             if shared and normal[one] @ normal[other] > limit and group[one] is not group[other]:
                 union = group[one] | group[other]
                 group.update((member, union) for member in union)
-    return [list(members) for members in {id(members): sorted(members) for members in group.values()}.values()]
+    return [
+        list(members)
+        for members in {id(members): sorted(members) for members in group.values()}.values()
+    ]
 
 
 # ---
