@@ -125,7 +125,8 @@ class RayWorkers:
         if not self.address and ray._private.ray_constants.ENABLE_RAY_CLUSTER:
             raise WorkersLost(
                 "Ray was imported before this job without RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER=0, so that the"
-                " cluster of this machine would listen to other machines: set this environment variable before `import ray`."
+                " cluster of this machine would listen to other machines: set this environment variable"
+                " before `import ray`."
             )
         # Ray lets SIGTERM end the process at once; a writer must finish what is half done first.
         main = threading.current_thread() is threading.main_thread()
