@@ -7,9 +7,11 @@ notebook, so that a test finds outputs of other code.
 
 from __future__ import annotations
 
+import ast
 import base64
 import hashlib
 import io
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -31,9 +33,13 @@ FILM = "*One frame of the film. Run this cell to see the film, or watch [a simil
 
 
 def code_digest(notebook: Any) -> str:
-    """Names the code of a notebook, without its text and the first cell, which installs the package."""
-    code = "\0".join([cell.source for cell in notebook.cells if cell.cell_type == "code"][1:])
-    return hashlib.sha256(code.encode()).hexdigest()[:16]
+    """Names the code of a notebook, without its layout, its text and the first cell, which installs the package."""
+    cells = [cell.source for cell in notebook.cells if cell.cell_type == "code"][1:]
+    trees = [
+        ast.dump(ast.parse(re.sub(r"(?m)^(\s*)([!%].*)$", r"\1r\"\"\"\2\"\"\"", code)))
+        for code in cells
+    ]
+    return hashlib.sha256("\0".join(trees).encode()).hexdigest()[:16]
 
 
 def shrink(notebook: Any) -> None:
