@@ -193,13 +193,13 @@ class Controller:
         """State at the start, from the readings at rest: every leg is on its nominal path at `phase` of the gait cycle,
         taken modulo 1, so that the robot starts in its gait's posture."""
         state = self._start(params, phase)
-        after = dataclasses.replace(
+        initial = dataclasses.replace(
             state,
             pilot=self.pilot.init(params, state.pilot, sensors, self._walk(params, state)),
             head=self.head.init(params, state.head, sensors),
             tail=self.tail.init(params, state.tail, sensors),
         )
-        return with_dtypes_of(state, after)
+        return with_dtypes_of(state, initial)
 
     def initial_servo(self, params: ControlParameters, phase: Scalar | float = 0.0) -> ServoAngles:
         """Servo angles of the state that `init` returns, from which the start pose is built."""
@@ -210,12 +210,12 @@ class Controller:
     ) -> tuple[ControllerState, ServoAngles]:
         """One control tick: the state and the servo angles `dt` later."""
         walk = self._walk(params, state)
-        decided, held = (
+        decided, held_commands = (
             self.pilot.update(params, state.pilot, sensors, walk),
             (state.pilot, state.drive),
         )
         memory, drive = jax.tree.map(
-            lambda now, before: jnp.where(walk.due, now, before), decided, held
+            lambda now, previous: jnp.where(walk.due, now, previous), decided, held_commands
         )
         gait, path = self.gait.update(params, state.gait, state.drive, drive, self.dt)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
@@ -232,7 +232,7 @@ class Controller:
         tail, tail_angle = self.tail.update(params, state.tail, sensors, pace, self.dt)
 
         tick = state.tick + 1
-        after = ControllerState(
+        following = ControllerState(
             tick,
             tick * self.dt,
             memory,
@@ -246,8 +246,8 @@ class Controller:
             tail_angle,
             vertical,
         )
-        after = with_dtypes_of(state, after)
-        return after, self.servo_angles(params, after)
+        following = with_dtypes_of(state, following)
+        return following, self.servo_angles(params, following)
 
     def servo_angles(self, params: ControlParameters, state: ControllerState) -> ServoAngles:
         """Servo angles for the commanded feet, spine, head and tail."""
@@ -388,11 +388,11 @@ def named_pilot(
     """A pilot by its name; the arguments are those of `published_controller`."""
     choice("pilot", name, get_args(pilot.PilotName))
     owned = ("command", command, "external", "one"), ("waypoints", waypoints, WAYPOINTS, "them")
-    for field, given, owner, what in owned:
-        if (name == owner) != (given is not None):
-            state = "missing" if given is None else "given"
+    for field, value, owner, description in owned:
+        if (name == owner) != (value is not None):
+            state = "missing" if value is None else "given"
             raise ParameterError(
-                f"{field} is {state}: the pilot {owner!r}, and no other, takes {what} (pilot is {name!r})."
+                f"{field} is {state}: the pilot {owner!r}, and no other, takes {description} (pilot is {name!r})."
             )
     if waypoints is not None:
         return Follow(_course_through(tuple(tuple(map(float, point)) for point in waypoints)))
@@ -441,14 +441,14 @@ def control_parameters(
         ParameterError: an unknown name, a number out of range, or a stride outside the legs' workspace.
     """
     start = ControlParameters(geometry=Geometry() if names_geometry(values) else None)
-    known = dict(quantities(start))
+    allowed = dict(quantities(start))
     for name, value in values.items():
-        known[choice("parameter", name, known)].check(name, value)
-    named = published_values(gait, steering=steering, profile=profile) | with_gait_factor(
+        allowed[choice("parameter", name, allowed)].check(name, value)
+    presets = published_values(gait, steering=steering, profile=profile) | with_gait_factor(
         {name: np.asarray(value, float) for name, value in values.items()}
     )
     params = replace_quantities(
-        start, {name: np.asarray(value, float) for name, value in named.items()}
+        start, {name: np.asarray(value, float) for name, value in presets.items()}
     )
     check_workspace(params, routing=routing)
     return params
@@ -482,8 +482,8 @@ def check_workspace(params: ControlParameters, *, routing: str = "type3") -> Non
     if reached.all():
         return
     row, limb = np.argwhere(~reached)[0]
-    one = jax.tree.map(lambda leaf: leaf[row], paths)
-    raise ParameterError(_sentence(one, params, int(limb), routing))
+    path = jax.tree.map(lambda leaf: leaf[row], paths)
+    raise ParameterError(_sentence(path, params, int(limb), routing))
 
 
 class _Paths(NamedTuple):
@@ -499,9 +499,9 @@ def _reachable(paths: _Paths, routing: str) -> Bool[Array, "batch 4"]:
     """Whether each limb's nominal stance and swing paths lie in its workspace."""
     stance, geometry, stride = paths
     progress = jnp.linspace(0.0, 1.0, _PATH_POINTS)[:, None, None]
-    each = jnp.broadcast_to(stride[:, None], (stride.size, len(LIMBS)))
+    strides = jnp.broadcast_to(stride[:, None], (stride.size, len(LIMBS)))
     down = jnp.asarray([True, False])[:, None, None]
-    points = trajectory.nominal_points(stance, jnp.broadcast_to(down, (2, *each.shape)), each)
+    points = trajectory.nominal_points(stance, jnp.broadcast_to(down, (2, *strides.shape)), strides)
     path = trajectory.foot_position(points[:, None], progress)
     return jnp.all(inverse_kinematics(four_legs(geometry), path, routing).reachable, axis=(0, 1))
 
@@ -513,12 +513,12 @@ def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str)
     strides = np.linspace(0.0, stride, _STRIDE_STEPS)
     batch = jax.tree.map(lambda leaf: np.full(_STRIDE_STEPS, leaf), paths)._replace(stride=strides)
     reached = np.asarray(_reachable(batch, routing))[:, limb]
-    own, published = (
-        dict(values_of(getattr(each, f"{axle}_leg"))) for each in (paths.geometry, Geometry())
+    actual, published = (
+        dict(values_of(getattr(source, f"{axle}_leg"))) for source in (paths.geometry, Geometry())
     )
     changed = [
         f"geometry.{axle}_leg.{link} {float(length):g} m"
-        for link, length in own.items()
+        for link, length in actual.items()
         if abs(float(length) - float(published[link])) > 1e-9
     ]
     links = f", with {' and '.join(changed)}" if changed else ""
@@ -535,12 +535,12 @@ def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str)
     longest = strides[np.argmin(reached) - 1]
     scale = float(stance.max_stride)
     varied = np.any(np.asarray(params.gait.stride) != 1.0) and scale > 0.0
-    name, value, most, unit = (
+    name, value, limit, unit = (
         ("stride", stride / scale, longest / scale, "")
         if varied
         else ("stance.max_stride", stride, longest, " m")
     )
     return (
         f"{name} is {value:g}{unit}: with stance.{axle}_z {height:g} m the {axle} feet reach a stride of "
-        f"{longest:.3f} m{links}, so allowed is [0, {most:.3f}]{unit}."
+        f"{longest:.3f} m{links}, so allowed is [0, {limit:.3f}]{unit}."
     )

@@ -140,13 +140,13 @@ class Appendage(AppendageLike[Angles]):
     def update(
         self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float
     ) -> tuple[Any, Angles]:
-        own = getattr(params, self.group)
+        group = getattr(params, self.group)
         if self.on_course:
             memory = observe_course(
-                memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params)
+                memory, sensors, group.bandwidth * pace.cycle_rate, dt, geometry_of(params)
             )
-        return memory, self.held(own, pace) if self.moving is None else self.moving(
-            own, pace, sensors, memory
+        return memory, self.held(group, pace) if self.moving is None else self.moving(
+            group, pace, sensors, memory
         )
 
 
@@ -191,12 +191,15 @@ def gaze(head: Head, pace: Pace, sensors: Sensors, course: CourseEstimate) -> He
     heading, down = course.heading + offset.neck, offset.tilt
     level = jnp.cos(down)
     direction = jnp.stack([level * jnp.sin(heading), -level * jnp.cos(heading), -jnp.sin(down)])
-    seen = turned_back(sensors.orientation, direction)
-    seen = seen + head.lead * jnp.cross(seen, sensors.gyro)
-    level = jnp.sqrt(seen[0] ** 2 + seen[1] ** 2 + 1e-12)
-    wanted = HeadAngles(jnp.arctan2(seen[0], -seen[1]), jnp.arctan2(-seen[2], level))
+    target_direction = turned_back(sensors.orientation, direction)
+    target_direction = target_direction + head.lead * jnp.cross(target_direction, sensors.gyro)
+    level = jnp.sqrt(target_direction[0] ** 2 + target_direction[1] ** 2 + 1e-12)
+    target = HeadAngles(
+        jnp.arctan2(target_direction[0], -target_direction[1]),
+        jnp.arctan2(-target_direction[2], level),
+    )
     return HeadAngles(
-        *(own + head.gain * (to - own) for own, to in zip(offset, wanted, strict=True))
+        *(angle + head.gain * (to - angle) for angle, to in zip(offset, target, strict=True))
     )
 
 
@@ -290,7 +293,8 @@ class SeveralTails(AppendageLike[Scalars]):
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
         return tuple(
-            part.init(params, own, sensors) for part, own in zip(self.parts, memory, strict=True)
+            part.init(params, tail_memory, sensors)
+            for part, tail_memory in zip(self.parts, memory, strict=True)
         )
 
     def update(
@@ -298,7 +302,9 @@ class SeveralTails(AppendageLike[Scalars]):
     ) -> tuple[Any, Scalars]:
         parts = zip(self.parts, memory, strict=True)
         return self._sum(
-            params, pace, [part.update(params, own, sensors, pace, dt) for part, own in parts]
+            params,
+            pace,
+            [part.update(params, tail_memory, sensors, pace, dt) for part, tail_memory in parts],
         )
 
     def _sum(

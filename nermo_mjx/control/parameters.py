@@ -283,9 +283,9 @@ def with_geometry(params: Any) -> Any:
         return dataclasses.replace(params, geometry=params.geometry or Geometry())
     if not dataclasses.is_dataclass(params) or isinstance(params, type):
         return params
-    own = {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
+    values = {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
     changed = {
-        name: new for name, value in own.items() if (new := with_geometry(value)) is not value
+        name: new for name, value in values.items() if (new := with_geometry(value)) is not value
     }
     return dataclasses.replace(params, **changed) if changed else params
 
@@ -318,8 +318,8 @@ def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING) -> float:
         rate: of his loop [Hz].
         closed: g, in [0, 1/4].
     """
-    left = 0.5 * (1.0 + math.sqrt(1.0 - 4.0 * closed))
-    return 1.0 - left ** (rate / PUBLISHED_RATE)
+    remainder = 0.5 * (1.0 + math.sqrt(1.0 - 4.0 * closed))
+    return 1.0 - remainder ** (rate / PUBLISHED_RATE)
 
 
 #: The published simulation: what the author's repository (a-rohr/mouse_controller) held while he tested, at every

@@ -142,16 +142,18 @@ def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: floa
         CubicSpline,
     )  # the import takes a second, which only walks with a course need
 
-    way = _checked(points, spacing)
-    chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    waypoints = _checked(points, spacing)
+    chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1))])
     if chords[-1] > MOST_SAMPLES * spacing:
         raise ParameterError(
             f"The course is {chords[-1]:g} m long: allowed are {MOST_SAMPLES * spacing:g} m."
         )
-    curve = CubicSpline(chords, way, bc_type="natural")
+    curve = CubicSpline(chords, waypoints, bc_type="natural")
 
     # Arc length on a grid whose polygon is shorter than the curve by less than a micrometre per metre.
-    fine = np.linspace(0.0, chords[-1], 1 + 20 * max(int(np.ceil(chords[-1] / spacing)), len(way)))
+    fine = np.linspace(
+        0.0, chords[-1], 1 + 20 * max(int(np.ceil(chords[-1] / spacing)), len(waypoints))
+    )
     pieces = np.diff(curve(fine), axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(pieces, axis=1))])
     # Turns between pieces instead of the curvature's formula, which is 0 / 0 where a course reverses.
@@ -163,8 +165,8 @@ def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: floa
         )
 
     steps = max(round(arc[-1] / spacing), 1)
-    at = np.interp(np.linspace(0.0, arc[-1], steps + 1), arc, fine)
-    (x, y), (dx, dy), (ddx, ddy) = curve(at).T, curve(at, 1).T, curve(at, 2).T
+    nodes = np.interp(np.linspace(0.0, arc[-1], steps + 1), arc, fine)
+    (x, y), (dx, dy), (ddx, ddy) = curve(nodes).T, curve(nodes, 1).T, curve(nodes, 2).T
     curvature = (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
     columns = (x, y, np.unwrap(np.arctan2(dy, dx)), curvature)
     x, y, heading, curvature = (tuple(column.tolist()) for column in columns)
@@ -189,20 +191,20 @@ def locate(course: Course, progress: Scalars, position: Spatial) -> PathPoint:
     nodes = table[first[..., None] + jnp.arange(window + 1)]
 
     # The nearest point of each segment in the window, as its share `along` of the segment, then the nearest of these.
-    place = jnp.clip(position[..., :2], -1e6, 1e6)
+    position_xy = jnp.clip(position[..., :2], -1e6, 1e6)
     start, chord = nodes[..., :-1, :2], nodes[..., 1:, :2] - nodes[..., :-1, :2]
-    offset = place[..., None, :] - start
+    offset = position_xy[..., None, :] - start
     along = jnp.clip(jnp.sum(offset * chord, axis=-1) / jnp.sum(chord**2, axis=-1), 0.0, 1.0)
     distance = jnp.sum((offset - along[..., None] * chord) ** 2, axis=-1)
     nearest = jnp.argmin(distance, axis=-1)[..., None]
 
     share = jnp.take_along_axis(along, nearest, axis=-1)
-    before = jnp.take_along_axis(nodes, nearest[..., None], axis=-2)[..., 0, :]
-    after = jnp.take_along_axis(nodes, nearest[..., None] + 1, axis=-2)[..., 0, :]
-    point = before + share * (after - before)
+    segment_start = jnp.take_along_axis(nodes, nearest[..., None], axis=-2)[..., 0, :]
+    segment_end = jnp.take_along_axis(nodes, nearest[..., None] + 1, axis=-2)[..., 0, :]
+    point = segment_start + share * (segment_end - segment_start)
 
     tangent = jnp.stack([jnp.cos(point[..., 2]), jnp.sin(point[..., 2])], axis=-1)
-    aside = place - point[..., :2]
+    aside = position_xy - point[..., :2]
     # Left of the tangent (tx, ty) is (-ty, tx), with x to the left and y backward as with any axes seen from above.
     error = tangent[..., 0] * aside[..., 1] - tangent[..., 1] * aside[..., 0]
     reached = (first + nearest[..., 0] + share[..., 0]) * step
@@ -213,20 +215,20 @@ def _checked(
     points: Sequence[Sequence[float]] | np.ndarray, spacing: float
 ) -> Float[np.ndarray, "points 2"]:
     try:
-        way = np.asarray(points, dtype=float)
+        waypoints = np.asarray(points, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise ParameterError("The way points are not numbers in rows of (x, y).") from None
-    if way.ndim != 2 or way.shape[1:] != (2,) or len(way) < 3:
+    if waypoints.ndim != 2 or waypoints.shape[1:] != (2,) or len(waypoints) < 3:
         raise ParameterError(
-            f"The way points have shape {way.shape}: expected at least three rows of (x, y)."
+            f"The way points have shape {waypoints.shape}: expected at least three rows of (x, y)."
         )
-    if len(far := np.flatnonzero(~(np.abs(way) <= FARTHEST_POINT).all(axis=1))):
-        x, y = way[far[0]]
+    if len(far := np.flatnonzero(~(np.abs(waypoints) <= FARTHEST_POINT).all(axis=1))):
+        x, y = waypoints[far[0]]
         allowed = f"expected finite numbers, allowed up to {FARTHEST_POINT:g} m"
         raise ParameterError(f"Way point {far[0]} is ({x:g}, {y:g}): {allowed}.")
-    repeated = np.flatnonzero(np.linalg.norm(np.diff(way, axis=0), axis=1) < 1e-6)
+    repeated = np.flatnonzero(np.linalg.norm(np.diff(waypoints, axis=0), axis=1) < 1e-6)
     if len(repeated):
         raise ParameterError(f"Way point {repeated[0] + 1} repeats the one before it.")
     if not (np.isfinite(spacing) and 1e-4 <= spacing <= 0.1):
         raise ParameterError(f"spacing is {spacing:g}: allowed is [0.0001, 0.1] m.")
-    return way
+    return waypoints

@@ -159,11 +159,11 @@ class Follow(PilotLike):
         self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk
     ) -> tuple[Beside, Drive]:
         point = self.locate(params, sensors.position, memory.point.progress)
-        seen = jnp.stack([point.error, heading(point, sensors, geometry_of(params))])
+        observation = jnp.stack([point.error, heading(point, sensors, geometry_of(params))])
         estimate = observe(
             params.pilot,
             memory.guidance,
-            seen,
+            observation,
             walk.phase,
             walk.speed,
             params.pilot.grip * walk.yaw_rate - walk.speed * point.curvature,
@@ -208,8 +208,8 @@ def steer(pilot: Pilot, error: Scalars, change: Scalars, guided: Scalars | float
     Its input is the cross-track error, positive to the left of the path [m], and the error's change in 1/100 s of the
     controller's clock [m]; left of the path it is negative.
     """
-    wanted = guided - (pilot.error_gain * error + pilot.change_gain * change)
-    return jnp.clip(wanted, -pilot.output_limit, pilot.output_limit)
+    command = guided - (pilot.error_gain * error + pilot.change_gain * change)
+    return jnp.clip(command, -pilot.output_limit, pilot.output_limit)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -256,11 +256,11 @@ def tabulated(
             f"command.time is not increasing at {times[1:][np.diff(times) <= 0][0]:g} s."
         )
     columns = []
-    for name, given, low, high in (
+    for name, value, low, high in (
         ("speed", speed, 0.0, np.inf),
         ("turn_rate", turn_rate, -1.0, 1.0),
     ):
-        column = _column(name, given)
+        column = _column(name, value)
         if column.shape not in ((), times.shape):
             raise ParameterError(
                 f"command.{name} has shape {column.shape}: expected {times.shape}, as command.time."
@@ -355,7 +355,7 @@ def start(error: Scalar, heading: Scalar, speed: Scalar) -> Guidance:
 def observe(
     pilot: Pilot,
     state: Guidance,
-    seen: Float[Array, " 2"],
+    observation: Float[Array, " 2"],
     phase: Array,
     speed: Array,
     yaw_rate: Array,
@@ -367,7 +367,7 @@ def observe(
     Args:
         pilot: `bandwidth`, of the observers [rad per gait cycle].
         state: the estimate before.
-        seen: cross-track error [m] and heading from the path's tangent [rad] as measured.
+        observation: cross-track error [m] and heading from the path's tangent [rad] as measured.
         phase: of the gait cycle.
         speed: of the walk [m/s].
         yaw_rate: expected, relative to that of the path [rad/s].
@@ -375,15 +375,15 @@ def observe(
         dt: time since the last step [s].
     """
     course, sway = observer_gains(pilot.bandwidth, cycle_rate * dt)
-    angle = 2.0 * jnp.pi * phase * jnp.asarray(HARMONICS, seen.dtype)
+    angle = 2.0 * jnp.pi * phase * jnp.asarray(HARMONICS, observation.dtype)
     wave = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
     # The gain on an oscillator's complex amplitude is fixed in the frame that turns with it.
     real, imaginary = sway[..., :1], sway[..., 1:]
-    turned = wave * real + wave[:, ::-1] * jnp.asarray([1.0, -1.0], seen.dtype) * imaginary
+    turned = wave * real + wave[:, ::-1] * jnp.asarray([1.0, -1.0], observation.dtype) * imaginary
 
-    known = jnp.stack([speed * jnp.sin(state.course[1]), yaw_rate])
-    ahead = state.course + dt * (known + state.unexplained)
-    surprise = seen - ahead - jnp.sum(wave * state.sway, axis=(1, 2))
+    inputs = jnp.stack([speed * jnp.sin(state.course[1]), yaw_rate])
+    ahead = state.course + dt * (inputs + state.unexplained)
+    surprise = observation - ahead - jnp.sum(wave * state.sway, axis=(1, 2))
     return Guidance(
         course=ahead + course[0] * surprise,
         unexplained=state.unexplained + course[1] / dt * surprise,
@@ -417,8 +417,8 @@ def observer_gains(
     # p / a near z = 1 + w is (w + closed) (w + slow) / w^2 times, for each oscillator, (w^2 + n1 w + n0) / (w^2 + d w
     # + d) with n0 = closed^2 + decay d, n1 = 2 closed + decay d, d = 2 - 2 cos(angle). Up to w:
     series = (closed * slow, closed + slow)
-    for each in range(len(HARMONICS)):
-        d = curve[each]
+    for index in range(len(HARMONICS)):
+        d = curve[index]
         ratio0 = (closed**2 + decay * d) / d
         ratio1 = (2.0 * closed + decay * d - ratio0 * d) / d
         series = (series[0] * ratio0, series[1] * ratio0 + series[0] * ratio1)
@@ -427,13 +427,15 @@ def observer_gains(
 
     turn = jnp.exp(1j * angle)
     sway = []
-    for each in range(len(HARMONICS)):
-        here = turn[each]
-        rest = 2.0 * (here - decay) * (here - 1.0 + slow) / (here - 1.0) ** 2 / here
-        for other in range(len(HARMONICS)):
-            rest *= (here - decay * turn[other]) * (here - decay * turn[other].conj())
-            rest /= (1.0 if other == each else here - turn[other]) * (here - turn[other].conj())
-        sway.append(jnp.stack([rest.real, rest.imag], axis=-1))
+    for index in range(len(HARMONICS)):
+        root = turn[index]
+        factor = 2.0 * (root - decay) * (root - 1.0 + slow) / (root - 1.0) ** 2 / root
+        for other_index in range(len(HARMONICS)):
+            factor *= (root - decay * turn[other_index]) * (root - decay * turn[other_index].conj())
+            factor /= (1.0 if other_index == index else root - turn[other_index]) * (
+                root - turn[other_index].conj()
+            )
+        sway.append(jnp.stack([factor.real, factor.imag], axis=-1))
     return course, jnp.stack(sway, axis=1)
 
 

@@ -155,8 +155,8 @@ def leg_servos(
     """
     servo = inverse_kinematics(four_legs(geometry or Geometry()), feet, routing).servo
     spine = jnp.asarray(spine, servo.dtype)
-    rest = jnp.zeros_like(spine)
-    return ServoAngles(hip=servo[..., 0], knee=servo[..., 1], spine=spine, neck=rest, tail=rest)
+    zeros = jnp.zeros_like(spine)
+    return ServoAngles(hip=servo[..., 0], knee=servo[..., 1], spine=spine, neck=zeros, tail=zeros)
 
 
 # ---
@@ -180,17 +180,17 @@ class Source:
     form: str
 
     @classmethod
-    def named(cls, field: str, where: str, form: str) -> Source:
+    def named(cls, field: str, text: str, form: str) -> Source:
         """What a text names: FILE.py, FILE.py:NAME, MODULE or MODULE:NAME.
 
         Raises:
             ParameterError: the text has another form.
         """
-        place, colon, name = (where, "", "") if where.endswith(".py") else where.rpartition(":")
-        place, name = (place, name) if colon else (where, "")
-        if not place or (colon and not name.isidentifier()):
-            raise ParameterError(f"{field} {where!r}: expected {form}.")
-        return cls(f"{field} {where!r}", place, name, form)
+        path, colon, name = (text, "", "") if text.endswith(".py") else text.rpartition(":")
+        path, name = (path, name) if colon else (text, "")
+        if not path or (colon and not name.isidentifier()):
+            raise ParameterError(f"{field} {text!r}: expected {form}.")
+        return cls(f"{field} {text!r}", path, name, form)
 
     def content(self) -> tuple[str, bytes]:
         """Path and content of the file.
@@ -274,27 +274,27 @@ def user_code(subject: str) -> Iterator[None]:
             for frame, line in traceback.walk_tb(error.__traceback__)
             if frame.f_globals.get("__name__", "").partition(".")[0] not in _OTHERS
         ]
-        place = f" at {frames[-1]}" if frames else ""
+        location = f" at {frames[-1]}" if frames else ""
         if isinstance(error, _NOT_JITTABLE):
             raise ParameterError(
-                f"{subject}{place}: it cannot be compiled, as it branches on readings or other traced values, or makes "
+                f"{subject}{location}: it cannot be compiled, as it branches on readings or other traced values, or makes "
                 "NumPy's numbers of them; use jax.numpy, and jnp.where instead of if."
             ) from None
         hint, wrong = "", (str(error).strip().splitlines() or [""])[0].rstrip(".")[:200]
         if isinstance(error, AttributeError) and (
             isinstance(error.obj, Sensors) or hasattr(error.obj, "_fields")
         ):
-            given: Any = type(error.obj)
-            known = (
-                [each.name for each in dataclasses.fields(given)]
-                if given is Sensors
-                else list(given._fields)
+            object_type: Any = type(error.obj)
+            fields = (
+                [field.name for field in dataclasses.fields(object_type)]
+                if object_type is Sensors
+                else list(object_type._fields)
             )
-            verb = "are" if given is Sensors else "has"
-            hint = (
-                f"{did_you_mean(str(error.name), known)} {given.__name__} {verb} {', '.join(known)}"
-            )
-        raise ParameterError(f"{subject}{place}: {type(error).__name__}: {wrong}{hint}.") from None
+            verb = "are" if object_type is Sensors else "has"
+            hint = f"{did_you_mean(str(error.name), fields)} {object_type.__name__} {verb} {', '.join(fields)}"
+        raise ParameterError(
+            f"{subject}{location}: {type(error).__name__}: {wrong}{hint}."
+        ) from None
 
 
 @functools.lru_cache(maxsize=32)
@@ -316,13 +316,13 @@ FORM: Final = "FILE.py:NAME, MODULE:NAME or FILE.npz"
 NAMED: Final = "FILE.py:NAME or MODULE:NAME"
 
 
-def named_object(field: str, where: str, form: str = NAMED) -> Source:
+def named_object(field: str, text: str, form: str = NAMED) -> Source:
     """The file or module, and the object in it, that a text names; `field` begins messages, such as "rewards has".
 
     Raises:
         ParameterError: the text has another form.
     """
-    source = Source.named(field, where, form)
+    source = Source.named(field, text, form)
     if not source.name:
         raise ParameterError(f"{source.subject}: expected {form}.")
     return source
@@ -331,46 +331,46 @@ def named_object(field: str, where: str, form: str = NAMED) -> Source:
 def load_object(source: Source) -> Any:
     """The object; raises `ParameterError` if there is none, see `Source.module`."""
     module = source.module()
-    found = getattr(module, source.name, None)
-    if found is None:
-        raise source.missing([each for each in vars(module) if not each.startswith("_")])
-    return found
+    value = getattr(module, source.name, None)
+    if value is None:
+        raise source.missing([name for name in vars(module) if not name.startswith("_")])
+    return value
 
 
-def load_controller(where: str) -> Any:
+def load_controller(text: str) -> Any:
     """The controller that a text names; the same object as long as its file does not change.
 
     Args:
-        where: `FILE.py:NAME` or `MODULE:NAME`, the name being that of a controller, or of a class or function that
+        text: `FILE.py:NAME` or `MODULE:NAME`, the name being that of a controller, or of a class or function that
             returns one when called without arguments; or `FILE.npz`, a policy from `nermo-mjx train`, and
             `FILE.npz:FILE.py` for one that observes something of one's own.
 
     Raises:
         ParameterError: the file, module or name does not exist, it cannot be imported, or it is not a controller.
     """
-    if (data := data_of(where)) is not None:
+    if (data := data_of(text)) is not None:
         return pkgutil.resolve_name(DATA_CONTROLLERS[Path(data[0]).suffix])(*data)
-    controller = load_object(named_object("controller is", where, FORM))
+    controller = load_object(named_object("controller is", text, FORM))
     if isinstance(controller, (type, FunctionType)):
-        controller = _made(where, controller)
+        controller = _made(text, controller)
     check_form(controller)
     return controller
 
 
-def controller_digest(where: str) -> str:
+def controller_digest(text: str) -> str:
     """A hash of the controller's name, if it has one, and of the file that defines it; not of what that file imports.
 
     Raises:
         ParameterError: see `load_controller`.
     """
-    if (data := data_of(where)) is not None:
-        load_controller(where)
+    if (data := data_of(text)) is not None:
+        load_controller(text)
         return hashlib.sha256(read_bytes(Path(data[0]), MOST_ARRAYS)).hexdigest()[:16]
-    source = named_object("controller is", where, FORM)
+    source = named_object("controller is", text, FORM)
     return source.digest(source.name)
 
 
-def data_of(where: str) -> tuple[str, str] | None:
+def data_of(text: str) -> tuple[str, str] | None:
     """The file of a text that names a controller that is data, and the code that the text gives it; None for code.
 
     >>> import nermo_mjx
@@ -378,8 +378,8 @@ def data_of(where: str) -> tuple[str, str] | None:
     (('policy.npz', ''), ('policy.npz', 'my.py'), None)
     """
     for suffix in DATA_CONTROLLERS:
-        path, end, code = where.partition(f"{suffix}:")
-        if end or where.endswith(suffix):
+        path, end, code = text.partition(f"{suffix}:")
+        if end or text.endswith(suffix):
             return path.removesuffix(suffix) + suffix, code
     return None
 
@@ -423,6 +423,6 @@ def function_place(name: str, function: Any) -> str:
 
 
 @functools.lru_cache(maxsize=32)
-def _made(where: str, maker: Any) -> Any:
-    with user_code(f"controller is {where!r}: it cannot be made without arguments"):
+def _made(text: str, maker: Any) -> Any:
+    with user_code(f"controller is {text!r}: it cannot be made without arguments"):
         return maker()

@@ -99,13 +99,13 @@ class Switch:
     values: Any = ()
 
     def __post_init__(self) -> None:
-        given = self.values.items() if isinstance(self.values, Mapping) else self.values
-        known = dict(quantities(ControlParameters))
-        given = (
-            (str(name), known[name].numbers(name, value) if name in known else value)
-            for name, value in given
+        items = self.values.items() if isinstance(self.values, Mapping) else self.values
+        allowed = dict(quantities(ControlParameters))
+        items = (
+            (str(name), allowed[name].numbers(name, value) if name in allowed else value)
+            for name, value in items
         )
-        object.__setattr__(self, "values", tuple((name, float(value)) for name, value in given))
+        object.__setattr__(self, "values", tuple((name, float(value)) for name, value in items))
         object.__setattr__(self, "gait", GAIT_CODES.get(self.gait or "", self.gait))
         for field, names in allowed_names(Switch).items():
             if (name := getattr(self, field)) is not None:
@@ -119,36 +119,40 @@ class Switch:
     @property
     def modes(self) -> dict[str, tuple[str, ...]]:
         """The modes that act afterwards, by the choice that it makes."""
-        found = {"head": self.head, "tail_motion": self.tail_motion}
-        chosen = {
-            field: tuple({name} - {"none"}) for field, name in found.items() if name is not None
+        choices = {"head": self.head, "tail_motion": self.tail_motion}
+        modes = {
+            field: tuple({name} - {"none"}) for field, name in choices.items() if name is not None
         }
-        return chosen | ({} if self.spine is None else {"spine": mode_names(self.spine)})
+        return modes | ({} if self.spine is None else {"spine": mode_names(self.spine)})
 
     def absolute(self) -> dict[str, float]:
         """The values that it gives parameters, those of the gait and of the steering among them."""
-        found: dict[str, float] = {}
+        values: dict[str, float] = {}
         if self.gait is not None:
             pattern = GAIT_PATTERNS[self.gait]
-            found |= {"duty": pattern.duty, "gait_factor": pattern.gait_factor}
-            found |= {
+            values |= {"duty": pattern.duty, "gait_factor": pattern.gait_factor}
+            values |= {
                 f"offset.{limb}": offset
                 for limb, offset in zip(LIMBS, pattern.offsets, strict=True)
             }
         if self.steering is not None:
             leg, spine = STEERING[self.steering]
-            found |= {"turning.leg": leg, "turning.spine": spine, "pilot.grip": GRIP[self.steering]}
-        return found | with_gait_factor(dict(self.values))
+            values |= {
+                "turning.leg": leg,
+                "turning.spine": spine,
+                "pilot.grip": GRIP[self.steering],
+            }
+        return values | with_gait_factor(dict(self.values))
 
     def written(self) -> dict[str, Any]:
         """As in a file."""
-        own = {
+        fields = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
             if field.name != "values"
         }
-        own["set"] = dict(self.values) or None
-        return {name: value for name, value in own.items() if value is not None}
+        fields["set"] = dict(self.values) or None
+        return {name: value for name, value in fields.items() if value is not None}
 
 
 def _of_switches(default: float, unit: str, low: float, high: float, doc: str) -> Any:
@@ -174,14 +178,14 @@ class Schedule:
 
 
 def schedule_of(
-    start: Switch, switches: Sequence[Switch], known: Mapping[str, Quantity]
+    start: Switch, switches: Sequence[Switch], declarations: Mapping[str, Quantity]
 ) -> Schedule:
     """The schedule of switches.
 
     Args:
         start: the modes that act at the start, of each of `MODES`.
         switches: in the order of time.
-        known: parameters of the controller, with their ranges.
+        declarations: parameters of the controller, with their ranges.
 
     Raises:
         ParameterError: too many switches, or a parameter that is unknown or out of range.
@@ -190,10 +194,10 @@ def schedule_of(
         raise ParameterError(f"schedule has {len(switches)} switches: allowed are {MOST}.")
     acting: dict[str, set[str]] = {}
     ever = {
-        field: {name for each in (start, *switches) for name in each.modes.get(field, ())}
+        field: {name for entry in (start, *switches) for name in entry.modes.get(field, ())}
         for field in MODES
     }
-    given: dict[str, float] = {}
+    changes: dict[str, float] = {}
     course: list[dict[str, tuple[float, float]]] = []
     for number, switch in enumerate((start, *switches)):
         values, modes = switch.absolute(), switch.modes
@@ -202,12 +206,12 @@ def schedule_of(
                 *values,
                 *(gain for names in modes.values() for mode in names for gain in GAINS[mode]),
             ]:
-                about = known[choice("parameter", name, known)]
+                declaration = declarations[choice("parameter", name, declarations)]
                 if name in values:
-                    about.check(name, values[name])
+                    declaration.check(name, values[name])
         except ParameterError as error:
             raise ParameterError(f"schedule.{number} is refused: {error}") from None
-        given |= values
+        changes |= values
         acting |= {field: set(names) for field, names in modes.items()}
         off = {
             gain
@@ -216,7 +220,7 @@ def schedule_of(
             for gain in GAINS[name]
         }
         course.append(
-            {name: (0.0, value) for name, value in given.items()} | dict.fromkeys(off, (0.0, 0.0))
+            {name: (0.0, value) for name, value in changes.items()} | dict.fromkeys(off, (0.0, 0.0))
         )
     course += course[-1:] * (MOST - len(switches))
     names = sorted({name for values in course for name in values})
@@ -255,15 +259,15 @@ def scheduled(
 
 def _courses(control: Any, schedule: Schedule) -> dict[str, Any]:
     """By name, the values (..., MOST + 1) of a parameter before the first switch and after each."""
-    own, found = dict(values_of(control)), {}
+    constants, courses = dict(values_of(control)), {}
     for name, share in schedule.share.items():
-        course = jnp.asarray(own[name])[..., None] * share + schedule.value[name]
+        course = jnp.asarray(constants[name])[..., None] * share + schedule.value[name]
         if name.startswith("offset."):  # the shorter way around the cycle
             moves = course[..., 1:] - course[..., :-1]
             moves = jnp.cumsum(moves - jnp.round(moves), -1)
             course = jnp.concatenate([course[..., :1], course[..., :1] + moves], -1)
-        found[name] = course
-    return found
+        courses[name] = course
+    return courses
 
 
 def turned(moves: Mapping[str, Any]) -> Any:
@@ -282,13 +286,13 @@ def check_schedule(control: Any, schedule: Schedule, switches: int, cycle_rate: 
     Raises:
         ParameterError: with the parameter of the schedule, its value and what is allowed.
     """
-    at, blend = np.asarray(schedule.at, float), np.asarray(schedule.blend, float)
+    begin, blend = np.asarray(schedule.at, float), np.asarray(schedule.blend, float)
     period = 1.0 / np.asarray(cycle_rate, float)[..., None]
-    ends = at + blend * period
+    ends = begin + blend * period
     for k in range(1, switches):
-        early = (at[..., k] < ends[..., k - 1]).ravel()
-        if early.any():
-            value, end = at[..., k].ravel()[early][0], ends[..., k - 1].ravel()[early][0]
+        overlaps = (begin[..., k] < ends[..., k - 1]).ravel()
+        if overlaps.any():
+            value, end = begin[..., k].ravel()[overlaps][0], ends[..., k - 1].ravel()[overlaps][0]
             raise ParameterError(
                 f"schedule.at.{k + 1} is {value:g}: allowed is at least {end:g} s, when switch {k} ends."
             )
@@ -304,7 +308,7 @@ def check_schedule(control: Any, schedule: Schedule, switches: int, cycle_rate: 
     for k in range(switches):
         short = (backward[..., k] >= blend[..., k]).ravel()
         if short.any():
-            value, least = blend[..., k].ravel()[short][0], backward[..., k].ravel()[short][0]
+            value, minimum = blend[..., k].ravel()[short][0], backward[..., k].ravel()[short][0]
             raise ParameterError(
-                f"schedule.blend.{k + 1} is {value:g}: allowed is more than {least:g} cycles; a limb would go backward."
+                f"schedule.blend.{k + 1} is {value:g}: allowed is more than {minimum:g} cycles; a limb would go backward."
             )

@@ -37,7 +37,11 @@ NO_MODE: Final = "none"
 #: Every choice of modes, by its name.
 SPINES: Final = (
     NO_MODE,
-    *("+".join(some) for n in range(1, 6) for some in itertools.combinations(MODES, n)),
+    *(
+        "+".join(combination)
+        for n in range(1, 6)
+        for combination in itertools.combinations(MODES, n)
+    ),
 )
 
 #: Share left by steering below which the power law is linear (see `signed_power`).
@@ -114,11 +118,11 @@ def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> 
         if isinstance(spine, str)
         else of_type("spine", spine, (tuple, list), "names of modes")
     )
-    chosen = {
+    selected_names = {
         choice("spine", of_type("spine", name, str, "names of modes").strip(), (NO_MODE, *modes))
         for name in names
     } - {NO_MODE}
-    return tuple(name for name in modes if name in chosen)
+    return tuple(name for name in modes if name in selected_names)
 
 
 def stride_extension(spine: Spine, phase: Scalars) -> Scalars:
@@ -166,11 +170,11 @@ def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
 
 def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
     """(1 - |alpha_tr|)^s f_sp, the auxiliary modes as reduced by steering, in [-1, 1]; see `fuse`."""
-    wanted = jnp.clip(auxiliary / spine.max_servo_angle, -1.0, 1.0)
+    target = jnp.clip(auxiliary / spine.max_servo_angle, -1.0, 1.0)
     left_over = signed_power(
         1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _FADE_LINEAR_BELOW
     )
-    return left_over * wanted
+    return left_over * target
 
 
 def compensation(
@@ -237,13 +241,15 @@ class SagittalModes:
         pitch: Scalar,
         pitch_rate: Scalar,
     ) -> Scalar:
-        wanted = jnp.zeros_like(phase)
+        extension = jnp.zeros_like(phase)
         if "sagittal_extension" in self.modes:
-            wanted += sagittal_extension(params.spine, phase)
+            extension += sagittal_extension(params.spine, phase)
         if "pitch_balance" in self.modes:
-            wanted += pitch_balance(params.spine, pitch, pitch_rate)
+            extension += pitch_balance(params.spine, pitch, pitch_rate)
         steering = turning.spine_share(params.turning, turn_rate)
-        return params.spine.max_servo_angle * shared_with_steering(params.spine, steering, wanted)
+        return params.spine.max_servo_angle * shared_with_steering(
+            params.spine, steering, extension
+        )
 
 
 def sagittal_extension(spine: Spine, phase: Scalars) -> Scalars:

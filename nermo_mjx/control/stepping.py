@@ -31,7 +31,7 @@ class GaitLike(Protocol):
         """
 
     def update(
-        self, params: Any, state: Any, before: Drive, now: Drive, dt: float
+        self, params: Any, state: Any, previous: Drive, now: Drive, dt: float
     ) -> tuple[Any, Float[Array, "4 2"]]:
         """State and feet `dt` simulated seconds later, with the drive `before` until now and `now` from now on."""
 
@@ -85,13 +85,13 @@ class Stepping(GaitLike):
         return Steps(phase, limbs.stance, points, share), self._feet(params, points, share, limbs)
 
     def update(
-        self, params: ControlParameters, state: Steps, before: Drive, now: Drive, dt: float
+        self, params: ControlParameters, state: Steps, previous: Drive, now: Drive, dt: float
     ) -> tuple[Steps, Float[Array, "4 2"]]:
         phase = trajectory.advance(
             state.phase, params.gait.frequency, dt / params.tracking.clock_ratio
         )
         limbs = self.limbs(params, phase)
-        points, share = self._half_cycles(params, state, limbs, before, now, dt)
+        points, share = self._half_cycles(params, state, limbs, previous, now, dt)
         return Steps(phase, limbs.stance, points, share), self._feet(params, points, share, limbs)
 
     def walked(
@@ -130,7 +130,7 @@ class Stepping(GaitLike):
         params: ControlParameters,
         state: Steps,
         limbs: trajectory.LimbStates,
-        before: Drive,
+        previous: Drive,
         now: Drive,
         dt: float,
     ) -> tuple[Float[Array, "4 3 2"], PerLimb]:
@@ -141,15 +141,17 @@ class Stepping(GaitLike):
         frequency, duty and offsets, which determine the tick of a switch.
         """
         duty = self._duty(params)
-        length, other = (
+        length, other_length = (
             jnp.where(limbs.stance, duty, 1.0 - duty),
             jnp.where(limbs.stance, 1.0 - duty, duty),
         )
         # Time since the leg's last switch, and length of a tick, as shares of the gait cycle.
         since = limbs.progress * length
         in_tick = jnp.maximum(params.gait.frequency * dt / params.tracking.clock_ratio, 1e-9)
-        strides = [self._strides(params, drive) for drive in (before, now)]
-        shares = [turning.stride_shares(params.turning, drive.turn_rate) for drive in (before, now)]
+        strides = [self._strides(params, drive) for drive in (previous, now)]
+        shares = [
+            turning.stride_shares(params.turning, drive.turn_rate) for drive in (previous, now)
+        ]
 
         def commanded(values: list[Array], ago: Array) -> Array:
             earlier, later = values
@@ -159,14 +161,14 @@ class Stepping(GaitLike):
         switched = limbs.stance != state.stance
         # A half-cycle shorter than a tick may go unnoticed; the foot has still moved along its path.
         skipped = ~switched & (since < in_tick - 0.5 * trajectory.SHORTEST_HALF)
-        moved = self._moved(params, commanded(shares, since + other))
+        offset = self._moved(params, commanded(shares, since + other_length))
         passed = trajectory.end_points(
-            params.stance, ~limbs.stance, commanded(strides, since + other), moved
+            params.stance, ~limbs.stance, commanded(strides, since + other_length), offset
         )
         start = jnp.where(skipped[:, None], passed, state.points[:, 2])
-        moved = self._moved(params, share)
+        offset = self._moved(params, share)
         planned = trajectory.plan(
-            params.stance, start, limbs.stance, commanded(strides, since), moved
+            params.stance, start, limbs.stance, commanded(strides, since), offset
         )
         begins = switched | skipped
         return jnp.where(begins[:, None, None], planned, state.points), jnp.where(
@@ -247,10 +249,10 @@ class FreeStepping(Stepping):
             + np.repeat(added[..., :2], 2, axis=-1)
             + added[..., 2:]
         )
-        for place, name in enumerate(LIMBS):
-            wrong = ~((duty[..., place] > 0.0) & (duty[..., place] < 1.0))
+        for index, name in enumerate(LIMBS):
+            wrong = ~((duty[..., index] > 0.0) & (duty[..., index] < 1.0))
             if wrong.any():
-                value = duty[..., place][wrong].flat[0]
+                value = duty[..., index][wrong].flat[0]
                 raise ParameterError(
                     f"limb.duty.{name} gives the limb a duty factor of {value:g}: allowed is (0, 1) for duty, what its "
                     "pair adds and what it adds itself."
@@ -283,8 +285,10 @@ class FreeStepping(Stepping):
         share: PerLimb,
         limbs: trajectory.LimbStates,
     ) -> Float[Array, "4 2"]:
-        own, half = _points(params, share), FOOT_POINTS // 2
-        inner = jnp.where(limbs.stance[:, None, None], own[:, 1:half], own[:, half + 1 :])
+        free_points, half = _points(params, share), FOOT_POINTS // 2
+        inner = jnp.where(
+            limbs.stance[:, None, None], free_points[:, 1:half], free_points[:, half + 1 :]
+        )
         path = super()._feet(params, points, share, limbs) + jnp.sum(
             bumps(limbs.progress)[..., None] * inner, axis=-2
         )
@@ -297,8 +301,8 @@ def bumps(progress: Scalars) -> Float[Array, "*batch 3"]:
     Cubic splines, 1 at their own point and 0 at the others; value and slope are 0 at both ends.
     """
     p = jnp.asarray(progress)[..., None]
-    past = jnp.maximum(p - jnp.asarray(_KNOTS[1:-1], p.dtype), 0.0)
-    bases = jnp.concatenate([p**2, p**3, past**3], axis=-1)
+    excess = jnp.maximum(p - jnp.asarray(_KNOTS[1:-1], p.dtype), 0.0)
+    bases = jnp.concatenate([p**2, p**3, excess**3], axis=-1)
     return jnp.sum(bases[..., None] * jnp.asarray(_SPLINE, p.dtype), axis=-2)
 
 
@@ -316,8 +320,8 @@ def within(nearest: Scalars, farthest: Scalars, foot: Planar) -> Planar:
         positive = jnp.maximum(beyond, 0.0)
         return BORDER * positive / (BORDER + positive)
 
-    kept = jnp.where(distance > high, high + drawn(distance - high), low - drawn(low - distance))
-    share = jnp.where((distance >= low) & (distance <= high), 1.0, kept / distance)
+    limited = jnp.where(distance > high, high + drawn(distance - high), low - drawn(low - distance))
+    share = jnp.where((distance >= low) & (distance <= high), 1.0, limited / distance)
     return foot * share[..., None]
 
 
@@ -337,7 +341,7 @@ def _points(params: ControlParameters, share: PerLimb) -> Float[Array, "*batch 4
     """Displacements of the points of each foot's path at a share of its stride, (y, z) in the leg's frame [m]."""
     foot = params.foot
     front, rear = jnp.asarray(foot.front), jnp.asarray(foot.rear)
-    moved = jnp.stack(
+    points = jnp.stack(
         [
             front + foot.front_left,
             front + foot.front_right,
@@ -347,5 +351,5 @@ def _points(params: ControlParameters, share: PerLimb) -> Float[Array, "*batch 4
         axis=-2,
     )
     return jnp.stack(
-        [share[..., None] * moved[..., :FOOT_POINTS], moved[..., FOOT_POINTS:]], axis=-1
+        [share[..., None] * points[..., :FOOT_POINTS], points[..., FOOT_POINTS:]], axis=-1
     )

@@ -117,7 +117,7 @@ def plan(
     start: Float[Array, "*#batch 4 2"],
     down: Bool[Array, "*#batch 4"],
     stride: Float[Array, "*#batch 4"],
-    moved: Moved | None = None,
+    displacement: Moved | None = None,
 ) -> Float[Array, "*#batch 4 3 2"]:
     """Control points of a half-cycle.
 
@@ -127,37 +127,39 @@ def plan(
         down: planned contact. In stance the foot moves backward (+y) and is pressed down at its mid point, in swing it
             moves forward and is raised.
         stride: length of each leg's stride [m].
-        moved: displacement from the published gait.
+        displacement: displacement from the published gait.
     """
     neutral = neutral_feet(stance)
     swing = jnp.asarray(stance.swing_amplitude)[..., None]
-    if moved is not None:
-        swing = swing + moved.lift
+    if displacement is not None:
+        swing = swing + displacement.lift
     mid_height = jnp.where(down, -jnp.asarray(stance.stance_amplitude)[..., None], swing)
     mid = neutral + _column(mid_height, axis=1)
-    return jnp.stack([start, mid, end_points(stance, down, stride, moved)], axis=-2)
+    return jnp.stack([start, mid, end_points(stance, down, stride, displacement)], axis=-2)
 
 
 def nominal_points(
     stance: Stance,
     down: Bool[Array, "*#batch 4"],
     stride: Float[Array, "*#batch 4"],
-    moved: Moved | None = None,
+    displacement: Moved | None = None,
 ) -> Float[Array, "*#batch 4 3 2"]:
     """Control points of a half-cycle in a steady gait: each starts where the opposite half-cycle ends."""
-    return plan(stance, end_points(stance, ~down, stride, moved), down, stride, moved)
+    return plan(stance, end_points(stance, ~down, stride, displacement), down, stride, displacement)
 
 
 def end_points(
     stance: Stance,
     down: Bool[Array, "*#batch 4"],
     stride: Float[Array, "*#batch 4"],
-    moved: Moved | None = None,
+    displacement: Moved | None = None,
 ) -> Float[Array, "*#batch 4 2"]:
     """End of a half-cycle: half a stride behind the neutral position in stance, in front of it in swing [m]."""
     ends = neutral_feet(stance) + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
     return (
-        ends if moved is None else ends + jnp.where(down[..., None], moved.liftoff, moved.touchdown)
+        ends
+        if displacement is None
+        else ends + jnp.where(down[..., None], displacement.liftoff, displacement.touchdown)
     )
 
 
@@ -235,8 +237,8 @@ def limb_states(
     else:
         # As above, times ratios that are exactly 1 for a limb like the others: in XLA, division by a shared number and
         # by one per limb differ in the last bit.
-        own = stance_share(gait.duty[..., None] + longer)
-        stance = local < own
-        swung = (local - own) / (1.0 - duty) * ((1.0 - duty) / (1.0 - own))
-        progress = jnp.where(stance, local / duty * (duty / own), swung)
+        limb_duty = stance_share(gait.duty[..., None] + longer)
+        stance = local < limb_duty
+        swung = (local - limb_duty) / (1.0 - duty) * ((1.0 - duty) / (1.0 - limb_duty))
+        progress = jnp.where(stance, local / duty * (duty / limb_duty), swung)
     return LimbStates(stance, jnp.minimum(progress, 1.0))

@@ -170,13 +170,13 @@ def walked(
     feet = _turn_of_two_feet(params)
     strides = jnp.abs(points[:, 2, 0] - points[:, 0, 0])
     weight = jnp.where(stance, 1.0, 1e-3)
-    left, right = (
+    left_step, right = (
         jnp.sum(weight * strides * of_side) / jnp.sum(weight * of_side)
         for of_side in (jnp.asarray(_SIDE) > 0.0, jnp.asarray(_SIDE) < 0.0)
     )
     per_stride = params.gait.frequency * params.gait.gait_factor
-    speed = 0.5 * (left + right) * per_stride
-    return speed, (right - left) * feet.across * per_stride + speed * _spine_part(
+    speed = 0.5 * (left_step + right) * per_stride
+    return speed, (right - left_step) * feet.across * per_stride + speed * _spine_part(
         params, feet, turn_rate
     )
 
@@ -190,20 +190,20 @@ def turn_rate_for(params: ControlParameters, curvature: Scalars) -> Scalars:
     """
     feet = _turn_of_two_feet(params)
     full = _path_curvature(params, feet, jnp.ones_like(curvature))
-    wanted = jnp.clip(jnp.abs(curvature), 0.0, full)
+    target = jnp.clip(jnp.abs(curvature), 0.0, full)
     # Legs or spine alone would need more than both together; if only one of them turns, that is the root.
     start = jnp.minimum(
-        _turn_rate_of_legs(params, feet, wanted),
-        wanted / jnp.maximum(_spine_part(params, feet, jnp.ones_like(wanted)), 1e-9),
+        _turn_rate_of_legs(params, feet, target),
+        target / jnp.maximum(_spine_part(params, feet, jnp.ones_like(target)), 1e-9),
     )
     rate = bracketed_root(
-        lambda rate: _path_curvature(params, feet, rate) - wanted,
+        lambda rate: _path_curvature(params, feet, rate) - target,
         0.0,
         1.0,
         slope_floor=1e-4,
         start=jnp.minimum(start, 1.0),
     )
-    return jnp.where(wanted > STRAIGHT_BELOW, jnp.sign(curvature) * rate, 0.0)
+    return jnp.where(target > STRAIGHT_BELOW, jnp.sign(curvature) * rate, 0.0)
 
 
 class _TwoFeet(NamedTuple):
@@ -215,8 +215,8 @@ class _TwoFeet(NamedTuple):
 
 def _turn_of_two_feet(params: ControlParameters) -> _TwoFeet:
     feet = feet_positions(0.0, neutral_feet(params.stance), geometry_of(params))[..., :2]
-    apart = jnp.abs(feet[..., 0, :] - feet[..., 3, :])
-    turn = apart / jnp.sum(apart**2, axis=-1, keepdims=True)
+    distance = jnp.abs(feet[..., 0, :] - feet[..., 3, :])
+    turn = distance / jnp.sum(distance**2, axis=-1, keepdims=True)
     return _TwoFeet(turn[..., 0], turn[..., 1])
 
 

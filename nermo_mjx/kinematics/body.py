@@ -135,10 +135,11 @@ def centre_of_mass(
 
 def _both_sides(axis: Shoulder | Hip) -> Float[Array, "*batch 2 3"]:
     """A left axis and its mirror image."""
-    left = jnp.stack(
-        jnp.broadcast_arrays(*(_constant(each) for each in (axis.x, axis.y, axis.z))), axis=-1
+    left_points = jnp.stack(
+        jnp.broadcast_arrays(*(_constant(coordinate) for coordinate in (axis.x, axis.y, axis.z))),
+        axis=-1,
     )
-    return _constant(_MIRROR) * left[..., None, :]
+    return _constant(_MIRROR) * left_points[..., None, :]
 
 
 def _constant(value: ArrayLike) -> Array:
@@ -217,11 +218,11 @@ def balance_angle(
     side = jnp.sign(diagonal_distance(jnp.sum(third * ground, axis=-2), front_foot, rear_foot))
     limit = jnp.broadcast_to(jnp.asarray(limit, feet.dtype), supported.shape)
     ends = distance(jnp.stack([-limit, limit]))
-    wanted = jnp.clip(
+    target = jnp.clip(
         jnp.where(has_third, side * lift, 0.0), jnp.min(ends, axis=0), jnp.max(ends, axis=0)
     )
     angle = bracketed_root(
-        lambda theta_v: distance(theta_v) - wanted, -limit, limit, slope_floor=1e-3
+        lambda theta_v: distance(theta_v) - target, -limit, limit, slope_floor=1e-3
     )
     return jnp.where(supported, angle, 0.0)
 
@@ -239,9 +240,9 @@ def _support(stance: TruthPerLimb) -> tuple[Array, Array, Array, Array]:
     )
     front_foot = jnp.where(n_front == 1, fronts, rears[..., ::-1] & (n_front == 2))
     rear_foot = jnp.where(n_rear == 1, rears, fronts[..., ::-1] & (n_rear == 2))
-    none = jnp.zeros_like(fronts)
-    front = jnp.concatenate([front_foot, none], axis=-1)
-    rear = jnp.concatenate([none, rear_foot], axis=-1)
+    zeros = jnp.zeros_like(fronts)
+    front = jnp.concatenate([front_foot, zeros], axis=-1)
+    rear = jnp.concatenate([zeros, rear_foot], axis=-1)
     n_feet = (n_front + n_rear)[..., 0]
     supported = (n_front[..., 0] >= 1) & (n_rear[..., 0] >= 1) & (n_feet < 4)
     return front, rear, stance & ~front & ~rear, supported

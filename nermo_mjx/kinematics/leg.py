@@ -103,7 +103,7 @@ def bracketed_root(
             return (state.steps < STEPS) & ~state.found.all()
 
         def step(state: _Search) -> _Search:
-            i, a, b, x, found = state
+            i, a, b, x, best = state
             value, slope = jax.jvp(f, (x,), (jnp.ones_like(x),))
             above = jnp.where(rising, value, -value)
             a, b = jnp.where(above <= 0, x, a), jnp.where(above >= 0, x, b)
@@ -111,11 +111,11 @@ def bracketed_root(
             inside = (newton >= a - slack) & (newton <= b + slack)
             # A step out of the bracket goes to its end, where saturated roots lie, or to its middle, alternately.
             safe = jnp.where(i % 2 == 0, jnp.clip(newton, a, b), 0.5 * (a + b))
-            after = jnp.where(inside, jnp.clip(newton, a, b), safe)
+            following = jnp.where(inside, jnp.clip(newton, a, b), safe)
             # Newton's error after a step goes like the square of the step. Converged elements are left unchanged, so
             # that no element depends on the others.
-            near = inside & (jnp.abs(after - x) <= small * jnp.maximum(jnp.abs(x), 1e-3))
-            return _Search(i + 1, a, b, jnp.where(found, x, after), found | near)
+            near = inside & (jnp.abs(following - x) <= small * jnp.maximum(jnp.abs(x), 1e-3))
+            return _Search(i + 1, a, b, jnp.where(best, x, following), best | near)
 
         at_end = (at_low == 0) | (at_high == 0)
         start = jnp.where(at_low == 0, low, jnp.where(at_high == 0, high, start))
@@ -125,7 +125,7 @@ def bracketed_root(
             first,
             cpu=lambda search: jax.lax.while_loop(goes_on, step, search).root,
             default=lambda search: (
-                jax.lax.fori_loop(0, STEPS, lambda _, each: step(each), search).root
+                jax.lax.fori_loop(0, STEPS, lambda _, current: step(current), search).root
             ),
         )
 
@@ -280,7 +280,9 @@ def four_legs(geometry: Geometry) -> Leg:
 
     def stacked(front: Any, rear: Any, axis: int) -> Any:
         return xp.stack(
-            xp.broadcast_arrays(*(xp.asarray(each, float) for each in (front, front, rear, rear))),
+            xp.broadcast_arrays(
+                *(xp.asarray(values, float) for values in (front, front, rear, rear))
+            ),
             axis,
         )
 
@@ -326,9 +328,9 @@ def forward_kinematics(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
     leg, servo = _arrays(leg), jnp.asarray(servo)
     q1, q2 = _angle(servo[..., 0]), servo[..., 1]
     low, high, works = knee_range(leg, q1, routing)
-    wanted = leg.tendon_length + leg.pulley_radius * leg.servo_direction * q2
+    tendon_length = leg.tendon_length + leg.pulley_radius * leg.servo_direction * q2
     longest, shortest = pull(leg, q1, low, routing), pull(leg, q1, high, routing)
-    length = jnp.clip(wanted, shortest, longest)
+    length = jnp.clip(tendon_length, shortest, longest)
     if routing == "type3":
         cosine = (length**2 - leg.l1**2 - leg.l2**2) / (2 * leg.l1 * leg.l2)
         knee_angle = jnp.arccos(jnp.clip(cosine, jnp.cos(high), jnp.cos(low)))
@@ -337,7 +339,9 @@ def forward_kinematics(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
             lambda angle: pull(leg, q1, angle, routing) - length, low, high, slope_floor=1e-5
         )
     reachable = (
-        works & (wanted >= shortest - REACH_TOLERANCE) & (wanted <= longest + REACH_TOLERANCE)
+        works
+        & (tendon_length >= shortest - REACH_TOLERANCE)
+        & (tendon_length <= longest + REACH_TOLERANCE)
     )
     return LegPose(points(leg, q1, knee_angle).foot, knee_angle, reachable)
 
@@ -368,12 +372,12 @@ def inverse_kinematics(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     q1 = jnp.arctan2(y * along + z * across, y * across - z * along)
 
     tendon_low, tendon_high, works = knee_range(leg, q1, routing)
-    held = works & (knee_angle > tendon_low - 1e-5) & (knee_angle < tendon_high + 1e-5)
+    tendon_taut = works & (knee_angle > tendon_low - 1e-5) & (knee_angle < tendon_high + 1e-5)
     knee_angle = jnp.clip(knee_angle, tendon_low, tendon_high)
     reached = points(leg, q1, knee_angle).foot
     miss = jnp.max(jnp.abs(reached - jnp.stack([y, z], axis=-1)), axis=-1)
     servo = jnp.stack([q1, knee_servo(leg, q1, knee_angle, routing)], axis=-1)
-    return LegSolution(servo, knee_angle, reached, held & (miss < REACH_TOLERANCE))
+    return LegSolution(servo, knee_angle, reached, tendon_taut & (miss < REACH_TOLERANCE))
 
 
 def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
@@ -385,13 +389,16 @@ def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
     low, high = arm_range(leg)
     if routing == "type3":
         ends = [[servo_range(servo)[end] for servo in SERVOS[4:8]] for end in (0, 1)]
-        held = [
+        reaches = [
             forward_kinematics(
                 leg, jnp.stack([jnp.zeros(4), jnp.asarray(end)], axis=-1), routing
             ).knee_angle
             for end in ends
         ]
-        low, high = jnp.maximum(low, jnp.minimum(*held)), jnp.minimum(high, jnp.maximum(*held))
+        low, high = (
+            jnp.maximum(low, jnp.minimum(*reaches)),
+            jnp.minimum(high, jnp.maximum(*reaches)),
+        )
     link, bend = shank(leg)
     arms = [knee - leg.knee_direction * bend for knee in (high, low)]
     near, far = (jnp.sqrt(leg.l1**2 + link**2 + 2 * leg.l1 * link * jnp.cos(arm)) for arm in arms)

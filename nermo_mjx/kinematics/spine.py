@@ -48,18 +48,18 @@ def transform(
         angles |= {row: vertical[..., i] for i, row in enumerate(SPINE.vertical_joints)}
 
     pose: Array | None = None
-    for row, link, more in _links(tuple(sorted(angles))):
-        fixed = _stretched(link, more, geometry, dtype)
-        moved = fixed if row is None else _matmul(fixed, _about_z(angles[row].astype(dtype)))
-        pose = moved if pose is None else _matmul(pose, moved)
+    for row, link, stretch in _links(tuple(sorted(angles))):
+        fixed = _stretched(link, stretch, geometry, dtype)
+        rotation = fixed if row is None else _matmul(fixed, _about_z(angles[row].astype(dtype)))
+        pose = rotation if pose is None else _matmul(pose, rotation)
     assert pose is not None
     return pose
 
 
-def _stretched(pose: np.ndarray, more: np.ndarray, geometry: Geometry, dtype: Any) -> Array:
+def _stretched(pose: np.ndarray, stretch: np.ndarray, geometry: Geometry, dtype: Any) -> Array:
     """A pose that is linear in a segment's length: the published one, and its slope per metre."""
     longer = jnp.asarray(geometry.spine.segment, dtype) - jnp.asarray(_SEGMENT, dtype)
-    return jnp.asarray(pose, dtype) + longer[..., None, None] * jnp.asarray(more, dtype)
+    return jnp.asarray(pose, dtype) + longer[..., None, None] * jnp.asarray(stretch, dtype)
 
 
 @functools.cache
@@ -69,22 +69,22 @@ def _links(moving: tuple[int, ...]) -> list[tuple[int | None, np.ndarray, np.nda
     They are folded in numpy, in double precision.
     """
     links: list[tuple[int | None, np.ndarray, np.ndarray]] = []
-    fixed, more = np.eye(4), np.zeros((4, 4))
+    fixed, stretch = np.eye(4), np.zeros((4, 4))
     for row, link in enumerate(SPINE.dh):
-        fixed, more = _extended(fixed, more, row, _link(*link))
+        fixed, stretch = _extended(fixed, stretch, row, _link(*link))
         if row in moving:
-            links.append((row, fixed, more))
-            fixed, more = np.eye(4), np.zeros((4, 4))
-    return [*links, (None, fixed, more)]
+            links.append((row, fixed, stretch))
+            fixed, stretch = np.eye(4), np.zeros((4, 4))
+    return [*links, (None, fixed, stretch)]
 
 
 def _extended(
-    fixed: np.ndarray, more: np.ndarray, row: int, link: np.ndarray
+    fixed: np.ndarray, stretch: np.ndarray, row: int, link: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """A pose and its slope by the segment's length, after one more row of the table."""
     slope = np.zeros((4, 4))
     slope[0, 3] = 0.5 * (row in SEGMENT_ROWS)
-    return fixed @ link, more @ link + fixed @ slope
+    return fixed @ link, stretch @ link + fixed @ slope
 
 
 def yaw(theta_v: ArrayLike) -> Scalars:
@@ -150,8 +150,8 @@ def angle_for_displacement(displacement: ArrayLike, geometry: Geometry) -> Scala
     def sideways(angle: Array) -> Array:
         return transform(angle, geometry)[..., 0, 3]
 
-    wanted = jnp.clip(displacement, sideways(-limit), sideways(limit))
-    return bracketed_root(lambda angle: sideways(angle) - wanted, -limit, limit, slope_floor=1e-4)
+    target = jnp.clip(displacement, sideways(-limit), sideways(limit))
+    return bracketed_root(lambda angle: sideways(angle) - target, -limit, limit, slope_floor=1e-4)
 
 
 def _floating(value: ArrayLike) -> Array:
@@ -198,13 +198,13 @@ def _link(alpha: float, a: float, theta: float, d: float) -> np.ndarray:
 def _fixed_transform(theta_v: float) -> tuple[np.ndarray, np.ndarray]:
     """`transform` of a constant, and its slope by the segment's length: adds almost nothing to tracing and
     compilation."""
-    pose, more = np.eye(4), np.zeros((4, 4))
+    pose, stretch = np.eye(4), np.zeros((4, 4))
     for row, link in enumerate(SPINE.dh):
-        pose, more = _extended(pose, more, row, _link(*link))
+        pose, stretch = _extended(pose, stretch, row, _link(*link))
         if row in SPINE.lateral_joints:
             turned = _link(0.0, 0.0, -theta_v, 0.0)
-            pose, more = pose @ turned, more @ turned
-    return pose, more
+            pose, stretch = pose @ turned, stretch @ turned
+    return pose, stretch
 
 
 def _matmul(left: Array, right: Array) -> Array:

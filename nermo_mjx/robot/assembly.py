@@ -202,14 +202,18 @@ def _stand(name: str) -> mujoco.MjSpec:
 def _attach(
     spec: mujoco.MjSpec,
     geometry: Geometry,
-    place: Any,
+    attachment_site: Any,
     name: str,
     robot: str,
     plain: tuple[str, ...] = (),
     hinges: int = 1,
 ) -> None:
     """Attach the robot's part `name` with its name as prefix; the elements in `plain` keep their names."""
-    frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
+    frame = (
+        attachment_site
+        if isinstance(attachment_site, mujoco.MjsFrame)
+        else attachment_site.add_frame()
+    )
     part = load_part(name, geometry, robot)
     if name == "spine":
         add_hinges(part, hinges)
@@ -222,7 +226,11 @@ def _attach(
 
 
 def _attach_leg(
-    spec: mujoco.MjSpec, parameters: ModelParameters, place: Any, limb: str, config: RobotConfig
+    spec: mujoco.MjSpec,
+    parameters: ModelParameters,
+    attachment_site: Any,
+    limb: str,
+    config: RobotConfig,
 ) -> None:
     pair, side = limb.split("_")
     leg = load_part(f"{pair}_leg", parameters.geometry)
@@ -237,7 +245,11 @@ def _attach_leg(
     add_hinges(leg, config.hinges)
     if side == "right":
         mirror(leg)
-    frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
+    frame = (
+        attachment_site
+        if isinstance(attachment_site, mujoco.MjsFrame)
+        else attachment_site.add_frame()
+    )
     half = float(getattr(parameters.build, f"{pair}_tilt")) / 2
     frame.quat = np.array([np.cos(half), np.sin(half), 0.0, 0.0])
     spec.attach(leg, prefix=f"{limb}_", frame=frame)

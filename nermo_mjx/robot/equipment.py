@@ -209,13 +209,18 @@ def compliant_kind(joint: str) -> str | None:
 
 
 def _compliant(
-    joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0, hinges: int = 1
+    joint: Any,
+    stiffness: Any,
+    damping: Any,
+    armature: float,
+    rest_angle: float = 0.0,
+    hinges: int = 1,
 ) -> None:
     # Coefficients of a polynomial in the angle; only the linear one is used.
     joint.stiffness, joint.damping = (
         np.array([hinges * value, 0.0, 0.0]) for value in (stiffness, damping)
     )
-    joint.armature, joint.springref = hinges * armature, rest / hinges
+    joint.armature, joint.springref = hinges * armature, rest_angle / hinges
 
 
 def pair_of(tendon: str) -> str | None:

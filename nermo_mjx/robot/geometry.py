@@ -155,24 +155,24 @@ def check_geometry(geometry: Geometry) -> None:
                 f"at most geometry.{pair}_leg.lower, {length:g} m."
             )
     inside = SERVO_INSIDE + SERVO_DEPTH + PULLEY_RIM
-    beside, radius = _first(
+    lateral_offset, radius = _first(
         geometry.hip.x, geometry.spine.pulley_radius, lambda x, radius: x < inside + radius
     )
-    if beside:
+    if lateral_offset:
         raise ParameterError(
-            f"geometry.hip.x is {beside:g} m: the hips' servos would overlap the spine's pulley, whose radius is "
+            f"geometry.hip.x is {lateral_offset:g} m: the hips' servos would overlap the spine's pulley, whose radius is "
             f"{radius:g} m; allowed is at least {inside + radius:g} m."
         )
 
 
-def _first(one: Any, other: Any, wrong: Callable[[Any, Any], Any]) -> tuple[float, float]:
+def _first(first_values: Any, second_values: Any, wrong: Callable[[Any, Any], Any]) -> tuple[float, float]:
     """The first invalid pair of numbers; zeros if all are valid."""
-    one, other = (
-        np.ravel(each)
-        for each in np.broadcast_arrays(np.asarray(one, float), np.asarray(other, float))
+    first_values, second_values = (
+        np.ravel(values)
+        for values in np.broadcast_arrays(np.asarray(first_values, float), np.asarray(second_values, float))
     )
-    (found,) = np.nonzero(wrong(one, other))
-    return (float(one[found[0]]), float(other[found[0]])) if len(found) else (0.0, 0.0)
+    (indices,) = np.nonzero(wrong(first_values, second_values))
+    return (float(first_values[indices[0]]), float(second_values[indices[0]])) if len(indices) else (0.0, 0.0)
 
 
 def leg_geometry(geometry: Geometry, pair: str, xp: Any = math) -> LegGeometry:

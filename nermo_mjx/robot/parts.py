@@ -142,11 +142,11 @@ def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     for side, sign in sides.items():
         for name, (x, y) in (("side", TAIL.side), ("rim", TAIL.tie), ("0", (TAIL.eyelet, 0.0100))):
             spec.site(f"{side}_{name}").pos = np.array([sign * x, y, 0.0])
-    parent, place = spec.worldbody, np.array([0.0, *TAIL.first_joint])
+    parent, position = spec.worldbody, np.array([0.0, *TAIL.first_joint])
     for i, (along, drop) in enumerate(ends, 1):
         end = np.array([0.0, along * stretch, -drop * stretch])
         width = round(TAIL.eyelet - TAIL.taper * (i - 1), 6)
-        parent = parent.add_body(name=f"segment_{i}", pos=place)
+        parent = parent.add_body(name=f"segment_{i}", pos=position)
         parent.add_joint(spec.find_default("tail"), name=f"joint_{i}")
         _draw(spec, parent, i, end, width)
         for side, sign in sides.items():
@@ -164,7 +164,7 @@ def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
                 spec.find_default("ground"), name=geom, pos=end, size=[radius, 0.0, 0.0]
             )
             parent.add_site(spec.find_default("touch"), name=site, pos=end)
-        place = end
+        position = end
     spec.delete(spec.mesh("segment"))
     _limit_to_straight(spec)
 
@@ -181,8 +181,8 @@ def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: flo
         userface=bead.userface,
         scale=1e-3 * np.array([across, long, across]),
     )
-    drawn = segment.add_geom(spec.find_default("visual"), meshname=name)
-    turn(drawn, math.atan2(end[2], end[1]), 0.0, 0.0)
+    geom = segment.add_geom(spec.find_default("visual"), meshname=name)
+    turn(geom, math.atan2(end[2], end[1]), 0.0, 0.0)
     half = 0.001 * end / end[1]
     cord = segment.add_geom(spec.find_default("cord"), size=[0.36 * width, 0.0, 0.0])
     cord.fromto = np.concatenate([-half, half])
@@ -246,8 +246,11 @@ def _hip(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 
 def _limbs(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     """Mounts of a pair of limbs, their servos, and the capsule that is the servos' outline."""
-    place = geometry.shoulder if pair == "front" else geometry.hip
-    axis, height = np.array([place.x, place.y, place.z], float), LEGS[pair].pulley_height
+    joint_position = geometry.shoulder if pair == "front" else geometry.hip
+    axis, height = (
+        np.array([joint_position.x, joint_position.y, joint_position.z], float),
+        LEGS[pair].pulley_height,
+    )
     for side, mirrored in (("left", (1.0, 1.0, 1.0)), ("right", (-1.0, 1.0, 1.0))):
         for name, inside, up in (
             (f"{pair}_{side}_mount", 0.0, 0.0),
@@ -262,7 +265,7 @@ def _limbs(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
 def _leg(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     leg = leg_geometry(geometry, pair)
     centre = np.array([0.0, leg.pulley_height])
-    for site, place in (
+    for site, position in (
         ("guide", leg.guide),
         ("side", centre + leg.side),
         ("rim", leg.tie),
@@ -271,7 +274,7 @@ def _leg(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
         ("lead", (0.0, lead_height(leg))),
         ("idler_side", (-2.0 * leg.knee_direction * IDLER_RADIUS, 0.0)),
     ):
-        spec.site(site).pos = np.array([0.0, *place])
+        spec.site(site).pos = np.array([0.0, *position])
     spec.geom("pulley").size[0], spec.geom("idler").size[0] = leg.pulley_radius, IDLER_RADIUS
     spec.geom("sole").size[0] = float(geometry.foot.radius)
     spec.body("pulley").pos = np.array([0.0, *centre])
@@ -290,8 +293,13 @@ def _leg(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     turn(spec.body("foot"), -leg.theta3, 0.0, 0.0)
     for element in (spec.geom("paw"), spec.geom("sole"), spec.site("foot"), spec.site("touch")):
         element.pos = down["foot"]
-    for bumper, beside, end in (("upper_bumper", 0.001, "knee"), ("lower_bumper", 0.0015, "ankle")):
-        spec.geom(bumper).fromto = np.array([beside, 0.0, 0.0, beside, 0.0, down[end][2]])
+    for bumper, lateral_offset, end in (
+        ("upper_bumper", 0.001, "knee"),
+        ("lower_bumper", 0.0015, "ankle"),
+    ):
+        spec.geom(bumper).fromto = np.array(
+            [lateral_offset, 0.0, 0.0, lateral_offset, 0.0, down[end][2]]
+        )
     for routing in ROUTINGS:
         spec.tendon(routing).range = np.array(
             [0.0, round(tendon_limit(leg, routing), _DIGITS["leg"])]
@@ -305,12 +313,14 @@ def _spine(spec: mujoco.MjSpec, geometry: Geometry) -> None:
         frame.pos = np.array([float(a), 0.0, 0.0])
         # The table and the file are in degrees.
         turn(frame, *np.round(np.degrees([alpha, 0.0, theta]), 9))
-    half, beside = SPINE.segment_length / 2, SPINE.segment_offset
+    half, lateral_offset = SPINE.segment_length / 2, SPINE.segment_offset
     ratio = float(geometry.spine.pulley_radius) / SPINE.pulley_radius
     for side, sign in (("left", 1.0), ("right", -1.0)):
         for i in range(2 * len(SPINE.lateral_joints)):
             # In front of and behind each joint; in its frame x is back and -y left.
-            spec.site(f"{side}_{i}").pos = np.array([half if i % 2 else -half, -sign * beside, 0.0])
+            spec.site(f"{side}_{i}").pos = np.array(
+                [half if i % 2 else -half, -sign * lateral_offset, 0.0]
+            )
         x, y = SPINE.tie
         spec.site(f"{side}_rim").pos = np.array([sign * x * ratio, y * ratio, 0.0])
         x, y = SPINE.side
@@ -386,15 +396,17 @@ def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
         spec: of the spine.
         ratio: of the pulley's radius to the published one.
     """
-    half, beside = SPINE.segment_length / 2, SPINE.segment_offset
+    half, lateral_offset = SPINE.segment_length / 2, SPINE.segment_offset
     # A vertical joint's z is left, and a lateral one's z is up.
     for name, sign in (("above", 1.0), ("below", -1.0), ("left", 1.0), ("right", -1.0)):
         for site in spec.sites:
             kind, _, number = site.name.rpartition("_")
             if kind == f"{name}_axis":
-                site.pos = np.array([0.0, 0.0, sign * beside])
+                site.pos = np.array([0.0, 0.0, sign * lateral_offset])
             elif kind == name and name in ("above", "below"):
-                site.pos = np.array([half if int(number) % 2 else -half, sign * beside, 0.0])
+                site.pos = np.array(
+                    [half if int(number) % 2 else -half, sign * lateral_offset, 0.0]
+                )
     for element in (spec.body("vertical_pulley"), spec.frame("vertical_servo")):
         element.pos = np.array(PULLEY)
     spec.body("vertical_pulley").quat = np.array(

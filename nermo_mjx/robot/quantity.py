@@ -50,7 +50,7 @@ class ParameterError(ValueError):
     """An invalid parameter; the message names the field, its value and the allowed range."""
 
 
-def require(what: str, library: str, extra: str) -> None:
+def require(option: str, library: str, extra: str) -> None:
     """Checks that a library is installed that only an extra of this package installs.
 
     Call it before any expensive computation.
@@ -58,7 +58,7 @@ def require(what: str, library: str, extra: str) -> None:
     >>> require("A walk", "numpy", "drive")
 
     Args:
-        what: Subject of the message: the option, method or field that needs the library.
+        option: Subject of the message: the option, method or field that needs the library.
         library: Name of the library's top-level module.
         extra: Name of the extra.
 
@@ -66,7 +66,7 @@ def require(what: str, library: str, extra: str) -> None:
         ParameterError: The library is not installed; the message contains the command that installs it.
     """
     if importlib.util.find_spec(library) is None:
-        raise ParameterError(f'{what} needs {library}: pip install "nermo-mjx[{extra}]".')
+        raise ParameterError(f'{option} needs {library}: pip install "nermo-mjx[{extra}]".')
 
 
 def of_type(field: str, value: T, kinds: type | tuple[type, ...], expected: str) -> T:
@@ -103,10 +103,10 @@ class Quantity:
 
     def allowed(self) -> str:
         """The allowed range in words, for error messages and listings."""
-        left = "(" if self.open_low or math.isinf(self.low) else "["
+        bracket = "(" if self.open_low or math.isinf(self.low) else "["
         right = ")" if self.open_high or math.isinf(self.high) else "]"
         unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{left}{self.low:g}, {self.high:g}{right}{unit}"
+        return f"{bracket}{self.low:g}, {self.high:g}{right}{unit}"
 
     @property
     def _in_units(self) -> dict[str, float]:
@@ -125,8 +125,8 @@ class Quantity:
         unit = "" if self.unit == "1" else f" {self.unit}"
         *others, last = self._in_units
         units = f"{', '.join(others)} or {last}" if others else last
-        how = f" in {units}" if unit else f", or one in {units}"
-        return f"expected a number{how}, such as {np.ravel(self.default)[0]:g}{unit}."
+        unit_note = f" in {units}" if unit else f", or one in {units}"
+        return f"expected a number{unit_note}, such as {np.ravel(self.default)[0]:g}{unit}."
 
     def number(self, text: str) -> float | None:
         """The SI number of a text, or None if the text is none.
@@ -134,8 +134,8 @@ class Quantity:
         >>> Quantity(0.0, "rad", -math.pi, math.pi, "of a swing").number("-45 deg")
         -0.7853981633974483
         """
-        found = re.fullmatch(self.pattern, text)
-        return None if found is None else float(found[1]) / self._in_units.get(found[4], 1.0)
+        match = re.fullmatch(self.pattern, text)
+        return None if match is None else float(match[1]) / self._in_units.get(match[4], 1.0)
 
     def numbers(self, name: str, value: Any) -> Any:
         """What is given, with SI numbers in the place of texts; whatever is neither a text nor a truth value may pass.
@@ -146,7 +146,7 @@ class Quantity:
         if isinstance(value, np.ndarray) and value.dtype.kind in "OUb":
             value = value.tolist()
         if isinstance(value, (list, tuple)):
-            return [self.numbers(name, each) for each in value]
+            return [self.numbers(name, element) for element in value]
         number = self.number(value) if isinstance(value, str) else value
         if number is None or isinstance(value, (bool, np.bool_)):
             raise ParameterError(f"{name} is {value!r}: {self.expected}")
@@ -185,7 +185,7 @@ def quantity(
     """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments and `parameter_tree`."""
     if not doc:
         raise TypeError("quantity() has no doc: expected the quantity's meaning in one line")
-    about = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
+    declaration = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
 
     def own() -> np.ndarray:
         """A new array for each tree: JAX caches by array, and would mix up programs in 32 and 64 bits."""
@@ -193,7 +193,7 @@ def quantity(
         value.flags.writeable = False
         return value
 
-    return dataclasses.field(default_factory=own, metadata={"quantity": about})
+    return dataclasses.field(default_factory=own, metadata={"quantity": declaration})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(quantity, dataclasses.field))
@@ -215,14 +215,14 @@ def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
     A vector quantity yields one entry per component, `name.label`. A sub-tree contributes its field name as prefix.
     Fields that are neither are skipped.
     """
-    for name, about, _ in _fields(tree, prefix):
-        if not about.labels:
-            yield name, about
-        for i, label in enumerate(about.labels):
-            yield f"{name}.{label}", _of_component(about, i)
+    for name, declaration, _ in _fields(tree, prefix):
+        if not declaration.labels:
+            yield name, declaration
+        for i, label in enumerate(declaration.labels):
+            yield f"{name}.{label}", _of_component(declaration, i)
 
 
-def gathered(known: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
+def gathered(declarations: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
     """Names and quantities for display: components of a long vector that differ only in their last name part are one.
 
     >>> alike = Quantity(0.0, "m", 0.0, 1.0, "of a path")
@@ -230,23 +230,27 @@ def gathered(known: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
     ['path.y0 ... path.y5']
     """
     vectors: dict[tuple[str, Quantity], list[str]] = {}
-    for name, about in known.items():
-        vectors.setdefault((name.rpartition(".")[0], about), []).append(name)
-    for name, about in known.items():
-        names = vectors[name.rpartition(".")[0], about]
+    for name, declaration in declarations.items():
+        vectors.setdefault((name.rpartition(".")[0], declaration), []).append(name)
+    for name, declaration in declarations.items():
+        names = vectors[name.rpartition(".")[0], declaration]
         if len(names) <= 4:
-            yield name, about
+            yield name, declaration
         elif name == names[0]:
-            yield f"{name} ... {names[-1]}", about
+            yield f"{name} ... {names[-1]}", declaration
 
 
 def values_of(tree: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (dotted name, value) of every scalar parameter of a tree, in the order of `quantities`."""
-    for name, about, value in _fields(tree, prefix):
-        if not about.labels:
+    for name, declaration, value in _fields(tree, prefix):
+        if not declaration.labels:
             yield name, value
-        parts = value if isinstance(value, jax.Array) or not about.labels else np.asarray(value)
-        yield from ((f"{name}.{label}", parts[..., i]) for i, label in enumerate(about.labels))
+        parts = (
+            value if isinstance(value, jax.Array) or not declaration.labels else np.asarray(value)
+        )
+        yield from (
+            (f"{name}.{label}", parts[..., i]) for i, label in enumerate(declaration.labels)
+        )
 
 
 def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
@@ -259,33 +263,33 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
     replaced = _replace(tree, values, "", unknown) if values else tree
     if unknown:
         name = sorted(unknown)[0]
-        known = dict(quantities(tree)) | dict(
+        allowed = dict(quantities(tree)) | dict(
             quantities(type(tree))
         )  # also of what a tree may have and leaves out
-        raise ParameterError(f"{name} is not a parameter{did_you_mean(name, known)}")
+        raise ParameterError(f"{name} is not a parameter{did_you_mean(name, allowed)}")
     return replaced
 
 
 def check_quantities(tree: Any, prefix: str = "") -> None:
     """Raise `ParameterError` if any quantity of the tree is not finite or out of range."""
-    for name, about, value in _fields(tree, prefix):
+    for name, declaration, value in _fields(tree, prefix):
         try:
-            about.check(name, value)
+            declaration.check(name, value)
         except ParameterError:  # of a vector, the error names the component
-            for i, label in enumerate(about.labels):
-                about.check(f"{name}.{label}", np.asarray(value)[..., i])
+            for i, label in enumerate(declaration.labels):
+                declaration.check(f"{name}.{label}", np.asarray(value)[..., i])
             raise
 
 
 def _fields(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, Any]]:
     """Dotted name, quantity and value of every field of a tree; vectors are not divided. A class has no values."""
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
-        about = field.metadata.get("quantity")
-        value = getattr(tree, field.name, field.default_factory if about is None else None)
-        if about is None:
+        declaration = field.metadata.get("quantity")
+        value = getattr(tree, field.name, field.default_factory if declaration is None else None)
+        if declaration is None:
             yield from _fields(value, prefix + _prefix(field))
         else:
-            yield prefix + field.name, about, value
+            yield prefix + field.name, declaration, value
 
 
 def _prefix(field: dataclasses.Field[Any]) -> str:
@@ -294,27 +298,27 @@ def _prefix(field: dataclasses.Field[Any]) -> str:
 
 
 @functools.cache
-def _of_component(about: Quantity, component: int) -> Quantity:
+def _of_component(declaration: Quantity, component: int) -> Quantity:
     """The quantity of one component of a vector."""
-    assert isinstance(about.default, tuple)
-    return dataclasses.replace(about, default=about.default[component], labels=())
+    assert isinstance(declaration.default, tuple)
+    return dataclasses.replace(declaration, default=declaration.default[component], labels=())
 
 
 def _replace(tree: Any, values: Mapping[str, Any], prefix: str, unknown: set[str]) -> Any:
     """The tree with the values whose names begin with its prefix, which are unknown no longer."""
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
-        about, value = field.metadata.get("quantity"), getattr(tree, field.name)
-        if about is None:
+        declaration, value = field.metadata.get("quantity"), getattr(tree, field.name)
+        if declaration is None:
             sub = _replace(value, values, prefix + _prefix(field), unknown)
             changes |= {} if sub is value else {field.name: sub}
-        elif prefix + field.name in values and not about.labels:
+        elif prefix + field.name in values and not declaration.labels:
             changes[field.name] = values[prefix + field.name]
             unknown.discard(prefix + field.name)
-        elif about.labels and any(
-            f"{prefix}{field.name}.{label}" in values for label in about.labels
+        elif declaration.labels and any(
+            f"{prefix}{field.name}.{label}" in values for label in declaration.labels
         ):
-            names = [f"{prefix}{field.name}.{label}" for label in about.labels]
+            names = [f"{prefix}{field.name}.{label}" for label in declaration.labels]
             parts = [values.get(name, value[..., i]) for i, name in enumerate(names)]
             xp = jax.numpy if any(isinstance(part, jax.Array) for part in parts) else np
             changes[field.name] = xp.stack(xp.broadcast_arrays(*parts), axis=-1)
@@ -394,23 +398,25 @@ def nearest(name: str, allowed: Iterable[str]) -> str | None:
     >>> nearest("spine.ampl", ["gait.amplitude", "spine.amplitude"])
     'spine.amplitude'
     """
-    wanted = _parts(
+    name_parts = _parts(
         name[:100]
     )  # a longer one is near none, and comparing letters takes as long as both are long
 
     def likeness(full: str) -> tuple[float, float]:
         parts = _parts(full)
         # As many parts as it has, or one more, which is joined where a sign is left out; all in any order; and all.
-        pairs = [(wanted, parts[-count:]) for count in (len(wanted), len(wanted) + 1)]
-        pairs += [(sorted(wanted), sorted(parts)), (wanted, parts)]
+        pairs = [(name_parts, parts[-count:]) for count in (len(name_parts), len(name_parts) + 1)]
+        pairs += [(sorted(name_parts), sorted(parts)), (name_parts, parts)]
         ratios = [
-            difflib.SequenceMatcher(None, ".".join(one), ".".join(other)).ratio()
-            for one, other in pairs
+            difflib.SequenceMatcher(None, ".".join(name_part), ".".join(candidate_part)).ratio()
+            for name_part, candidate_part in pairs
         ]
         return max(ratios), ratios[-1]
 
     ranked = sorted(
-        ((likeness(full), full) for full in allowed), key=lambda each: each[0], reverse=True
+        ((likeness(full), full) for full in allowed),
+        key=lambda candidate: candidate[0],
+        reverse=True,
     )
     return ranked[0][1] if ranked and ranked[0][0][0] >= NEAR else None
 
@@ -421,8 +427,8 @@ def _parts(name: str) -> list[str]:
 
 def did_you_mean(name: str, allowed: Iterable[str]) -> str:
     """`; did you mean 'x'?` for the nearest allowed name, or a full stop where none is near."""
-    found = nearest(name, allowed)
-    return f"; did you mean {found!r}?" if found else "."
+    suggestions = nearest(name, allowed)
+    return f"; did you mean {suggestions!r}?" if suggestions else "."
 
 
 def choice(field: str, name: str, options: Iterable[str]) -> str:

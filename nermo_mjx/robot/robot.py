@@ -82,14 +82,15 @@ class _Compiled:
     def sensor_slices(self) -> dict[str, slice]:
         """Entries of `sensordata` by field of `Sensors`, in the order of `add_sensors`."""
         servos = tuple(self.model.actuator(i).name for i in range(self.model.nu))
-        own = {
+        slices = {
             "knee_angle": np.size(self.joints.knee),
             "joint_velocity": len(self.compliant),
             "tail_force": 0,
         }
         names = [field.name for field in dataclasses.fields(Sensors)]
         sizes = {
-            name: own[name] if name in own else len(reading_names(name, servos)) for name in names
+            name: slices[name] if name in slices else len(reading_names(name, servos))
+            for name in names
         }
         sizes["tail_force"] = self.model.nsensordata - sum(
             sizes.values()
@@ -104,7 +105,7 @@ class _Compiled:
     def compliant(self) -> tuple[str, ...]:
         """The kind of each joint of `Sensors.joint_velocity`."""
         kinds = [compliant_kind(self.model.joint(i).name) for i in range(self.model.njnt)]
-        return tuple(kind for kind in COMPLIANT for each in kinds if each == kind)
+        return tuple(kind for kind in COMPLIANT for joint_kind in kinds if joint_kind == kind)
 
     @functools.cached_property
     def mass_model(self) -> MassModel:
@@ -164,12 +165,14 @@ class Robot:
 
     def physical_with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
         """The same for `physical`."""
-        known = self._compiled.physical
-        return reduced_model(self._with(geometry), [known.site(i).name for i in range(known.nsite)])
+        physical = self._compiled.physical
+        return reduced_model(
+            self._with(geometry), [physical.site(i).name for i in range(physical.nsite)]
+        )
 
     def _with(self, geometry: Geometry, build: Build | None = None) -> mujoco.MjSpec:
-        own = default_parameters(self.config.robot)
-        parameters = dataclasses.replace(own, geometry=geometry, build=build or own.build)
+        defaults = default_parameters(self.config.robot)
+        parameters = dataclasses.replace(defaults, geometry=geometry, build=build or defaults.build)
         return assemble(self.config, replace_quantities(parameters, gravity_values(self.gravity)))
 
     @property
@@ -194,10 +197,10 @@ class Robot:
             kind: self.config.hinges * getattr(damping, kind) for kind in ("knee", "ankle", "spine")
         }
         values["tail"] = TAIL_DAMPING + 0.0 * values["knee"]
-        each = [values[kind] for kind in self._compiled.compliant]
+        damping_values = [values[kind] for kind in self._compiled.compliant]
         # An operation of its own would be compiled by itself.
-        return (jnp if any(isinstance(value, jax.Array) for value in each) else np).stack(
-            each, axis=-1
+        return (jnp if any(isinstance(value, jax.Array) for value in damping_values) else np).stack(
+            damping_values, axis=-1
         )
 
     @property
@@ -221,14 +224,14 @@ class Robot:
     def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:
         """`sensordata` of the robot placed at `qpos`, in JAX: IMU pose and joint angles; all other readings are
         zero."""
-        place, (w, x, y, z) = qpos[self.joints.root :][:3], qpos[self.joints.root :][3:7]
+        position, (w, x, y, z) = qpos[self.joints.root :][:3], qpos[self.joints.root :][3:7]
         arm = jnp.asarray(self.model.site("imu").pos, qpos.dtype)
         axis = jnp.stack([x, y, z])
         turned = arm + 2.0 * jnp.cross(axis, jnp.cross(axis, arm) + w * arm)
         data = jnp.zeros((self.model.nsensordata,), qpos.dtype)
         servos = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
         readings = {
-            "position": place + turned,
+            "position": position + turned,
             "orientation": jnp.stack([w, x, y, z]),
             "servo_angle": qpos[servos],
             "knee_angle": qpos[np.array(self.joints.knee).ravel()],
@@ -302,10 +305,10 @@ def _mass_model(model: mujoco.MjModel) -> MassModel:
     base, end = data.body("torso"), data.site("spine_end")
 
     def share(
-        chosen: np.ndarray, origin: np.ndarray, rotation: np.ndarray
+        selection: np.ndarray, origin: np.ndarray, rotation: np.ndarray
     ) -> tuple[float, np.ndarray]:
-        total = float(mass[chosen].sum())
-        centre = rotation.reshape(3, 3).T @ (mass[chosen] @ com[chosen] / total - origin)
+        total = float(mass[selection].sum())
+        centre = rotation.reshape(3, 3).T @ (mass[selection] @ com[selection] / total - origin)
         centre.flags.writeable = False
         return total, centre
 
@@ -327,11 +330,11 @@ def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
     """
     published, slopes = _mass_slopes(config)
     front, rear = (jnp.asarray(com, float) for com in (published.front_com, published.rear_com))
-    start = {name: about.default for name, about in quantities(Geometry)}
+    start = {name: declaration.default for name, declaration in quantities(Geometry)}
     for name, value in values_of(geometry):
-        more = jnp.asarray(value, float) - jnp.asarray(start[name], float)
+        change = jnp.asarray(value, float) - jnp.asarray(start[name], float)
         front, rear = (
-            com + more * jnp.asarray(slope, float)
+            com + change * jnp.asarray(slope, float)
             for com, slope in zip((front, rear), slopes[name], strict=True)
         )
     return dataclasses.replace(published, front_com=front, rear_com=rear)
@@ -341,16 +344,16 @@ def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
 def _mass_slopes(config: RobotConfig) -> tuple[MassModel, dict[str, tuple[np.ndarray, np.ndarray]]]:
     """The published mass model, and how its centres move with each parameter of the geometry."""
     robot, slopes = Robot(config, _compile(config)), {}
-    for name, about in quantities(Geometry):
+    for name, declaration in quantities(Geometry):
         low, high = (
             _mass_model(
                 robot.physical_with_geometry(
                     replace_quantities(Geometry(), {name: np.asarray(end)})
                 )
             )
-            for end in (about.low, about.high)
+            for end in (declaration.low, declaration.high)
         )
-        span = about.high - about.low
+        span = declaration.high - declaration.low
         slopes[name] = (
             (high.front_com - low.front_com) / span,
             (high.rear_com - low.rear_com) / span,
@@ -392,9 +395,9 @@ def load_robot(
                 "robot is a RobotConfig beside other arguments: change its fields with dataclasses.replace."
             )
         return Robot(robot, _compile(robot))
-    given = {} if timestep is None else {"timestep": timestep}
+    options = {} if timestep is None else {"timestep": timestep}
     config = RobotConfig(
-        robot, scene, tail, routing, cone, physics, hinges=hinges, feet=feet, **given
+        robot, scene, tail, routing, cone, physics, hinges=hinges, feet=feet, **options
     )
     return Robot(config, _compile(config))
 
@@ -406,7 +409,7 @@ def _joint_index(model: mujoco.MjModel) -> JointIndex:
         return tuple(address[f"{limb}_{joint}"] for limb in LIMBS)
 
     def chain(joint: str) -> tuple[int, ...]:
-        return tuple(at for name, at in address.items() if chain_of(name) == joint)
+        return tuple(index for name, index in address.items() if chain_of(name) == joint)
 
     return JointIndex(
         root=address["root"],
@@ -417,11 +420,11 @@ def _joint_index(model: mujoco.MjModel) -> JointIndex:
         spine=tuple(chain(f"spine_joint_{i}") for i in range(1, 5)),
         spine_pulley=address["spine_pulley"],
         neck=address["neck"],
-        tail=tuple(at for name, at in address.items() if name.startswith("tail_joint")),
-        tail_pulley=tuple(at for name, at in address.items() if name == "tail_pulley"),
+        tail=tuple(index for name, index in address.items() if name.startswith("tail_joint")),
+        tail_pulley=tuple(index for name, index in address.items() if name == "tail_pulley"),
         spine_vertical=tuple(filter(None, (chain(f"spine_vertical_{i}") for i in range(1, 5)))),
         spine_vertical_pulley=tuple(
-            at for name, at in address.items() if name == "spine_vertical_pulley"
+            index for name, index in address.items() if name == "spine_vertical_pulley"
         ),
-        head_tilt=tuple(at for name, at in address.items() if name == "head_tilt"),
+        head_tilt=tuple(index for name, index in address.items() if name == "head_tilt"),
     )

@@ -153,8 +153,8 @@ def _dressed(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         spec.visual.rgba.haze = usual.visual.rgba.haze
     if not spec.lights:
         for light in usual.lights:
-            kept = ("type", "pos", "dir", "diffuse", "specular", "castshadow")
-            spec.worldbody.add_light(**{name: getattr(light, name) for name in kept})
+            light_fields = ("type", "pos", "dir", "diffuse", "specular", "castshadow")
+            spec.worldbody.add_light(**{name: getattr(light, name) for name in light_fields})
         for name in ("ambient", "diffuse", "specular"):
             setattr(spec.visual.headlight, name, getattr(usual.visual.headlight, name))
     bare = [
@@ -166,10 +166,10 @@ def _dressed(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     ]
     if bare:
         spec.add_texture(name="nermo_mat", **{name: getattr(mat, name) for name in look})
-        own, wanted = spec.add_material(name="nermo_mat"), usual.materials[0]
-        own.textures = ["" if not name else "nermo_mat" for name in wanted.textures]
+        material, source = spec.add_material(name="nermo_mat"), usual.materials[0]
+        material.textures = ["" if not name else "nermo_mat" for name in source.textures]
         for name in ("texrepeat", "texuniform", "specular", "reflectance"):
-            setattr(own, name, getattr(wanted, name))
+            setattr(material, name, getattr(source, name))
         for geom in bare:
             geom.material = "nermo_mat"
     return spec
@@ -191,7 +191,7 @@ def _geoms(spec: mujoco.MjSpec, role: str) -> list[Any]:
     """Geoms of a default class, or of a class nested in it."""
     tree = ElementTree.fromstring(spec.to_xml())
     classes = {
-        each.get("class") for each in tree.findall(f".//default[@class='{role}']//default")
+        default.get("class") for default in tree.findall(f".//default[@class='{role}']//default")
     } | {role}
     return [
         geom
@@ -212,8 +212,10 @@ def _refusals(called: str) -> Iterator[None]:
     except (ValueError, ElementTree.ParseError) as error:
         if isinstance(error, ParameterError):
             raise
-        said = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
-        raise ParameterError(f"scene is {called}: MuJoCo refuses it: {said.rstrip('.')}.") from None
+        message = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+        raise ParameterError(
+            f"scene is {called}: MuJoCo refuses it: {message.rstrip('.')}."
+        ) from None
 
 
 #: What MuJoCo may make of a scene: elements, and bytes of its textures, height fields and numbers.
@@ -235,15 +237,15 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
     waiting, included = [(root, home, 1.0)], set[Path]()
     while waiting:
         element, home, copies = waiting.pop()
-        given = element.attrib
+        attributes = element.attrib
         if element.tag in _MAKERS:
             raise ParameterError(
                 f"scene is {called}: it has a {element.tag}: only the robot may move."
             )
         if element.tag == "replicate":
-            copies *= max(_number(given, "count"), 1.0)
-        elif element.tag in ("include", "model") and "file" in given:
-            path = home / given["file"]
+            copies *= max(_number(attributes, "count"), 1.0)
+        elif element.tag in ("include", "model") and "file" in attributes:
+            path = home / attributes["file"]
             if (
                 element.tag == "model" or path.resolve() not in included
             ):  # MuJoCo includes no file twice
@@ -257,37 +259,37 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
             size += (
                 8
                 * _MOST_ELEMENTS
-                * sum(_number(given, name) for name in given if name.startswith("nuser_"))
+                * sum(_number(attributes, name) for name in attributes if name.startswith("nuser_"))
             )
-            size += 8 * (_number(given, "nkey") + _number(given, "nuserdata"))
+            size += 8 * (_number(attributes, "nkey") + _number(attributes, "nuserdata"))
         elif element.tag == "texture":
-            faces = 1 if given.get("type") == "2d" else 6
+            faces = 1 if attributes.get("type") == "2d" else 6
             size += (
                 3
                 * faces
-                * _number(given, "width")
-                * (_number(given, "height") or _number(given, "width"))
+                * _number(attributes, "width")
+                * (_number(attributes, "height") or _number(attributes, "width"))
             )
         elif element.tag == "hfield":
-            size += 4 * _number(given, "nrow") * _number(given, "ncol")
+            size += 4 * _number(attributes, "nrow") * _number(attributes, "ncol")
         elif element.tag == "numeric":
-            size += 8 * _number(given, "size")
+            size += 8 * _number(attributes, "size")
         elements += copies
-        for count, most, what in (
+        for count, limit, kind in (
             (elements, _MOST_ELEMENTS, "elements"),
             (size, _MOST_BYTES, "bytes"),
         ):
-            if not count <= most:
+            if not count <= limit:
                 raise ParameterError(
-                    f"scene is {called}: with its {element.tag} it asks for {count:,.0f} {what}: allowed are {most:,}."
+                    f"scene is {called}: with its {element.tag} it asks for {count:,.0f} {kind}: allowed are {limit:,}."
                 )
         waiting += [(child, home, copies) for child in element]
 
 
-def _number(given: Mapping[str, str], name: str) -> float:
+def _number(attributes: Mapping[str, str], name: str) -> float:
     """An attribute's number; 0 if there is none, or it is none, which MuJoCo refuses."""
     try:
-        return max(float(given.get(name, "0").split()[0]), 0.0)
+        return max(float(attributes.get(name, "0").split()[0]), 0.0)
     except (ValueError, IndexError):
         return 0.0
 
@@ -304,8 +306,8 @@ def _text(spec: mujoco.MjSpec, called: str) -> str:
     """MJCF of a checked and prepared scene, which does not change when it is read and prepared again."""
     text = _prepared(spec, called)
     for _ in range(_MOST_READ):
-        before, text = text, _prepared(mujoco.MjSpec.from_string(text), called)
-        if text == before:
+        original, text = text, _prepared(mujoco.MjSpec.from_string(text), called)
+        if text == original:
             break
     return text
 
@@ -316,10 +318,10 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
     def refuse(why: str) -> NoReturn:
         raise ParameterError(f"scene is {called}: it {why}.")
 
-    for kind, what in _FOREIGN.items():
+    for kind, description in _FOREIGN.items():
         for element in getattr(spec, kind):
             refuse(
-                f"has {what}{f' {element.name!r}' if element.name else ''}, and only the robot may"
+                f"has {description}{f' {element.name!r}' if element.name else ''}, and only the robot may"
             )
     for body in spec.bodies[1:]:
         if body.mocap:
@@ -337,8 +339,8 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     for role in (GROUND, OBSTACLE):
-        taken = {geom.name for geom in spec.geoms}
-        free = (name for i in range(len(spec.geoms)) if (name := f"{role}_{i}") not in taken)
+        geom_names = {geom.name for geom in spec.geoms}
+        free = (name for i in range(len(spec.geoms)) if (name := f"{role}_{i}") not in geom_names)
         for geom in _geoms(spec, role):
             geom.name = geom.name or next(free)
     for geom in ground:
@@ -368,26 +370,26 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
 def _check_options(spec: mujoco.MjSpec, called: str) -> None:
     """Refuse options that would change how the robot walks, and warn of the solver's, which are not taken."""
     default = mujoco.MjSpec().option
-    own = {
+    options = {
         name: getattr(spec.option, name)
         for name in dir(default)
         if not name.startswith("_") and name != "gravity"
     }
-    own = {
+    options = {
         name: value
-        for name, value in own.items()
+        for name, value in options.items()
         if not np.array_equal(value, getattr(default, name))
     }
-    if wrong := [name for name in own if name in _WITHOUT]:
-        what = "flags" if wrong[0].endswith("flags") else f"{wrong[0]} {own[wrong[0]]}"
+    if wrong := [name for name in options if name in _WITHOUT]:
+        subject = "flags" if wrong[0].endswith("flags") else f"{wrong[0]} {options[wrong[0]]}"
         raise ParameterError(
-            f"scene is {called}: its option has {what}, without which the robot would walk: of a scene's options only "
+            f"scene is {called}: its option has {subject}, without which the robot would walk: of a scene's options only "
             "gravity is taken; leave it out."
         )
-    if own:
-        shown = ", ".join(f"{name} {value}" for name, value in own.items())
+    if options:
+        listing = ", ".join(f"{name} {value}" for name, value in options.items())
         warnings.warn(
-            f"scene is {called}: its option has {shown}, which is not taken: the solver is the robot's, whose physics, "
+            f"scene is {called}: its option has {listing}, which is not taken: the solver is the robot's, whose physics, "
             "timestep and cone the setup names.",
             stacklevel=4,
         )
@@ -396,9 +398,9 @@ def _check_options(spec: mujoco.MjSpec, called: str) -> None:
 def _own_settings_only(text: str) -> str:
     """The scene without settings that would affect the robot, which has its own options and compiler settings."""
     tree = ElementTree.fromstring(text)
-    for name, kept in (("option", "gravity"), ("compiler", "angle"), ("size", "")):
+    for name, allowed in (("option", "gravity"), ("compiler", "angle"), ("size", "")):
         for element in tree.findall(name):
-            element.attrib = {key: value for key, value in element.attrib.items() if key == kept}
+            element.attrib = {key: value for key, value in element.attrib.items() if key == allowed}
             element[:] = []
     return ElementTree.tostring(tree, encoding="unicode")
 
@@ -420,11 +422,11 @@ def _find_files(spec: mujoco.MjSpec) -> None:
 
 def _check_files(spec: mujoco.MjSpec, called: str) -> None:
     """Refuse files of which MuJoCo would make more than fits: large ones, and PNG files with many pixels."""
-    named = (
-        *(each.file for each in (*spec.meshes, *spec.hfields, *spec.textures)),
-        *(file for each in spec.textures for file in each.cubefiles),
+    file_names = (
+        *(asset.file for asset in (*spec.meshes, *spec.hfields, *spec.textures)),
+        *(file for asset in spec.textures for file in asset.cubefiles),
     )
-    for path in map(Path, filter(None, named)):
+    for path in map(Path, filter(None, file_names)):
         with opened(path) as file:
             size, head = os.fstat(file.fileno()).st_size, file.read(24)
         if head.startswith(b"\x89PNG"):
@@ -486,13 +488,13 @@ class Terrain:
         else:
             heights.append(self._shaped_height(x, y, shape))
         highest = heights[0]
-        for each in heights[1:]:
-            highest = jnp.maximum(highest, each)
+        for height in heights[1:]:
+            highest = jnp.maximum(highest, height)
         return jnp.where(jnp.isneginf(highest), self._bottom, highest)
 
     def _shaped_height(self, x: Array, y: Array, shape: TerrainShape) -> Array:
         assert self._kind is not None
-        pos, quat, size = (jnp.asarray(each, float) for each in self._kind.layout(shape, jnp))
+        pos, quat, size = (jnp.asarray(value, float) for value in self._kind.layout(shape, jnp))
         if self._kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
             return self._shaped[0].height(x, y, shape.height, pos[0])
         surface = _box_height if self._kind.geom == mujoco.mjtGeom.mjGEOM_BOX else _capsule_height
@@ -532,8 +534,8 @@ def _box_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array:
         )
         flat = jnp.abs(slope) < _PARALLEL
         safe, side = jnp.where(flat, 1.0, slope), jnp.where(slope < 0.0, -half, half)
-        beside = jnp.where(jnp.abs(offset) <= half, jnp.inf, -jnp.inf)
-        top = jnp.minimum(top, jnp.where(flat, beside, (side - offset) / safe))
+        clearance = jnp.where(jnp.abs(offset) <= half, jnp.inf, -jnp.inf)
+        top = jnp.minimum(top, jnp.where(flat, clearance, (side - offset) / safe))
         base = jnp.maximum(base, jnp.where(flat, -jnp.inf, (-side - offset) / safe))
     return jnp.where(top >= base, top, -jnp.inf)
 
@@ -548,8 +550,8 @@ def _capsule_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array
     steep = a < _PARALLEL
     under = (along * az) ** 2 - a * c
     h = (along * az + jnp.sqrt(jnp.where(under > 0.0, under, 1.0))) / jnp.where(steep, 1.0, a)
-    beside = ~steep & (under > 0.0) & (jnp.abs(along + h * az) <= half)
-    highest = jnp.where(beside, h, -jnp.inf)
+    on_side = ~steep & (under > 0.0) & (jnp.abs(along + h * az) <= half)
+    highest = jnp.where(on_side, h, -jnp.inf)
     for end in (-half, half):
         room = radius * radius - (dx - end * ax) ** 2 - (dy - end * ay) ** 2
         ball = end * az + jnp.sqrt(jnp.where(room > 0.0, room, 1.0))
@@ -572,7 +574,7 @@ class _Surface(NamedTuple):
 def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    place, turn, size = (
+    position, turn, size = (
         model.geom_pos[geom].copy(),
         rotation.reshape(3, 3),
         model.geom_size[geom].copy(),
@@ -583,12 +585,12 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
 
         def solid(x: Array, y: Array) -> Array:
             enters = _capsule_height if capsule else _box_height
-            return place[2] + enters(
-                x - place[0], y - place[1], jnp.asarray(turn, float), jnp.asarray(size, float)
+            return position[2] + enters(
+                x - position[0], y - position[1], jnp.asarray(turn, float), jnp.asarray(size, float)
             )
 
         up = abs(turn[2, 2]) * size[1] + size[0] if capsule else np.abs(turn[2]) @ size
-        return _Surface(solid, float(place[2] - up))
+        return _Surface(solid, float(position[2] - up))
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
         normal = turn[:, 2]
         if normal[2] < _STEEPEST:
@@ -598,10 +600,13 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
 
         def plane(x: Array, y: Array) -> Array:
             if not normal[:2].any():
-                return jnp.full(jnp.broadcast_shapes(x.shape, y.shape), place[2], float)
-            return place[2] - (normal[0] * (x - place[0]) + normal[1] * (y - place[1])) / normal[2]
+                return jnp.full(jnp.broadcast_shapes(x.shape, y.shape), position[2], float)
+            return (
+                position[2]
+                - (normal[0] * (x - position[0]) + normal[1] * (y - position[1])) / normal[2]
+            )
 
-        return _Surface(plane, float(place[2]))
+        return _Surface(plane, float(position[2]))
     field = model.geom_dataid[geom]
     if turn[2, 2] < 1.0 - 1e-6:
         raise ParameterError(f"scene has the ground {name!r}, an hfield that is not level.")
@@ -619,11 +624,11 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
             return field_share(column.astype(float), row.astype(float), jnp)
         return jnp.asarray(data, float)[row, column]
 
-    def hills(x: Array, y: Array, highest: ArrayLike = extent[2], moved: Any = None) -> Array:
+    def hills(x: Array, y: Array, highest: ArrayLike = extent[2], offset: Any = None) -> Array:
         """On the triangles into which MuJoCo divides each cell, for a field of this height and place."""
-        if moved is not None:
-            x, y = x - moved[0] + place[0], y - moved[1] + place[1]
-        dx, dy = x - place[0], y - place[1]
+        if offset is not None:
+            x, y = x - offset[0] + position[0], y - offset[1] + position[1]
+        dx, dy = x - position[0], y - position[1]
         u = (turn[0, 0] * dx + turn[1, 0] * dy) / extent[0]
         v = (turn[0, 1] * dx + turn[1, 1] * dy) / extent[1]
         column, row = 0.5 * (u + 1.0) * (columns - 1), 0.5 * (v + 1.0) * (rows - 1)
@@ -639,6 +644,6 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
         lower = origin + s * (right - origin) + t * (opposite - right)
         upper = origin + t * (up - origin) + s * (opposite - up)
         inside = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0)
-        return jnp.where(inside, place[2] + highest * jnp.where(s >= t, lower, upper), -jnp.inf)
+        return jnp.where(inside, position[2] + highest * jnp.where(s >= t, lower, upper), -jnp.inf)
 
-    return _Surface(hills, float(place[2]))
+    return _Surface(hills, float(position[2]))

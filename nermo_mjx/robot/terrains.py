@@ -162,8 +162,8 @@ def _rough(shape: TerrainShape, xp: Any) -> TerrainGeoms:
 def _slalom(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     """Six gates of two poles, the left one first."""
     centres, radius = gates(shape, xp), POLE[0]
-    apart = 0.5 * shape.gap + radius
-    x = xp.stack([centres[:, 0] + apart, centres[:, 0] - apart], axis=-1).reshape(-1)
+    distance = 0.5 * shape.gap + radius
+    x = xp.stack([centres[:, 0] + distance, centres[:, 0] - distance], axis=-1).reshape(-1)
     pos = _stacked(xp, x, xp.repeat(centres[:, 1], 2), POLE[1])
     return TerrainGeoms(pos, _level(xp, 12), xp.asarray(np.tile([*POLE, 0.0], (12, 1))))
 
@@ -282,7 +282,9 @@ def field_share(column: Any, row: Any, xp: Any = np) -> Any:
 
 
 def _sum_of_waves(column: Any, row: Any, xp: Any) -> Any:
-    across, along, phase, height = (each.astype(np.result_type(column * 1.0)) for each in _waves())
+    across, along, phase, height = (
+        values.astype(np.result_type(column * 1.0)) for values in _waves()
+    )
     turn = FIELD_STEP * (column[..., None] * across + row[..., None] * along) + phase
     return xp.sum(height * xp.sin(turn), axis=-1)
 

@@ -180,8 +180,8 @@ RUMP: Final = (
 
 def hip_shapes(geometry: Geometry) -> dict[str, Shape]:
     """Meshes of the hip, by file name."""
-    place = geometry.hip
-    x, y, z = (MM * float(value) for value in (place.x, place.y, place.z))
+    hip = geometry.hip
+    x, y, z = (MM * float(value) for value in (hip.x, hip.y, hip.z))
     upper = z + MM * REAR_LEG.pulley_height
     w, low, high = SERVO_WIDTH / 2, y - BEFORE, y + BEHIND
     side, inner = x - 5.0, x - 23.4
@@ -219,8 +219,8 @@ def spine_shapes(geometry: Geometry) -> dict[str, Shape]:
     """Meshes of the spine, by file name."""
     joints = SPINE.lateral_joints
     shapes = {
-        f"vertebra_{i}": vertebra(dh_pose(here, there, geometry))
-        for i, (here, there) in enumerate(itertools.pairwise(joints), 1)
+        f"vertebra_{i}": vertebra(dh_pose(joint, next_joint, geometry))
+        for i, (joint, next_joint) in enumerate(itertools.pairwise(joints), 1)
     }
     shapes["spine_front"] = front_stub(geometry)
     radius = MM * float(geometry.spine.pulley_radius)
@@ -240,15 +240,15 @@ def end_disc() -> Shape:
     return join(oval, eyelet.moved(y=BESIDE), eyelet.moved(y=-BESIDE))
 
 
-def vertebra(after: Float[np.ndarray, "4 4"]) -> Shape:
+def vertebra(pose: Float[np.ndarray, "4 4"]) -> Shape:
     """From one joint to the next, whose pose is `after`: two discs, the body between them, and a spinous process."""
     front = end_disc().turned("z", np.pi)
-    rear = end_disc().transformed(after[:3, :3], after[:3, 3])
+    rear = end_disc().transformed(pose[:3, :3], pose[:3, 3])
     return join(
         front,
         rear,
-        waisted(pose_along(np.eye(4), EXIT), after @ pose_along(np.eye(4), -EXIT)),
-        _process(after),
+        waisted(pose_along(np.eye(4), EXIT), pose @ pose_along(np.eye(4), -EXIT)),
+        _process(pose),
     )
 
 
@@ -262,9 +262,9 @@ def front_stub(geometry: Geometry) -> Shape:
 
 
 def pose_along(pose: np.ndarray, x: float) -> np.ndarray:
-    moved = np.eye(4)
-    moved[0, 3] = x
-    return pose @ moved
+    matrix = np.eye(4)
+    matrix[0, 3] = x
+    return pose @ matrix
 
 
 def waisted(start: np.ndarray, end: np.ndarray) -> Shape:
@@ -278,9 +278,9 @@ def waisted(start: np.ndarray, end: np.ndarray) -> Shape:
     return loft(rings)
 
 
-def _process(after: np.ndarray) -> Shape:
+def _process(pose: np.ndarray) -> Shape:
     """The fin on a vertebra's back, leaning to the rear."""
-    middle = after[:3, 3] / 2
+    middle = pose[:3, 3] / 2
     rings = []
     for height, reach, width, lean in (
         (2.0, 3.4, 1.5, 0.0),
@@ -358,8 +358,8 @@ def crest(y: float) -> Shape:
 
 def shoulder_bracket(geometry: Geometry) -> list[Shape]:
     """The bracket between and around the stacked servos of both front legs."""
-    place = geometry.shoulder
-    x, y, z = (MM * float(value) for value in (place.x, place.y, place.z))
+    shoulder = geometry.shoulder
+    x, y, z = (MM * float(value) for value in (shoulder.x, shoulder.y, shoulder.z))
     upper = z + MM * FRONT_LEG.pulley_height
     w, low, high = SERVO_WIDTH / 2, y - BEFORE, y + BEHIND
     side = x - 5.0
@@ -404,7 +404,7 @@ def redraw(spec: mujoco.MjSpec, geometry: Geometry) -> None:
         geometry: that it was assembled with.
     """
     # The spine's are attached with its name as prefix.
-    drawn = {
+    meshes = {
         **shapes(geometry),
         **{
             f"spine_{name.removeprefix('spine_')}": shape
@@ -413,7 +413,7 @@ def redraw(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     }
     for mesh in spec.meshes:
         # Both sides share one file; the right side is mirrored by its scale.
-        shape = drawn.get(mesh.name.replace("_left_", "_").replace("_right_", "_"))
+        shape = meshes.get(mesh.name.replace("_left_", "_").replace("_right_", "_"))
         if shape is not None:
             shape = creased(shape)
             mesh.uservert, mesh.userface = (hundredths(shape) / 100).ravel(), shape.faces.ravel()

@@ -77,8 +77,8 @@ def loft(rings: Sequence[Any] | np.ndarray, ring_closed: bool = False) -> Shape:
     index = np.arange(count * size).reshape(count, size)
     faces = []
     for r in range(count if ring_closed else count - 1):
-        here, there = index[r], index[(r + 1) % count]
-        a, b, c, d = here, np.roll(here, -1), np.roll(there, -1), there
+        lower, upper = index[r], index[(r + 1) % count]
+        a, b, c, d = lower, np.roll(lower, -1), np.roll(upper, -1), upper
         faces += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
     vertices = points.reshape(-1, 3)
     if not ring_closed:
@@ -250,10 +250,10 @@ def creased(shape: Shape, angle: float = CREASE) -> Shape:
     corner = shape.vertices[shape.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = np.linalg.norm(normal, axis=1)
-    kept = np.flatnonzero(area > 1e-9)
+    face_indices = np.flatnonzero(area > 1e-9)
     normal = normal / np.maximum(area, 1e-12)[:, None]
     around: dict[int, list[int]] = {}
-    for face in kept.tolist():
+    for face in face_indices.tolist():
         for vertex in shape.faces[face].tolist():
             around.setdefault(vertex, []).append(face)
     vertices: list[np.ndarray] = []
@@ -263,7 +263,8 @@ def creased(shape: Shape, angle: float = CREASE) -> Shape:
             owner.update(((face, vertex), len(vertices)) for face in group)
             vertices.append(shape.vertices[vertex])
     split = [
-        [owner[face, vertex] for vertex in shape.faces[face].tolist()] for face in kept.tolist()
+        [owner[face, vertex] for vertex in shape.faces[face].tolist()]
+        for face in face_indices.tolist()
     ]
     return Shape(np.array(vertices), np.array(split))
 
@@ -273,11 +274,17 @@ def _smooth_groups(
 ) -> list[list[int]]:
     """Faces around a vertex, in groups that are connected across edges that are not sharp."""
     group = {face: {face} for face in faces}
-    for i, one in enumerate(faces):
-        for other in faces[i + 1 :]:
-            shared = set(corners[one].tolist()) & set(corners[other].tolist()) - {vertex}
-            if shared and normal[one] @ normal[other] > limit and group[one] is not group[other]:
-                union = group[one] | group[other]
+    for i, first_face in enumerate(faces):
+        for second_face in faces[i + 1 :]:
+            shared = set(corners[first_face].tolist()) & set(corners[second_face].tolist()) - {
+                vertex
+            }
+            if (
+                shared
+                and normal[first_face] @ normal[second_face] > limit
+                and group[first_face] is not group[second_face]
+            ):
+                union = group[first_face] | group[second_face]
                 group.update((member, union) for member in union)
     return [
         list(members)
