@@ -57,8 +57,8 @@ def run_bench(
     Raises:
         ParameterError: an unknown case or engine, or an empty batch.
     """
-    for name, given, allowed in (("case", cases, CASES), ("engine", engines, ENGINES)):
-        if unknown := [each for each in given if each not in allowed]:
+    for name, requested, allowed in (("case", cases, CASES), ("engine", engines, ENGINES)):
+        if unknown := [choice for choice in requested if choice not in allowed]:
             raise ParameterError(
                 f"{name} is {unknown[0]!r}: allowed is one of {', '.join(allowed)}."
             )
@@ -66,9 +66,9 @@ def run_bench(
         raise ParameterError(f"worlds is {empty[0]}: allowed is a whole number from 1.")
     planned = [(case, engine, size) for case in cases for engine in engines for size in worlds]
     lines = []
-    for done, (case, engine, size) in enumerate(planned):
+    for count, (case, engine, size) in enumerate(planned):
         if progress:
-            progress(done, len(planned))
+            progress(count, len(planned))
         lines += [
             {"case": case, "engine": engine, "worlds": size, **apart(CASES[case], engine, size)}
         ]
@@ -203,16 +203,16 @@ def startup(engine: str, worlds: int) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as cache:
         for state in CACHES:
-            done = subprocess.run(
+            process = subprocess.run(
                 [sys.executable, "-c", PROGRAM, engine, str(worlds)],
                 env=environment | {"NERMO_MJX_CACHE": cache},
                 check=False,
                 capture_output=True,
                 text=True,
             )
-            if done.returncode:
-                raise RuntimeError(done.stderr.strip().split("\n")[-1])
-            stages = json.loads(done.stdout.strip().split("\n")[-1])
+            if process.returncode:
+                raise RuntimeError(process.stderr.strip().split("\n")[-1])
+            stages = json.loads(process.stdout.strip().split("\n")[-1])
             figures[f"{state}_s"] = sum(
                 took for stage, took in stages.items() if stage != "training_s"
             )

@@ -66,7 +66,7 @@ def opened(path: Path) -> BinaryIO:
     return file
 
 
-def read_bytes(path: Path, most: int) -> bytes:
+def read_bytes(path: Path, limit: int) -> bytes:
     """The content of a regular file of at most `most` bytes.
 
     Raises:
@@ -76,11 +76,11 @@ def read_bytes(path: Path, most: int) -> bytes:
     with opened(path) as file:
         size = os.fstat(file.fileno()).st_size
         content = (
-            file.read(most + 1) if size <= most else b""
+            file.read(limit + 1) if size <= limit else b""
         )  # some have more than they say, as in /proc
-    if max(size, len(content)) > most:
+    if max(size, len(content)) > limit:
         raise UnfitFile(
-            path, f"it has {_megabytes(max(size, len(content)))}: allowed are {_megabytes(most)}"
+            path, f"it has {_megabytes(max(size, len(content)))}: allowed are {_megabytes(limit)}"
         )
     return content
 
@@ -110,11 +110,11 @@ def sync_folder(folder: Path) -> None:
     """Make renames in a folder durable: otherwise a power cut may undo them."""
     # Not every system opens folders, and not every file system syncs them; there a rename is as durable as it gets.
     with contextlib.suppress(OSError):
-        held = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(folder, os.O_RDONLY)
         try:
-            os.fsync(held)
+            os.fsync(descriptor)
         finally:
-            os.close(held)
+            os.close(descriptor)
 
 
 def json_of(content: bytes | str, shape: Any, called: object) -> Any:
@@ -145,10 +145,10 @@ def read_as(content: bytes | str, shape: Any, called: object) -> Any:
     except UnicodeError:
         raise FileError(f"{called}: not valid JSON: it is not UTF-8.") from None
     field = shortened(one_line(".".join(map(str, first["loc"]))), 200)
-    given = shortened(one_line(repr(first["input"])))
-    what = f"field {field!r} is {given}" if field else f"it holds {given}"
-    what = "not valid JSON" if first["type"] == "json_invalid" else what
-    raise FileError(f"{called}: {what}: {first['msg'].rstrip('.')}.") from None
+    value = shortened(one_line(repr(first["input"])))
+    message = f"field {field!r} is {value}" if field else f"it holds {value}"
+    message = "not valid JSON" if first["type"] == "json_invalid" else message
+    raise FileError(f"{called}: {message}: {first['msg'].rstrip('.')}.") from None
 
 
 def arrays_of(content: bytes, called: object) -> dict[str, np.ndarray]:
@@ -158,7 +158,7 @@ def arrays_of(content: bytes, called: object) -> dict[str, np.ndarray]:
         FileError: it is no such file, damaged, holds Python objects, or takes more than `MOST_ARRAYS` bytes and ten
             times its own size.
     """
-    most = max(MOST_ARRAYS, 10 * len(content))
+    limit = max(MOST_ARRAYS, 10 * len(content))
     try:
         if content.count(b"PK\x01\x02") > _MOST_NAMES:
             raise FileError(f"{called}: it has more than {_MOST_NAMES:,} arrays.")
@@ -176,9 +176,9 @@ def arrays_of(content: bytes, called: object) -> dict[str, np.ndarray]:
                         f"{called}: {member.filename!r} holds Python objects, which are not read."
                     )
                 size += math.prod(shape) * dtype.itemsize
-                if size > most or any(length < 0 for length in shape):
+                if size > limit or any(length < 0 for length in shape):
                     raise FileError(
-                        f"{called}: {member.filename!r} has the shape {shape}: allowed are {_megabytes(most)} in all."
+                        f"{called}: {member.filename!r} has the shape {shape}: allowed are {_megabytes(limit)} in all."
                     )
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             return {name: np.asarray(arrays[name]) for name in arrays.files}
@@ -207,24 +207,25 @@ def check_arrays(
     Raises:
         FileError: one is missing, or has other numbers or another shape.
     """
-    known: dict[str, int] = {}
-    for name, (kinds, wanted) in declared.items():
+    sizes: dict[str, int] = {}
+    for name, (kinds, shape) in declared.items():
         if name not in arrays:
             raise FileError(f"{called}: it has no {name!r}.")
-        given, lengths = arrays[name], tuple(length for length in wanted if length is not ...)
-        if given.dtype.kind not in kinds:
-            raise FileError(f"{called}: {name!r} is of type {given.dtype}: expected numbers.")
-        fits = given.ndim == len(lengths) or (... in wanted and given.ndim >= len(lengths))
-        for have, want in zip(given.shape, lengths, strict=False):
+        array, lengths = arrays[name], tuple(length for length in shape if length is not ...)
+        if array.dtype.kind not in kinds:
+            raise FileError(f"{called}: {name!r} is of type {array.dtype}: expected numbers.")
+        fits = array.ndim == len(lengths) or (... in shape and array.ndim >= len(lengths))
+        for have, want in zip(array.shape, lengths, strict=False):
             fits = fits and have == (
-                known.setdefault(want, have) if isinstance(want, str) else want
+                sizes.setdefault(want, have) if isinstance(want, str) else want
             )
         if not fits:
             expected = ", ".join(
-                "..." if each is ... else str(known.get(each, each)) for each in wanted
+                "..." if dimension is ... else str(sizes.get(dimension, dimension))
+                for dimension in shape
             )
             raise FileError(
-                f"{called}: {name!r} has the shape {given.shape}: expected ({expected})."
+                f"{called}: {name!r} has the shape {array.shape}: expected ({expected})."
             )
 
 

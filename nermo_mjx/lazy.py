@@ -27,13 +27,13 @@ def lazy_names(package: str, removed: dict[str, str] | None = None, **former: st
     source = sys.modules[package].__spec__.loader.get_source(package)  # type: ignore[union-attr]
     places = {
         # A name from the package itself is a module.
-        each.name: f"{package}.{each.name}:"
+        alias.name: f"{package}.{alias.name}:"
         if line.module == package
-        else f"{line.module}:{each.name}"
+        else f"{line.module}:{alias.name}"
         for line in ast.walk(ast.parse(source))
         if isinstance(line, ast.ImportFrom)
-        for each in line.names
-        if each.asname == each.name
+        for alias in line.names
+        if alias.asname == alias.name
     }
 
     def get(name: str) -> Any:

@@ -43,7 +43,7 @@ class ProgressBar:
 
     def __init__(
         self,
-        what: str,
+        name: str,
         unit: str = "",
         *,
         quiet: bool | None = None,
@@ -51,7 +51,7 @@ class ProgressBar:
         every: float = 10.0,
         stream: IO[str] | None = None,
     ) -> None:
-        self._what, self._unit, self._every, self._stream = what, unit, every, stream or sys.stderr
+        self._what, self._unit, self._every, self._stream = name, unit, every, stream or sys.stderr
         self._quiet = is_given("quiet") if quiet is None else quiet
         self._bar: Any = None
         self._timer = threading.Timer(PATIENCE, self._name_compilation)
@@ -81,9 +81,9 @@ class ProgressBar:
             self._width = 0
             self._stream.write("\n")
 
-    def count(self, done: int, total: int) -> None:
+    def count(self, count: int, total: int) -> None:
         """Report how many of all are done."""
-        self.share(done / total if total else 1.0, done, total)
+        self.share(count / total if total else 1.0, count, total)
 
     def share(
         self, fraction: float, done: int | None = None, total: int | None = None, detail: str = ""
@@ -100,11 +100,11 @@ class ProgressBar:
             self._timer.cancel()
             if self._compiling:
                 self._compiling, self._pace_start = False, (now, fraction)
-        counted = "" if done is None or total is None else f", {done:,} of {total:,} {self._unit}"
-        # The detail is last: a narrow terminal cuts it off.
-        text = (
-            f"{fraction:.0%}{counted}{self._pace(now, fraction, total)}{detail and f', {detail}'}"
+        count_text = (
+            "" if done is None or total is None else f", {done:,} of {total:,} {self._unit}"
         )
+        # The detail is last: a narrow terminal cuts it off.
+        text = f"{fraction:.0%}{count_text}{self._pace(now, fraction, total)}{detail and f', {detail}'}"
         finished = fraction >= 1.0 > self._start[1] and done == total
         if self._bar is not None:
             self._bar.update(self._task, completed=fraction)
@@ -173,16 +173,20 @@ class Stages:
         self._progress.__exit__()
         self._what = ""
 
-    def show(self, done: JobProgress) -> None:
+    def show(self, progress: JobProgress) -> None:
         """Show how far the job is, or its part, in a display that is begun where another one was shown."""
-        what = done.what or self._name
-        if what != self._what:
+        name = progress.what or self._name
+        if name != self._what:
             self.__exit__()
-            self._what = what
-            unit = "" if done.what else self._unit
-            self._progress = ProgressBar(what, unit, compiles=self._compiles(what)).__enter__()
-        count = done.done if done.done is None or done.total is None else min(done.done, done.total)
-        self._progress.share(done.fraction, count, done.total, self._details(done))
+            self._what = name
+            unit = "" if progress.what else self._unit
+            self._progress = ProgressBar(name, unit, compiles=self._compiles(name)).__enter__()
+        count = (
+            progress.done
+            if progress.done is None or progress.total is None
+            else min(progress.done, progress.total)
+        )
+        self._progress.share(progress.fraction, count, progress.total, self._details(progress))
 
     def say(self, sentence: str) -> None:
         """A sentence on a line of its own."""
@@ -255,8 +259,8 @@ def shows_progress(name: str, unit: str = "") -> Callable[[Callable[P, R]], Call
             token = _WORKING.set(True)
             try:
                 with Stages(name, unit, lambda _: True) as stages:
-                    more: Any = {"watch": Watch(stages.show, stages.say)} if shows else {}
-                    return job(*arguments, **options, **more)
+                    watch_options: Any = {"watch": Watch(stages.show, stages.say)} if shows else {}
+                    return job(*arguments, **options, **watch_options)
             finally:
                 _WORKING.reset(token)
 
@@ -267,12 +271,12 @@ def shows_progress(name: str, unit: str = "") -> Callable[[Callable[P, R]], Call
 
 def duration(seconds: float) -> str:
     """Seconds in words: 8 s, 3 min 20 s, 2 h 5 min."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+    total_seconds = round(seconds)
+    if total_seconds < 60:
+        return f"{total_seconds} s"
+    if total_seconds < 3600:
+        return f"{total_seconds // 60} min {total_seconds % 60} s"
+    return f"{total_seconds // 3600} h {total_seconds % 3600 // 60} min"
 
 
 def _bar(stream: IO[str]) -> Any:

@@ -171,14 +171,17 @@ class Recording:
                 )
             sensors = {key for key in arrays if key.startswith("sensor.")}
             check_arrays(arrays, _ARRAYS | dict.fromkeys(sensors, ("fiub", ("T", ...))), path)
-            read = {key.removeprefix("sensor."): arrays[key] for key in sensors}
+            sensor_arrays = {key.removeprefix("sensor."): arrays[key] for key in sensors}
             motion = {name: arrays[name] for name in _ARRAYS}
-            found = cls(
-                **motion, sensors=read, model_hash=header["model_hash"], metadata=header["metadata"]
+            recording = cls(
+                **motion,
+                sensors=sensor_arrays,
+                model_hash=header["model_hash"],
+                metadata=header["metadata"],
             )
-            if not (np.isfinite(found.time).all() and (np.diff(found.time) > 0).all()):
+            if not (np.isfinite(recording.time).all() and (np.diff(recording.time) > 0).all()):
                 raise RecordingError(f"{path}: its time does not increase from sample to sample.")
-            return found
+            return recording
         except FileNotFoundError:
             raise RecordingError(f"{path}: there is no such file.") from None
         except OSError as error:
@@ -206,12 +209,12 @@ class Recording:
             )
 
 
-def write_whole(path: Path, what: str, content: bytes) -> Path:
+def write_whole(path: Path, kind: str, content: bytes) -> Path:
     """Write a file that appears under its name when complete; its folder is created if missing.
 
     Args:
         path: of the file.
-        what: it holds, for the message.
+        kind: it holds, for the message.
         content: of the file.
 
     Raises:
@@ -222,7 +225,7 @@ def write_whole(path: Path, what: str, content: bytes) -> Path:
         replace_file(path, content)
     except OSError as error:
         raise RecordingError(
-            f"{path}: {what} cannot be written ({error.strerror or error})."
+            f"{path}: {kind} cannot be written ({error.strerror or error})."
         ) from None
     return path
 
@@ -252,8 +255,8 @@ def model_hash(model: mujoco.MjModel) -> str:
         sensors.tolist(),
     )
     names = [
-        [mujoco.mj_id2name(model, kind, i) for i in those]
-        for kind, those in zip(kinds, ids, strict=True)
+        [mujoco.mj_id2name(model, kind, i) for i in indices]
+        for kind, indices in zip(kinds, ids, strict=True)
     ]
     digest.update(repr((sizes, names)).encode())
     for array in (

@@ -66,13 +66,13 @@ def start_jax() -> None:
         return
     jax: Any = importlib.import_module("jax")
     _settle_cache(jax)
-    small, given = cpu_count() < SAFE_THREADS, os.environ.get("PJRT_NPROC")
+    small, setting = cpu_count() < SAFE_THREADS, os.environ.get("PJRT_NPROC")
     _started_before = _jax_started()
     if _started_before:
-        _started_unguarded = small and given in {None, "2", "3"}
+        _started_unguarded = small and setting in {None, "2", "3"}
     else:
-        _started_unguarded = small and given in {"2", "3"}
-        with _starting(jax, {"PJRT_NPROC": str(SAFE_THREADS)} if small and given is None else {}):
+        _started_unguarded = small and setting in {"2", "3"}
+        with _starting(jax, {"PJRT_NPROC": str(SAFE_THREADS)} if small and setting is None else {}):
             _find_devices(jax)
     _settled = True
 
@@ -84,12 +84,12 @@ def _find_devices(jax: Any) -> None:
         RuntimeError,
         AssertionError,
     ) as error:  # the latter from JAX 0.10 where no plugin knows the platform
-        chosen = jax.config.jax_platforms
-        if not chosen:
+        platforms = jax.config.jax_platforms
+        if not platforms:
             raise
         reason = str(error).partition("\n")[0]
         raise BackendUnavailable(
-            f"JAX_PLATFORMS is {chosen!r}, and JAX cannot compute there{f' ({reason})' if reason else ''}: unset it to "
+            f"JAX_PLATFORMS is {platforms!r}, and JAX cannot compute there{f' ({reason})' if reason else ''}: unset it to "
             "compute on the CPU; a GPU needs NVIDIA's driver and nermo-mjx[cuda]."
         ) from None
 
@@ -100,7 +100,7 @@ def _starting(jax: Any, settings: dict[str, str]) -> Iterator[None]:
     flags, dispatch = os.environ.get("XLA_FLAGS", ""), "jax_cpu_enable_async_dispatch"
     if jax.__version_info__ < (0, 12) and "xla_backend_extra_options" not in flags:
         settings = settings | {"XLA_FLAGS": f"{flags} {EXTRA_OPTIONS}".strip()}
-    before = {name: os.environ.get(name) for name in settings}
+    environment = {name: os.environ.get(name) for name in settings}
     asynchronous = jax.config.read(dispatch)
     os.environ.update(settings)
     jax.config.update(dispatch, False)
@@ -108,7 +108,7 @@ def _starting(jax: Any, settings: dict[str, str]) -> Iterator[None]:
         yield
     finally:
         jax.config.update(dispatch, asynchronous)
-        for name, value in before.items():
+        for name, value in environment.items():
             if value is None:
                 del os.environ[name]
             else:
@@ -144,11 +144,11 @@ def processor_device() -> Any:
     It is a processor, where the bodies are: an accelerator would be asked, and waited for, in every control tick.
     """
     jax: Any = importlib.import_module("jax")
-    chosen = jax.config.jax_default_device
-    if chosen is None and jax.default_backend() != "cpu":
+    device = jax.config.jax_default_device
+    if device is None and jax.default_backend() != "cpu":
         with contextlib.suppress(RuntimeError):  # `JAX_PLATFORMS` may name the accelerator alone
             return jax.local_devices(backend="cpu")[0]
-    return chosen
+    return device
 
 
 def compiler_options(level: int | None = None) -> dict[str, bool | int]:
@@ -173,19 +173,19 @@ def compiler_options(level: int | None = None) -> dict[str, bool | int]:
 def _known_options(level: int | None) -> dict[str, bool | int]:
     """`compiler_options` for a processor."""
     jax: Any = importlib.import_module("jax")
-    wanted: dict[str, bool | int] = dict(COMPILER_OPTIONS)
+    options: dict[str, bool | int] = dict(COMPILER_OPTIONS)
     if level is not None:
-        wanted["xla_backend_optimization_level"] = level
-    known = {}
+        options["xla_backend_optimization_level"] = level
+    supported = {}
     with jax.default_device(processor_device()):
-        for name, value in wanted.items():
+        for name, value in options.items():
             if name in os.environ.get("XLA_FLAGS", ""):
                 continue
             # An option that a later XLA no longer has is left out; this only costs time.
             with contextlib.suppress(RuntimeError):
                 jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
-                known[name] = value
-    return known
+                supported[name] = value
+    return supported
 
 
 # --- threads
@@ -209,14 +209,14 @@ def cpu_count() -> int:
     return os.cpu_count() or 1
 
 
-def thread_count(wanted: int | None = None) -> int:
+def thread_count(requested: int | None = None) -> int:
     """Processors that the engine `c` uses: as wanted, or `$NERMO_MJX_THREADS`, or all.
 
     Raises:
         ValueError: not a whole number from 1 on, as a sentence.
     """
-    name, value = "threads", str(wanted)
-    if wanted is None:
+    name, value = "threads", str(requested)
+    if requested is None:
         name, value = THREADS, os.environ.get(THREADS) or str(cpu_count())
     if not value.isdecimal() or int(value) < 1:
         raise ValueError(f"{name} is {value}: allowed is a whole number from 1 on.")
@@ -259,8 +259,8 @@ def _settle_cache(jax: Any) -> None:
 
 def cache_directory() -> Path:
     """Where nermo_mjx keeps what it can make again: `$NERMO_MJX_CACHE`, or the platform's user cache directory."""
-    if chosen := os.environ.get("NERMO_MJX_CACHE"):
-        return Path(chosen).expanduser()
+    if folder := os.environ.get("NERMO_MJX_CACHE"):
+        return Path(folder).expanduser()
     if sys.platform == "darwin":
         base = Path("~/Library/Caches").expanduser()
     elif sys.platform == "win32":

@@ -212,16 +212,16 @@ def colour_bar(
 
 def note_lines(note: str, width: float) -> list[str]:
     """The lines of a note on a page of the given width in inches; text after a tab is indented together."""
-    broken: list[str] = []
+    wrapped: list[str] = []
     for line in note.splitlines():
         hangs = "\t" in line
-        broken += textwrap.wrap(
+        wrapped += textwrap.wrap(
             line.replace("\t", "   "),
             int((width - 2 * _EDGE) / _CHARACTER),
             subsequent_indent="      " if hangs else "",
             replace_whitespace=False,
         )
-    return broken
+    return wrapped
 
 
 def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
@@ -257,12 +257,14 @@ _CELLS: Final = 44
 _DENSITY: Final = LinearSegmentedColormap.from_list("density", [light(BAND), BAND, "#5aa5d6"])
 
 
-def thinned(values: np.ndarray, most: int, kept: np.ndarray | Sequence[int] = ()) -> np.ndarray:
+def thinned(
+    values: np.ndarray, limit: int, required: np.ndarray | Sequence[int] = ()
+) -> np.ndarray:
     """A given number of sorted values, evenly spaced, plus those to keep; all of them if there are no more."""
-    if len(values) <= most:
+    if len(values) <= limit:
         return values
-    even = values[np.linspace(0, len(values) - 1, most).round().astype(int)]
-    return np.union1d(even, np.asarray(kept, values.dtype))
+    even = values[np.linspace(0, len(values) - 1, limit).round().astype(int)]
+    return np.union1d(even, np.asarray(required, values.dtype))
 
 
 def density_note(count: int) -> str:
@@ -323,9 +325,9 @@ def heat_maps(
     scale, extend = colour_scale(values)
     marked, colours, fill, edge = grids, COLOURS, "none", "white"
     if gain is not None:
-        chosen = np.where(gain, z.values, np.nan)
+        filled = np.where(gain, z.values, np.nan)
         marked = [
-            cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels
+            cell_means(x.values[mask], y.values[mask], filled[mask], xs, ys) for _, mask in panels
         ]
         colours, fill, edge = GAIN_COLOURS, "white", INK
         # Symmetric around 0; losses beyond 25 % and three times the best gain are cut off.
@@ -380,7 +382,10 @@ def heat_maps(
                 clip_on=False,
             )
             if gain is not None:
-                left, apart = bool(i >= len(xs) / 2), 11 if star else 8  # of the mark, in points
+                is_left, offset = (
+                    bool(i >= len(xs) / 2),
+                    11 if star else 8,
+                )  # of the mark, in points
                 look: dict[str, Any] = {
                     "fontsize": 8.5,
                     "fontweight": "bold",
@@ -389,18 +394,21 @@ def heat_maps(
                 }
                 look |= {
                     "va": "center",
-                    "ha": "right" if left else "left",
+                    "ha": "right" if is_left else "left",
                     "textcoords": "offset points",
                 }
                 look["bbox"] = {"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0}
                 ax.annotate(
-                    signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look
+                    signed(candidates[i, j]),
+                    (xs[i], ys[j]),
+                    (-offset if is_left else offset, 0),
+                    **look,
                 )
     columns = axes[0].get_gridspec().ncols  # type: ignore[union-attr]
-    for place, ax in enumerate(axes):  # labels at the outside of the panels only
-        bottom, left = place + columns >= len(axes), place % columns == 0
-        ax.tick_params(labelbottom=bottom, labelleft=left)
-        ax.set(xlabel=x.label if bottom else "", ylabel=y.label if left else "")
+    for panel_index, ax in enumerate(axes):  # labels at the outside of the panels only
+        bottom, is_left = panel_index + columns >= len(axes), panel_index % columns == 0
+        ax.tick_params(labelbottom=bottom, labelleft=is_left)
+        ax.set(xlabel=x.label if bottom else "", ylabel=y.label if is_left else "")
     bar = colour_bar(figure, axes, ScalarMappable(scale, colours), z.label, extend=extend, **_BAR)
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: signed(value).removesuffix(" %"))
@@ -421,11 +429,18 @@ def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
     note += "band: 95 % interval of the mean; " if np.isfinite(half).any() else ""
     ax.plot(xs, mean, "-o", color=LINE, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
-        at = int(np.nanargmin(cost(z.side, mean)))
+        best_index = int(np.nanargmin(cost(z.side, mean)))
         ax.scatter(
-            xs[at], mean[at], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False
+            xs[best_index],
+            mean[best_index],
+            s=170,
+            marker="*",
+            fc=BEST,
+            ec="white",
+            zorder=5,
+            clip_on=False,
         )
-        note += f"star: {best_word(z)}, {z.shown(mean[at])} at {x.shown(xs[at])}"
+        note += f"star: {best_word(z)}, {z.shown(mean[best_index])} at {x.shown(xs[best_index])}"
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
@@ -595,22 +610,22 @@ class Groups:
 
 def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
     """The combinations of structures, None where none varies; of fewer columns where they were too many."""
-    columns = {x.spoken: [x.names[int(place)] for place in x.values] for x in structures}
-    chosen = list(columns)
-    while chosen:
-        each = list(zip(*(columns[name] for name in chosen), strict=True))
-        places = {key: place for place, key in enumerate(dict.fromkeys(each))}
-        if len(places) <= MOST_GROUPS or len(chosen) == 1:
-            left = [name for name in columns if name not in chosen]
-            what = ", ".join(chosen) + (f"; mean over {', '.join(left)}" if left else "")
-            pairs = ((key[:-1], key[-1]) if len(chosen) > 1 else (key, "") for key in places)
+    columns = {x.spoken: [x.names[int(index)] for index in x.values] for x in structures}
+    grouping = list(columns)
+    while grouping:
+        keys = list(zip(*(columns[name] for name in grouping), strict=True))
+        places = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+        if len(places) <= MOST_GROUPS or len(grouping) == 1:
+            averaged = [name for name in columns if name not in grouping]
+            title = ", ".join(grouping) + (f"; mean over {', '.join(averaged)}" if averaged else "")
+            pairs = ((key[:-1], key[-1]) if len(grouping) > 1 else (key, "") for key in places)
             heads, tails = dict[Any, int](), dict[Any, int]()
             looks = tuple(
                 (heads.setdefault(a, len(heads)), tails.setdefault(b, len(tails))) for a, b in pairs
             )
             names = tuple(", ".join(map(spoken, key)) for key in places)
-            return Groups(names, np.array([places[key] for key in each]), what, looks)
-        chosen.pop()
+            return Groups(names, np.array([places[key] for key in keys]), title, looks)
+        grouping.pop()
     return None
 
 
@@ -620,22 +635,31 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool)
     With `spread`, where runs of a structure are repeats, a bar of the mean's 95 % interval.
     """
     count = len(groups.names)
-    mean, half = np.array([_mean(z.values[groups.of == place]) for place in range(count)]).T
+    mean, half = np.array(
+        [_mean(z.values[groups.of == group_index]) for group_index in range(count)]
+    ).T
     best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
     figure = blank(7.2, 1.3 + 0.3 * count)
     ax = figure.subplots()
-    for place in range(count):
-        colour = BEST if place == best else SERIES[0]
+    for group_index in range(count):
+        colour = BEST if group_index == best else SERIES[0]
         if spread:
-            ax.errorbar(mean[place], place, xerr=half[place], color=colour, elinewidth=2, alpha=0.5)
-        ax.plot(mean[place], place, "o", color=colour, ms=7, mec="white")
+            ax.errorbar(
+                mean[group_index],
+                group_index,
+                xerr=half[group_index],
+                color=colour,
+                elinewidth=2,
+                alpha=0.5,
+            )
+        ax.plot(mean[group_index], group_index, "o", color=colour, ms=7, mec="white")
     ax.set_yticks(range(count), groups.names, color=INK)
     ax.set(xlabel=z.label, ylim=(count - 0.5, -0.5))
     ax.grid(axis="x", color=GRID, lw=0.8)
     ax.set_axisbelow(True)
-    told = f"; orange: {best_word(z)}, {z.shown(mean[best])}" if best >= 0 else ""
-    what = "mean of its runs, bar: its 95 % interval" if spread else "mean of all its runs"
-    return around(figure, title, f"{note}{groups.what}: {what}{told}")
+    best_note = f"; orange: {best_word(z)}, {z.shown(mean[best])}" if best >= 0 else ""
+    caption = "mean of its runs, bar: its 95 % interval" if spread else "mean of all its runs"
+    return around(figure, title, f"{note}{groups.what}: {caption}{best_note}")
 
 
 def lines(
@@ -656,66 +680,71 @@ def lines(
     spread = spread and len(groups.names) <= _MOST_BANDS
     figure, (ax,) = panelled(1, 4.6)
     handles, level = [], False
-    for place, name in enumerate(groups.names):
-        own = (groups.of == place) & np.isfinite(z.values)
-        colour, dashes = groups.looks[place]
+    for group_index, name in enumerate(groups.names):
+        in_group = (groups.of == group_index) & np.isfinite(z.values)
+        colour, dashes = groups.looks[group_index]
         dashes += colour // len(SERIES)
         style: dict[str, Any] = {
             "color": SERIES[colour % len(SERIES)],
             "ls": _DASHES[dashes % len(_DASHES)],
         }
         handles.append(Line2D([], [], label=name, **style))
-        there = own & np.isfinite(x.values)
-        if not there.any():
-            if own.any():
-                ax.axhline(z.values[own].mean(), lw=1.2, alpha=0.8, **style)
+        finite = in_group & np.isfinite(x.values)
+        if not finite.any():
+            if in_group.any():
+                ax.axhline(z.values[in_group].mean(), lw=1.2, alpha=0.8, **style)
                 level = True
             continue
         nodes = (
-            np.quantile(x.values[there], np.linspace(0, 1, _BINS))
+            np.quantile(x.values[finite], np.linspace(0, 1, _BINS))
             if even
-            else np.unique(x.values[there])
+            else np.unique(x.values[finite])
         )
-        xs, mean, half = binned(x.values[there], z.values[there], nodes)
+        xs, mean, half = binned(x.values[finite], z.values[finite], nodes)
         if spread:
             ax.fill_between(xs, mean - half, mean + half, color=style["color"], alpha=0.15, lw=0)
         ax.plot(xs, mean, marker="o", ms=3.5, mec="white", mew=0.5, **style)
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
-    said = [f"{groups.what}: " + ("running mean" if even else "mean over everything else")]
-    said += ["band: 95 % interval of the mean"] if spread else []
-    said += [f"level: without {x.spoken}"] if level else []
-    return around(figure, title, note + "; ".join(said), handles)
+    notes = [f"{groups.what}: " + ("running mean" if even else "mean over everything else")]
+    notes += ["band: 95 % interval of the mean"] if spread else []
+    notes += [f"level: without {x.spoken}"] if level else []
+    return around(figure, title, note + "; ".join(notes), handles)
 
 
 def structure_figures(
-    groups: Groups, drawn: list[ShownValues], z: ShownValues, remark: str, *, grid: bool
+    groups: Groups, plotted: list[ShownValues], z: ShownValues, remark: str, *, grid: bool
 ) -> Iterator[tuple[str, Figure]]:
     """(file name, figure): a metric of each structure; over each parameter, and on a grid over pairs of them."""
     metric = z.name
     title = f"{titled(metric)} of each structure"
-    yield f"{metric}-over-structures", dots(groups, z, title, remark, spread=not drawn)
-    for x in drawn[:_MOST_ALONE]:
+    yield f"{metric}-over-structures", dots(groups, z, title, remark, spread=not plotted)
+    for x in plotted[:_MOST_ALONE]:
         title = f"{titled(metric)} over {x.spoken}, by structure"
-        figure = lines(x, z, groups, title, remark, even=not grid, spread=grid and len(drawn) == 1)
+        figure = lines(
+            x, z, groups, title, remark, even=not grid, spread=grid and len(plotted) == 1
+        )
         yield f"{metric}-over-{x.name}-by-structure", figure
-    for x, y in itertools.combinations(drawn[:_MOST_PAIRED] if grid else [], 2):
+    for x, y in itertools.combinations(plotted[:_MOST_PAIRED] if grid else [], 2):
         good = np.isfinite(x.values) & np.isfinite(y.values)
         across, up, value = (
-            dataclasses.replace(each, values=each.values[good]) for each in (x, y, z)
+            dataclasses.replace(shown, values=shown.values[good]) for shown in (x, y, z)
         )
-        which = groups.of[good]
-        here = np.unique(which)
+        group_indices = groups.of[good]
+        present = np.unique(group_indices)
         note = remark
-        if len(drawn) > 2:
-            note += f"mean over {', '.join(each.spoken for each in drawn if each.name not in (x.name, y.name))}; "
-        if lacking := len(groups.names) - len(here):
+        if len(plotted) > 2:
+            note += f"mean over {', '.join(shown.spoken for shown in plotted if shown.name not in (x.name, y.name))}; "
+        if lacking := len(groups.names) - len(present):
             note += f"{lacking} structures without one of them; "
-        if len(here) > MOST_GROUPS:
-            note += f"{len(here) - MOST_GROUPS} more structures not shown; "
+        if len(present) > MOST_GROUPS:
+            note += f"{len(present) - MOST_GROUPS} more structures not shown; "
         title = f"{titled(metric)} over {x.spoken} and {y.spoken}, by structure"
-        panels = [(groups.names[place], which == place) for place in here[:MOST_GROUPS]]
+        panels = [
+            (groups.names[group_index], group_indices == group_index)
+            for group_index in present[:MOST_GROUPS]
+        ]
         yield (
             f"{metric}-over-{x.name}-and-{y.name}-by-structure",
             heat_maps(across, up, value, panels, title, note),
@@ -741,26 +770,32 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     axes = [*parameters, dataclasses.replace(z, values=np.clip(z.values, scale.vmin, scale.vmax))]
     figure = blank(1.5 + 1.35 * len(axes), 4.7)
     ax = figure.subplots()
-    ways = np.stack([_share(each, each.values) for each in axes], axis=-1)
-    places = np.broadcast_to(np.arange(len(axes)), ways.shape)
-    lines = np.stack([places, ways], axis=-1)
-    few = min(BEST_LINES, len(lines))
+    paths = np.stack([_share(axis_values, axis_values.values) for axis_values in axes], axis=-1)
+    places = np.broadcast_to(np.arange(len(axes)), paths.shape)
+    lines = np.stack([places, paths], axis=-1)
+    best_count = min(BEST_LINES, len(lines))
     colours = matplotlib.colormaps[COLOURS](scale(z.values))
     # The more lines there are, the more each lets those below through.
     colours[:, 3] = np.clip(90.0 / len(lines), 0.2, 0.8)
-    rest = LineCollection(list(lines[:-few]), colors=colours[:-few], linewidths=0.8, zorder=2)
-    rest.set_rasterized(len(lines) > 300)
-    ax.add_collection(rest)
-    ax.add_collection(LineCollection(list(lines[-few:]), colors="white", linewidths=3.4, zorder=3))
-    ax.add_collection(LineCollection(list(lines[-few:]), colors=BEST, linewidths=1.7, zorder=4))
-    for place, each in enumerate(
+    background = LineCollection(
+        list(lines[:-best_count]), colors=colours[:-best_count], linewidths=0.8, zorder=2
+    )
+    background.set_rasterized(len(lines) > 300)
+    ax.add_collection(background)
+    ax.add_collection(
+        LineCollection(list(lines[-best_count:]), colors="white", linewidths=3.4, zorder=3)
+    )
+    ax.add_collection(
+        LineCollection(list(lines[-best_count:]), colors=BEST, linewidths=1.7, zorder=4)
+    )
+    for position, axis_values in enumerate(
         axes
     ):  # a line with ticks: each value where there are few, else round ones
-        ax.plot([place, place], [0, 1], color=MUTED, lw=1.0, zorder=5)
-        values = np.unique(each.values[np.isfinite(each.values)])
-        if not each.names and len(values) > _EACH:
+        ax.plot([position, position], [0, 1], color=MUTED, lw=1.0, zorder=5)
+        values = np.unique(axis_values.values[np.isfinite(axis_values.values)])
+        if not axis_values.names and len(values) > _EACH:
             low, high = values[0], values[-1]
-            locator = LogLocator(subs=(1.0, 2.0, 5.0)) if each.log else MaxNLocator(5)
+            locator = LogLocator(subs=(1.0, 2.0, 5.0)) if axis_values.log else MaxNLocator(5)
             ticks = locator.tick_values(low, high)
             values = np.array(
                 [tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)]
@@ -768,11 +803,21 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
         box: dict[str, Any] = {
             "bbox": {"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0}
         }
-        for value, height in zip(values, _share(each, values), strict=True):
-            ax.plot([place, place + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
-            text = each.shown(value) if each.names else f"{value + 0.0:.4g}".replace("-", "−")
-            at: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
-            ax.annotate(text, (place, height), fontsize=SMALL, color=INK, zorder=6, **at, **box)
+        for value, height in zip(values, _share(axis_values, values), strict=True):
+            ax.plot([position, position + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
+            text = (
+                axis_values.shown(value)
+                if axis_values.names
+                else f"{value + 0.0:.4g}".replace("-", "−")
+            )
+            text_options: dict[str, Any] = {
+                "xytext": (5, 0),
+                "textcoords": "offset points",
+                "va": "center",
+            }
+            ax.annotate(
+                text, (position, height), fontsize=SMALL, color=INK, zorder=6, **text_options, **box
+            )
     strip = np.linspace(0, 1, 256)[:, None]
     right = len(axes) - 1
     ax.imshow(
@@ -784,7 +829,7 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
         zorder=5,
     )
     ax.set(xlim=(-0.35, right + 0.55), ylim=(-0.04, 1.04))
-    ax.set_xticks(range(len(axes)), [textwrap.fill(each.label, 14) for each in axes])
+    ax.set_xticks(range(len(axes)), [textwrap.fill(axis_values.label, 14) for axis_values in axes])
     ax.tick_params(axis="x", length=0, labelcolor=INK)
     ax.yaxis.set_visible(False)
     for spine in ax.spines.values():
@@ -794,11 +839,11 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
 
 def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
     """Where values stand on an axis, from 0 at its lowest to 1 at its highest."""
-    own, wanted = (
+    shown_values, limits = (
         (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
     )
-    low, high = float(np.nanmin(own)), float(np.nanmax(own))
-    return (wanted - low) / (high - low) if high > low else np.full(np.shape(wanted), 0.5)
+    low, high = float(np.nanmin(shown_values)), float(np.nanmax(shown_values))
+    return (limits - low) / (high - low) if high > low else np.full(np.shape(limits), 0.5)
 
 
 # ---
@@ -817,21 +862,21 @@ def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     Args:
         x, y: (n,) costs, less is better; a point with a NaN is left out.
     """
-    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-    order = known[np.lexsort((y[known], x[known]))]
+    finite = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    order = finite[np.lexsort((y[finite], x[finite]))]
     lowest = np.minimum.accumulate(y[order])
     better = np.concatenate([[True], y[order][1:] < lowest[:-1]])
     return order[better[: len(order)]]
 
 
-def named_points(x: np.ndarray, y: np.ndarray, most: int = NAMED) -> np.ndarray:
+def named_points(x: np.ndarray, y: np.ndarray, limit: int = NAMED) -> np.ndarray:
     """Places on a front (n,) of the points to name: both ends, and others at even distances along it."""
-    if len(x) <= most:
+    if len(x) <= limit:
         return np.arange(len(x))
     steps = np.hypot(np.diff(x) / max(np.ptp(x), 1e-12), np.diff(y) / max(np.ptp(y), 1e-12))
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    wanted = np.linspace(0.0, way[-1], most)
-    return np.unique(np.abs(way[:, None] - wanted).argmin(axis=0))
+    arc_length = np.concatenate([[0.0], np.cumsum(steps)])
+    targets = np.linspace(0.0, arc_length[-1], limit)
+    return np.unique(np.abs(arc_length[:, None] - targets).argmin(axis=0))
 
 
 def trade_off(
@@ -839,7 +884,7 @@ def trade_off(
     y: ShownValues,
     best: np.ndarray,
     sides: tuple[str, str],
-    named: Sequence[tuple[int, str]],
+    labelled: Sequence[tuple[int, str]],
     title: str,
     note: str,
 ) -> Figure:
@@ -849,15 +894,15 @@ def trade_off(
         x, y: the metrics of all points.
         best: places of the front, in order along it.
         sides: the better direction of x and of y.
-        named: a place and what is said of it, for each point with a name; the names are letters.
+        labelled: a place and what is said of it, for each point with a name; the names are letters.
     """
     letters = string.ascii_uppercase
-    lines = [f"{letter}\t{text}" for letter, (_, text) in zip(letters, named, strict=False)]
+    lines = [f"{letter}\t{text}" for letter, (_, text) in zip(letters, labelled, strict=False)]
     words = {"max": "more", "min": "less", "nearest zero": "nearer to zero"}
-    both = ", ".join(
-        f"{each.spoken}: {words[side]}" for each, side in zip((x, y), sides, strict=True)
+    directions = ", ".join(
+        f"{objective.spoken}: {words[side]}" for objective, side in zip((x, y), sides, strict=True)
     )
-    lines.append(f"{note}orange: nothing is better in both ({both})")
+    lines.append(f"{note}orange: nothing is better in both ({directions})")
     text = "\n".join(lines) + density_note(len(x.values))
     figure = blank(_WIDTH, 4.4 + 0.15 * len(note_lines(text, _WIDTH)))
     ax = figure.subplots()
@@ -874,10 +919,10 @@ def trade_off(
     ax.margins(0.06)
     # Labels are placed on the better direction of their points, where there is nothing else.
     right, up = (1 if side == "max" else -1 for side in sides)
-    for letter, (place, _) in zip(letters, named, strict=False):
+    for letter, (point_index, _) in zip(letters, labelled, strict=False):
         ax.annotate(
             letter,
-            (x.values[place], y.values[place]),
+            (x.values[point_index], y.values[point_index]),
             (7 * right, 7 * up),
             textcoords="offset points",
             ha="center",

@@ -165,14 +165,22 @@ def check_geometry(geometry: Geometry) -> None:
         )
 
 
-def _first(first_values: Any, second_values: Any, wrong: Callable[[Any, Any], Any]) -> tuple[float, float]:
+def _first(
+    first_values: Any, second_values: Any, wrong: Callable[[Any, Any], Any]
+) -> tuple[float, float]:
     """The first invalid pair of numbers; zeros if all are valid."""
     first_values, second_values = (
         np.ravel(values)
-        for values in np.broadcast_arrays(np.asarray(first_values, float), np.asarray(second_values, float))
+        for values in np.broadcast_arrays(
+            np.asarray(first_values, float), np.asarray(second_values, float)
+        )
     )
     (indices,) = np.nonzero(wrong(first_values, second_values))
-    return (float(first_values[indices[0]]), float(second_values[indices[0]])) if len(indices) else (0.0, 0.0)
+    return (
+        (float(first_values[indices[0]]), float(second_values[indices[0]]))
+        if len(indices)
+        else (0.0, 0.0)
+    )
 
 
 def leg_geometry(geometry: Geometry, pair: str, xp: Any = math) -> LegGeometry:

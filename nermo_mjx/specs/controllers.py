@@ -26,39 +26,39 @@ KEPT_METRICS: Final = "metrics.py"
 
 def named_controller(doc: Document) -> str | None:
     """The field `controller`; paths are relative to the document's folder."""
-    given = doc.data.get("controller")
-    if given is None:
+    name = doc.data.get("controller")
+    if name is None:
         return None
-    if not isinstance(given, str):
-        doc.fail(("controller",), f"is {describe(given)}: expected {CONTROLLER_FORM}.")
-    return code_beside(doc, given)
+    if not isinstance(name, str):
+        doc.fail(("controller",), f"is {describe(name)}: expected {CONTROLLER_FORM}.")
+    return code_beside(doc, name)
 
 
-def code_beside(doc: Document, where: str) -> str:
+def code_beside(doc: Document, reference: str) -> str:
     """Custom code that a document names, with the path of its file, which is relative to the document's folder."""
-    if (data := data_of(where)) is not None:
+    if (data := data_of(reference)) is not None:
         path, code = data
         return f"{_beside(doc, path)}:{code_beside(doc, code)}" if code else str(_beside(doc, path))
-    if where.endswith(".py"):
-        return str(_beside(doc, where))
-    source, colon, name = where.rpartition(":")
-    return f"{_beside(doc, source)}{colon}{name}" if source.endswith(".py") else where
+    if reference.endswith(".py"):
+        return str(_beside(doc, reference))
+    source, colon, name = reference.rpartition(":")
+    return f"{_beside(doc, source)}{colon}{name}" if source.endswith(".py") else reference
 
 
 def named_metrics(doc: Document) -> tuple[str, ...]:
     """The field `metrics`; paths are relative to the document's folder."""
-    given = doc.data.get("metrics")
-    listed = [] if given is None else [given] if isinstance(given, str) else given
-    if not isinstance(listed, list) or not all(isinstance(each, str) for each in listed):
-        doc.fail(("metrics",), f"is {describe(given)}: expected {FORM}, or a list of such.")
-    found = []
-    for each in listed:
+    names = doc.data.get("metrics")
+    listed = [] if names is None else [names] if isinstance(names, str) else names
+    if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
+        doc.fail(("metrics",), f"is {describe(names)}: expected {FORM}, or a list of such.")
+    metrics = []
+    for name in listed:
         try:
-            source_of(each)
+            source_of(name)
         except ParameterError as error:
             doc.fail(("metrics",), str(error).removeprefix("metrics "))
-        found.append(code_beside(doc, each))
-    return tuple(found)
+        metrics.append(code_beside(doc, name))
+    return tuple(metrics)
 
 
 def _beside(doc: Document, source: str) -> Path:
@@ -69,25 +69,25 @@ def _beside(doc: Document, source: str) -> Path:
 @contextlib.contextmanager
 def known_names(doc: Document) -> Iterator[None]:
     """While it is read, a document may name the parameters of its controller, and no others, and its own metrics."""
-    where, measured = named_controller(doc), named_metrics(doc)
-    given = doc.data.get("schedule")
-    switches = range(1, min(len(given), MOST) + 1) if isinstance(given, list) else ()
-    if where is None and not measured and not switches:
+    controller, measured = named_controller(doc), named_metrics(doc)
+    schedule = doc.data.get("schedule")
+    switches = range(1, min(len(schedule), MOST) + 1) if isinstance(schedule, list) else ()
+    if controller is None and not measured and not switches:
         yield
         return
     try:
-        own = Setup(controller=where, metrics=measured)
+        setup = Setup(controller=controller, metrics=measured)
     except ParameterError as error:
         field, _, message = str(error).partition(" ")
         doc.fail((field,), message)
-    known = dict(quantities(own.world({}))) if where is not None else NAMES.get()
+    parameters = dict(quantities(setup.world({}))) if controller is not None else NAMES.get()
     times = {
-        f"schedule.{name}": about
-        for name, about in quantities(Schedule)
+        f"schedule.{name}": declaration
+        for name, declaration in quantities(Schedule)
         if int(name.split(".")[1]) in switches
     }
-    names = NAMES.set({**known, **times})
-    metrics = MEASURED.set(all_metrics(own))
+    names = NAMES.set({**parameters, **times})
+    metrics = MEASURED.set(all_metrics(setup))
     try:
         yield
     finally:
@@ -99,11 +99,11 @@ def code_identity(setup: Setup) -> dict[str, str]:
     """The custom code of a setup that affects results: names and content of the files of its controller and metrics."""
     identity = {}
     if setup.controller is not None:
-        where = written_controller(setup)
-        name = where.rpartition(":")[2] if data_of(where) is None else "policy"
-        identity["controller"] = f"{name} {controller_digest(where)}"
+        controller = written_controller(setup)
+        name = controller.rpartition(":")[2] if data_of(controller) is None else "policy"
+        identity["controller"] = f"{name} {controller_digest(controller)}"
     if setup.metrics:
-        names = ", ".join(each.name for each in setup.own_metrics)
+        names = ", ".join(metric.name for metric in setup.own_metrics)
         identity["metrics"] = f"{names} {' '.join(map(metrics_digest, written_metrics(setup)))}"
     return identity
 
@@ -128,18 +128,18 @@ def written_metrics(setup: Setup, folder: Path | None = None) -> list[str]:
     Raises:
         ParameterError: one was given as an object, which no file can name.
     """
-    for each in setup.metrics:
-        if not isinstance(each, str):
+    for metric in setup.metrics:
+        if not isinstance(metric, str):
             raise ParameterError(
-                f"metrics has {each.place}: name it as FILE.py:NAME or MODULE:NAME, as a file can."
+                f"metrics has {metric.place}: name it as FILE.py:NAME or MODULE:NAME, as a file can."
             )
-    return [written_code(str(each), folder) for each in setup.metrics]
+    return [written_code(str(metric), folder) for metric in setup.metrics]
 
 
-def written_code(where: str, folder: Path | None) -> str:
+def written_code(reference: str, folder: Path | None) -> str:
     """Custom code as written in a file of a folder."""
-    source, name = _split(where)
-    if name and data_of(where) is not None:  # the code of a policy
+    source, name = _split(reference)
+    if name and data_of(reference) is not None:  # the code of a policy
         name = written_code(name, folder)
     path = Path(source).name if Path(source).parent == folder else source
     return f"{path}:{name}" if name else path
@@ -157,34 +157,34 @@ def with_code_copied(setup: Setup, folder: Path, write: Callable[[str, bytes], A
         setup = dataclasses.replace(
             setup, controller=kept_code(setup.controller, KEPT_CONTROLLER, folder, write)
         )
-    named = written_metrics(setup)
-    if named:
-        write(KEPT, kept_metrics(named))
-    metrics = tuple(kept_code(each, KEPT_METRICS, folder, write) for each in named)
+    references = written_metrics(setup)
+    if references:
+        write(KEPT, kept_metrics(references))
+    metrics = tuple(kept_code(reference, KEPT_METRICS, folder, write) for reference in references)
     return dataclasses.replace(setup, metrics=metrics) if metrics else setup
 
 
-def kept_code(where: str, called: str, folder: Path, write: Callable[[str, bytes], Any]) -> str:
+def kept_code(reference: str, called: str, folder: Path, write: Callable[[str, bytes], Any]) -> str:
     """The name of custom code, with its file in a directory under the name that such files have there."""
-    source, name = _split(where)
-    if name and data_of(where) is not None:  # the code of a policy
+    source, name = _split(reference)
+    if name and data_of(reference) is not None:  # the code of a policy
         name = kept_code(name, Path(name).name, folder, write)
-    elif not source.endswith(".py") and data_of(where) is None:
-        return where
+    elif not source.endswith(".py") and data_of(reference) is None:
+        return reference
     if Path(source).parent == folder:
         return f"{source}:{name}" if name else source
     content = read_bytes(Path(source), MOST_ARRAYS)
-    own = (folder / called).with_suffix(Path(source).suffix)
-    if own.exists() and read_bytes(own, MOST_ARRAYS) != content:
-        own = own.with_stem(f"{own.stem}-{hashlib.sha256(content).hexdigest()[:8]}")
-    if not own.exists():
-        write(own.name, content)
-    return f"{own}:{name}" if name else str(own)
+    copy = (folder / called).with_suffix(Path(source).suffix)
+    if copy.exists() and read_bytes(copy, MOST_ARRAYS) != content:
+        copy = copy.with_stem(f"{copy.stem}-{hashlib.sha256(content).hexdigest()[:8]}")
+    if not copy.exists():
+        write(copy.name, content)
+    return f"{copy}:{name}" if name else str(copy)
 
 
-def _split(where: str) -> tuple[str, str]:
+def _split(reference: str) -> tuple[str, str]:
     """File or module, and the name in it, or for a file that is data the code that it needs."""
-    if (data := data_of(where)) is not None:
+    if (data := data_of(reference)) is not None:
         return data
-    source = source_of(where)
+    source = source_of(reference)
     return source.place, source.name

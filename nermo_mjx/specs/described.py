@@ -57,17 +57,17 @@ class Described(abc.ABC):
         return cls.of_document(read_mapping(data, cls.kind))
 
     @classmethod
-    def of(cls, given: Self | Mapping[str, Any] | str | os.PathLike[str]) -> Self:
+    def of(cls, source: Self | Mapping[str, Any] | str | os.PathLike[str]) -> Self:
         """What is given, or the content of a dict or of a file; raises `SpecError`."""
-        if isinstance(given, cls):
-            return given
+        if isinstance(source, cls):
+            return source
         of_type(
             cls.kind,
-            given,
+            source,
             (Mapping, str, os.PathLike),
             f"a {cls.__name__}, its fields, or the path of a file",
         )
-        return cls.from_dict(given) if isinstance(given, Mapping) else cls.from_file(given)  # type: ignore[arg-type]
+        return cls.from_dict(source) if isinstance(source, Mapping) else cls.from_file(source)  # type: ignore[arg-type]
 
     def to_yaml(self, folder: Path | None = None) -> str:
         """The file with all defaults written out, see `resolved`."""
@@ -78,25 +78,29 @@ D = TypeVar("D", bound=Described)
 
 
 def write_described(
-    held: RunDirectory, name: str, wanted: D, read: Callable[[Path], D], warn: Callable[[str], None]
+    directory: RunDirectory,
+    name: str,
+    description: D,
+    read: Callable[[Path], D],
+    warn: Callable[[str], None],
 ) -> None:
     """Write a resolved file into a directory; a user's own file there is moved aside.
 
     Args:
-        held: the directory.
+        directory: the directory.
         name: of the file.
-        wanted: its content.
+        description: its content.
         read: reads the file that is there.
         warn: called with a message about a file that is moved aside.
     """
-    begun, folder, path = None, held.out.resolve(), held.out / name
+    former, folder, path = None, directory.out.resolve(), directory.out / name
     with contextlib.suppress(SpecError):
-        begun = read(path)
-    if begun == wanted:
+        former = read(path)
+    if former == description:
         return
-    if begun is None or begun.to_yaml(folder).encode() != read_bytes(path, MOST_JSON):
-        held.set_aside("another", [name], warn)
-    held.write(name, wanted.to_yaml(folder).encode())
+    if former is None or former.to_yaml(folder).encode() != read_bytes(path, MOST_JSON):
+        directory.set_aside("another", [name], warn)
+    directory.write(name, description.to_yaml(folder).encode())
 
 
 def digest_of(*parts: Any) -> str:

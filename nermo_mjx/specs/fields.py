@@ -65,13 +65,13 @@ def read(doc: Document, model: type[M]) -> M:
         return model.model_validate(doc.data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-    refused, path, given = (
+    refused, path, value = (
         first.get("ctx", {}).get("error"),
         _place(doc.data, first["loc"]),
         first["input"],
     )
     if isinstance(refused, Refused):
-        path, at, message = (
+        path, location, message = (
             (*path, *refused.path),
             (*path, *refused.path, *refused.at),
             str(refused),
@@ -80,31 +80,31 @@ def read(doc: Document, model: type[M]) -> M:
         refused, ParameterError
     ):  # of a section's own check; its first word is the section or a field
         name, _, message = str(refused).partition(" ")
-        path = at = (
+        path = location = (
             (*path, *name.split(".")[1:]) if path and name.split(".")[0] == path[-1] else path
         )
     else:
-        shown = (
-            f"{given:g}"
-            if first["type"] in _RANGES and not isinstance(given, str)
-            else describe(given)
+        listing = (
+            f"{value:g}"
+            if first["type"] in _RANGES and not isinstance(value, str)
+            else describe(value)
         )
         allowed = (_TYPES | _RANGES)[first["type"]].format(**first.get("ctx", {}))
-        at, message = path, f"is {shown}: expected {allowed}."
-    doc.fail(at, message, model.called(path))
+        location, message = path, f"is {listing}: expected {allowed}."
+    doc.fail(location, message, model.called(path))
 
 
-def _place(data: Any, place: FieldPath) -> FieldPath:
+def _place(data: Any, location: FieldPath) -> FieldPath:
     """As far as the document goes: what follows are types that a field may have, or belongs to a short form."""
-    for i, key in enumerate(place):
+    for i, key in enumerate(location):
         if not (
             key in data
             if isinstance(data, dict)
             else isinstance(data, list) and isinstance(key, int)
         ):
-            return place[:i]
+            return location[:i]
         data = data[key]
-    return place
+    return location
 
 
 def optional(description: str | None = None, *, alias: str | None = None, **schema: Any) -> Any:
@@ -135,28 +135,28 @@ class Section:
     @classmethod
     def required(cls) -> list[str]:
         """Names of the fields without a default."""
-        return [name for name, needed in cls.declared().items() if needed]
+        return [name for name, is_required in cls.declared().items() if is_required]
 
     @classmethod
-    def checked(cls, given: Any) -> Any:
+    def checked(cls, value: Any) -> Any:
         """A mapping with these fields and no others; raises `Refused`."""
         names = cls.declared()
-        if not isinstance(given, dict):
+        if not isinstance(value, dict):
             expected = cls.expected or f"a mapping of {', '.join(names) or 'nothing'}"
-            raise Refused(f"is {describe(given)}: expected {expected}.")
-        for key in given:
+            raise Refused(f"is {describe(value)}: expected {expected}.")
+        for key in value:
             if key not in names:
                 cls.refuse(key)
         for name in cls.required():
-            if name not in given:
+            if name not in value:
                 raise Refused(f"has no '{name}': expected {cls.example}.")
-        return given
+        return value
 
     @classmethod
     def refuse(cls, key: str) -> None:
         """Raise `Refused` about an unknown field; one that is allowed nevertheless passes."""
-        known = f"allowed are {', '.join(cls.declared())}" if cls.declared() else "it has none"
-        raise Refused(f"is not {cls.what}; {known}{did_you_mean(key, cls.declared())}", key)
+        allowed = f"allowed are {', '.join(cls.declared())}" if cls.declared() else "it has none"
+        raise Refused(f"is not {cls.what}; {allowed}{did_you_mean(key, cls.declared())}", key)
 
 
 class Fields(Section, BaseModel):
@@ -171,8 +171,8 @@ class Fields(Section, BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _known(cls, given: Any) -> Any:
-        return cls.checked(cls.written_out(given))
+    def _known(cls, value: Any) -> Any:
+        return cls.checked(cls.written_out(value))
 
     @classmethod
     def declared(cls) -> dict[str, bool]:
@@ -181,9 +181,9 @@ class Fields(Section, BaseModel):
         }
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
+    def written_out(cls, value: Any) -> Any:
         """The mapping that a short form stands for."""
-        return given
+        return value
 
     @classmethod
     def called(cls, path: FieldPath) -> str:
@@ -196,10 +196,10 @@ class Fields(Section, BaseModel):
     ) -> JsonSchema:
         reference = handler(schema)
         if cls.short:
-            written = handler.resolve_ref_schema(reference)
-            mapping = dict(written)
-            written.clear()
-            written["anyOf"] = [*cls.short, mapping]
+            schema_of_field = handler.resolve_ref_schema(reference)
+            mapping = dict(schema_of_field)
+            schema_of_field.clear()
+            schema_of_field["anyOf"] = [*cls.short, mapping]
         return reference
 
 
@@ -226,27 +226,27 @@ class OneOf(Fields):
             cls.short = ({"enum": [*cls.alone]},)
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
+    def written_out(cls, value: Any) -> Any:
         """As a mapping, of exactly one field."""
         for name in (
-            (given,) if isinstance(given, str) else given if isinstance(given, dict) else ()
+            (value,) if isinstance(value, str) else value if isinstance(value, dict) else ()
         ):
             if name in cls.removed:
                 raise Refused(f"is {name!r}, {cls.removed[name]}.")
-        if isinstance(given, str) and given in cls.alone:
-            return {given: None}
-        if isinstance(given, str) and given in cls.declared():
-            model, needs, example = cls.model_fields[given].annotation, "its value", cls.expected
+        if isinstance(value, str) and value in cls.alone:
+            return {value: None}
+        if isinstance(value, str) and value in cls.declared():
+            model, needs, example = cls.model_fields[value].annotation, "its value", cls.expected
             if isinstance(model, type) and issubclass(model, Fields):
                 needs, example = " and ".join(model.required()), model.example
-            raise Refused(f"is '{given}' without {needs}: expected {example}.")
-        if isinstance(given, str):
+            raise Refused(f"is '{value}' without {needs}: expected {example}.")
+        if isinstance(value, str):
             raise Refused(
-                f"{cls.other_name.format(name=given)}: expected {cls.expected}{did_you_mean(given, cls.declared())}"
+                f"{cls.other_name.format(name=value)}: expected {cls.expected}{did_you_mean(value, cls.declared())}"
             )
-        if isinstance(given, dict) and len(given) != 1:
-            raise Refused(f"is {describe(given)}: expected {cls.expected}.")
-        return given
+        if isinstance(value, dict) and len(value) != 1:
+            raise Refused(f"is {describe(value)}: expected {cls.expected}.")
+        return value
 
     @classmethod
     def refuse(cls, key: str) -> None:
@@ -267,7 +267,7 @@ def documented(cls: type) -> dict[str, Any]:
     described = (
         name
         for name in fields
-        if any(isinstance(each, FieldInfo) for each in get_args(hints[name]))
+        if any(isinstance(annotation, FieldInfo) for annotation in get_args(hints[name]))
     )
     return {name: fields[name] for name in described}
 

@@ -44,26 +44,27 @@ class Spec(Section):
     @classmethod
     def declared(cls) -> dict[str, bool]:
         fields: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(cls)  # type: ignore[arg-type]
-        given = (each for each in fields if each.name not in cls.elsewhere)
+        declared_fields = (field for field in fields if field.name not in cls.elsewhere)
         return {
-            each.name: each.default is dataclasses.MISSING is each.default_factory for each in given
+            field.name: field.default is dataclasses.MISSING is field.default_factory
+            for field in declared_fields
         }
 
     @classmethod
-    def _known(cls, given: Any) -> Any:
-        if given is None and (needs := " and ".join(cls.required())):
+    def _known(cls, value: Any) -> Any:
+        if value is None and (needs := " and ".join(cls.required())):
             raise Refused(f"is without {needs}: expected {cls.example}.")
-        return given if isinstance(given, cls) else cls.checked(given)
+        return value if isinstance(value, cls) else cls.checked(value)
 
     @classmethod
     def __get_pydantic_core_schema__(
         cls, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        made: dict[str, Any] = {**handler.resolve_ref_schema(handler(source))}
-        made["strict"] = False  # a mapping will do; its values are checked strictly
+        schema: dict[str, Any] = {**handler.resolve_ref_schema(handler(source))}
+        schema["strict"] = False  # a mapping will do; its values are checked strictly
         # What stands at the reference is this, so that a second field of the same section is checked, too.
         return core_schema.no_info_before_validator_function(
-            cls._known, made, ref=made.pop("ref", None)
+            cls._known, schema, ref=schema.pop("ref", None)
         )
 
     @classmethod
@@ -91,8 +92,8 @@ class _Chosen:
             self._made, handler.generate_schema(self.form)
         )
 
-    def _made(self, found: OneOf) -> Spec:
-        name, value = found.chosen
+    def _made(self, choice: OneOf) -> Spec:
+        name, value = choice.chosen
         return self.models[name]() if value is None else value
 
 
@@ -114,18 +115,18 @@ def one_of(
         )
         for name, model in models.items()
     }
-    made: type[OneOf] = create_model(form, __base__=OneOf, **fields)
+    model_type: type[OneOf] = create_model(form, __base__=OneOf, **fields)
     *first, last = models
     names = f"{', '.join(first)} or {last}" if first else last
-    made.expected = f"{names} as a name, or {{name: {{option: value}}}}"
-    made.other, made.other_name, made.alone, made.removed = (
+    model_type.expected = f"{names} as a name, or {{name: {{option: value}}}}"
+    model_type.other, model_type.other_name, model_type.alone, model_type.removed = (
         other,
         "is {name!r}",
         tuple(models),
         removed,
     )
-    made.short = ({"enum": [name for name, model in models.items() if not model.required()]},)
-    return _Chosen(made, models)
+    model_type.short = ({"enum": [name for name, model in models.items() if not model.required()]},)
+    return _Chosen(model_type, models)
 
 
 def written(spec: Spec) -> dict[str, Any]:

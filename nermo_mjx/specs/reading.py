@@ -70,7 +70,7 @@ class Document:
 _DEEPEST: Final = 200
 
 
-def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
+def read_file(path: str | os.PathLike[str], kind: str = "sweep") -> Document:
     """Read a YAML file; raises a `SpecError` if it is not a YAML mapping. `what` names its kind."""
     source = os.fspath(of_type("path", path, (str, os.PathLike), "the path of a file"))
     try:
@@ -83,17 +83,17 @@ def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
         ) from None
     except OSError as error:
         raise SpecError(f"{source}: cannot be read ({error.strerror}).") from None
-    return read_text(text, source, what)
+    return read_text(text, source, kind)
 
 
-def read_text(text: str, source: str, what: str = "sweep") -> Document:
+def read_text(text: str, source: str, kind: str = "sweep") -> Document:
     """Read YAML text; see `read_file`."""
     of_type("text", text, str, "YAML text")
     yaml = YAML(typ="safe", pure=True)
     try:
         opened = 0
-        for each in text.splitlines():  # the parser takes minutes to find out
-            opened += sum(map(each.count, "[{")) - sum(map(each.count, "]}"))
+        for text_line in text.splitlines():  # the parser takes minutes to find out
+            opened += sum(map(text_line.count, "[{")) - sum(map(text_line.count, "]}"))
             if opened > _DEEPEST:
                 raise RecursionError
         if (
@@ -104,7 +104,7 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
                 f"{source}: it holds more than {_MOST_VALUES:,} values: allowed are fewer; rows can stand in a table."
             )
         root = yaml.compose(text)
-        reader = _NodeReader(source, what, yaml)
+        reader = _NodeReader(source, kind, yaml)
         data = None if root is None else reader.value(root, ())
     except RecursionError:
         depths = [
@@ -118,24 +118,24 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
     except MarkedYAMLError as error:
         wrong = " ".join(part for part in (error.context, error.problem) if part)
         mark = error.problem_mark or error.context_mark
-        where = f"{source}:{mark.line + 1}" if mark is not None else source
-        raise SpecError(f"{where}: not valid YAML: {wrong}.") from None
+        location = f"{source}:{mark.line + 1}" if mark is not None else source
+        raise SpecError(f"{location}: not valid YAML: {wrong}.") from None
     except SpecError:
         raise
     except (YAMLError, ValueError) as error:
         raise SpecError(f"{source}: not valid YAML: {str(error).splitlines()[0]}.") from None
     if not isinstance(data, dict):
         raise SpecError(
-            f"{source}:1: a {what} is a mapping of fields, but this file holds {describe(data)}."
+            f"{source}:1: a {kind} is a mapping of fields, but this file holds {describe(data)}."
         )
     return Document(source, data, reader.lines)
 
 
-def read_mapping(data: Mapping[str, Any], what: str = "sweep") -> Document:
+def read_mapping(data: Mapping[str, Any], kind: str = "sweep") -> Document:
     """A document of a dict given in Python; arrays and tuples count as lists. `what` names its kind."""
     if not isinstance(data, Mapping):
-        raise SpecError(f"{what}: a {what} is a mapping of fields, not {describe(data)}.")
-    return Document(what, plain_data(data))
+        raise SpecError(f"{kind}: a {kind} is a mapping of fields, not {describe(data)}.")
+    return Document(kind, plain_data(data))
 
 
 def dump(data: Mapping[str, Any]) -> str:
@@ -162,15 +162,15 @@ def describe(value: Any) -> str:
     }
     if isinstance(value, Mapping):
         return "a mapping" + (f" of {', '.join(map(str, value))}" if value else " without fields")
-    shown = str(value).lower() if isinstance(value, bool) else repr(value)
-    return f"{kinds.get(type(value), type(value).__name__)} {shown if len(shown) <= 60 else shown[:57] + '...'}"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return f"{kinds.get(type(value), type(value).__name__)} {text if len(text) <= 60 else text[:57] + '...'}"
 
 
 class _NodeReader:
     """Plain values of YAML's nodes: aliases and merge keys are resolved, and each field's line is noted."""
 
-    def __init__(self, source: str, what: str, yaml: YAML) -> None:
-        self.source, self.what, self._scalars = source, what, yaml.constructor
+    def __init__(self, source: str, kind: str, yaml: YAML) -> None:
+        self.source, self.what, self._scalars = source, kind, yaml.constructor
         self.lines: dict[FieldPath, int] = {(): 1}
         self._open: list[Node] = []
         self._seen: set[int] = set()
@@ -204,14 +204,14 @@ class _NodeReader:
                 for name, (key, item) in self._fields(node, path).items()
             }
 
-    def _item(self, node: Node, path: FieldPath, place: Node) -> Any:
+    def _item(self, node: Node, path: FieldPath, parent: Node) -> Any:
         """The value of a field, whose line is that of `place`."""
-        self.lines[path] = place.start_mark.line + 1
+        self.lines[path] = parent.start_mark.line + 1
         return self.value(node, path)
 
     def _fields(self, node: Node, path: FieldPath) -> dict[str, tuple[Node, Node]]:
         """Key and value of each field of a mapping; those of merged mappings come first and are overridden."""
-        own: dict[str, tuple[Node, Node]] = {}
+        entries: dict[str, tuple[Node, Node]] = {}
         merged: dict[str, tuple[Node, Node]] = {}
         bases = None
         for key, item in node.value:
@@ -226,17 +226,18 @@ class _NodeReader:
                         merged.setdefault(name, field)
                 continue
             name = self._name(key, path)
-            if name in own:
+            if name in entries:
                 self._refuse(key, f"{self._subject((*path, name))} stands twice; keep one of them.")
-            own[name] = key, item
-        return {**merged, **own}
+            entries[name] = key, item
+        return {**merged, **entries}
 
     def _base(self, node: Node, path: FieldPath) -> dict[str, tuple[Node, Node]]:
         """The fields of a mapping that is merged."""
         if not isinstance(node, MappingNode) or node.tag not in _PLAIN_TAGS:
-            found = describe(self.value(node, path))
+            description = describe(self.value(node, path))
             self._refuse(
-                node, f"{self._subject(path)} is {found}: expected a mapping or a list of mappings."
+                node,
+                f"{self._subject(path)} is {description}: expected a mapping or a list of mappings.",
             )
         with self._opened(node, path):
             return self._fields(node, path)
@@ -246,13 +247,13 @@ class _NodeReader:
         if isinstance(key, ScalarNode) and key.tag == f"{_STANDARD}str":
             return str(key.value)
         plain = isinstance(key, ScalarNode) and key.tag in _PLAIN_TAGS
-        found = describe(self.value(key, path)) if plain else _tagged(key)
-        self._refuse(key, f"the name of a field is {found}: expected a text.")
+        description = describe(self.value(key, path)) if plain else _tagged(key)
+        self._refuse(key, f"the name of a field is {description}: expected a text.")
 
     @contextlib.contextmanager
     def _opened(self, node: Node, path: FieldPath) -> Iterator[None]:
         """While a node is being read, an alias to it would be circular."""
-        if any(node is other for other in self._open):
+        if any(node is ancestor for ancestor in self._open):
             self._refuse(node, f"{self._subject(path)} contains itself through an alias.")
         self._open.append(node)
         yield
@@ -288,21 +289,19 @@ def plain_data(value: Any) -> Any:
     return value
 
 
-def changes(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+def changes(former: Mapping[str, Any], current: Mapping[str, Any]) -> list[str]:
     """Where two mappings of fields differ, as "seed (3 there, 4 here)"."""
     return [
-        f"{name} ({before} there, {now} here)"
-        for name, (before, now) in differing(there, here).items()
+        f"{name} ({old} there, {now} here)"
+        for name, (old, now) in differing(former, current).items()
     ]
 
 
-def differing(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+def differing(former: Mapping[str, Any], current: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     """Both values of each field in which two mappings differ, by its dotted name; or the word absent."""
-    before, now = dict(_leaves(there)), dict(_leaves(here))
-    both = {
-        name: (before.get(name, "absent"), now.get(name, "absent")) for name in {**before, **now}
-    }
-    return {name: (a, b) for name, (a, b) in both.items() if a != b}
+    old, now = dict(_leaves(former)), dict(_leaves(current))
+    shared = {name: (old.get(name, "absent"), now.get(name, "absent")) for name in {**old, **now}}
+    return {name: (a, b) for name, (a, b) in shared.items() if a != b}
 
 
 def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -45,9 +45,9 @@ class Checked:
         """The value; raises `Refused`."""
         return value
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
+    def schema(self, base: JsonSchema) -> JsonSchema:
         """The schema for an editor."""
-        return own
+        return base
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -80,7 +80,7 @@ class Whole(Checked):
             raise Refused(f"is {value:g}: expected an even number, because samples come in pairs.")
         return int(value)
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
+    def schema(self, base: JsonSchema) -> JsonSchema:
         even = {"multipleOf": 2} if self.even else {}
         return {"type": "integer", "minimum": self.low, "maximum": self.high, **even}
 
@@ -102,7 +102,7 @@ class Choice(Checked):
             raise Refused(f"is {describe(value)}: {allowed}{did_you_mean(str(value), self.names)}")
         return value
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
+    def schema(self, base: JsonSchema) -> JsonSchema:
         return {"enum": list(self.names)}
 
 
@@ -120,9 +120,9 @@ class OwnOr(Choice):
             raise Refused(f"is {describe(value)}: expected {NAMED}.")
         return super().check(value)
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
-        named = {"type": "string", "pattern": ":", "description": NAMED}
-        return {"anyOf": [{"enum": list(self.names)}, named]} if self.names else named
+    def schema(self, base: JsonSchema) -> JsonSchema:
+        reference = {"type": "string", "pattern": ":", "description": NAMED}
+        return {"anyOf": [{"enum": list(self.names)}, reference]} if self.names else reference
 
 
 class BodiesField(Checked):
@@ -137,9 +137,9 @@ class BodiesField(Checked):
         if not isinstance(value, str) or (
             "/" not in value and value not in ("", identified.IDENTIFIED)
         ):
-            meant = did_you_mean(str(value), (identified.IDENTIFIED,))
+            suggestion = did_you_mean(str(value), (identified.IDENTIFIED,))
             raise Refused(
-                f"is {describe(value)}: allowed is identified, or DIR such as runs/mine{meant}"
+                f"is {describe(value)}: allowed is identified, or DIR such as runs/mine{suggestion}"
             )
         try:
             identified.bodies(value) if value else None
@@ -147,7 +147,7 @@ class BodiesField(Checked):
             raise Refused(f"is {value!r}: {error}") from None
         return value
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
+    def schema(self, base: JsonSchema) -> JsonSchema:
         return {"anyOf": [{"type": "string", "pattern": "^$|^identified$|/"}, {"type": "boolean"}]}
 
 
@@ -171,10 +171,10 @@ class Numbers(Checked):
             raise Refused(f"is {describe(value)}: expected the list {self.written}.")
         return value
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
-        most = {} if self.most is None else {"maxItems": self.most}
+    def schema(self, base: JsonSchema) -> JsonSchema:
+        limits = {} if self.most is None else {"maxItems": self.most}
         items = {"items": MEASURED_TEXT} if self.of_parameter else {}
-        return {**own, **items, "minItems": self.least, **most, "description": self.written}
+        return {**base, **items, "minItems": self.least, **limits, "description": self.written}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,8 +206,8 @@ class InUnits(Checked):
             raise Refused(f"is {describe(value)}: {self.about.expected}")
         return number
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
-        return {**own, "type": ["number", "string"], "pattern": self.about.pattern}
+    def schema(self, base: JsonSchema) -> JsonSchema:
+        return {**base, "type": ["number", "string"], "pattern": self.about.pattern}
 
 
 Metres = Annotated[float, InUnits(Quantity(1.0, "m", -math.inf, math.inf, "a length"))]
@@ -233,9 +233,9 @@ class ByParameter(Checked):
             refuse_parameter(name)
         return value
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
-        value = own.pop("additionalProperties")
-        return {**own, **by_parameter({} if self.numbers else value)}
+    def schema(self, base: JsonSchema) -> JsonSchema:
+        value = base.pop("additionalProperties")
+        return {**base, **by_parameter({} if self.numbers else value)}
 
 
 def by_parameter(value: JsonSchema) -> JsonSchema:
@@ -254,10 +254,15 @@ def by_parameter(value: JsonSchema) -> JsonSchema:
 
 def number_of(name: str) -> JsonSchema:
     """The schema of a parameter's value: its range, and in words its meaning, unit and default."""
-    about = PARAMETERS[name]
-    unit = "" if about.unit == "1" else f" {about.unit}"
-    description = f"{about.doc}; default {about.default:g}{unit}, allowed {about.allowed()}"
-    bounds = (("Minimum", about.low, about.open_low), ("Maximum", about.high, about.open_high))
+    declaration = PARAMETERS[name]
+    unit = "" if declaration.unit == "1" else f" {declaration.unit}"
+    description = (
+        f"{declaration.doc}; default {declaration.default:g}{unit}, allowed {declaration.allowed()}"
+    )
+    bounds = (
+        ("Minimum", declaration.low, declaration.open_low),
+        ("Maximum", declaration.high, declaration.open_high),
+    )
     limits = {
         f"exclusive{end}" if is_open else end.lower(): float(bound)
         for end, bound, is_open in bounds
@@ -266,35 +271,43 @@ def number_of(name: str) -> JsonSchema:
     return {
         "type": ["number", "string"],
         **limits,
-        "pattern": about.pattern,
+        "pattern": declaration.pattern,
         "description": description,
     }
 
 
-def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, value: Any) -> None:
+def check_value(
+    doc: Document, path: FieldPath, name: str, declaration: Quantity, value: Any
+) -> None:
     """Fail at `path` unless every number is finite and within the parameter's range."""
     try:
-        about.check(name, value)
+        declaration.check(name, value)
     except ParameterError as error:
         doc.fail(path, str(error).removeprefix(f"{name} "), name)
 
 
-def refuse_parameter(name: str, more: Iterable[str] = ()) -> None:
+def refuse_parameter(name: str, additional: Iterable[str] = ()) -> None:
     """Raise `Refused` unless there is such a parameter, with the names near it: of its group, or of all groups.
 
     Args:
         name: of the parameter.
-        more: names of what is allowed beside parameters.
+        additional: names of what is allowed beside parameters.
     """
-    known = NAMES.get()
-    if name in known:
+    names = NAMES.get()
+    if name in names:
         return
     group = name.rpartition(".")[0]
-    mates = [other for other in known if group and other.startswith(f"{group}.")]
+    mates = [
+        name_in_group for name_in_group in names if group and name_in_group.startswith(f"{group}.")
+    ]
     if not mates:
-        mates = [other for other in known if "." not in other]
-        mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in known if "." in other)
-    mates += more if "." not in name else ()
+        mates = [name_in_group for name_in_group in names if "." not in name_in_group]
+        mates += dict.fromkeys(
+            f"{name_in_group.partition('.')[0]}.*"
+            for name_in_group in names
+            if "." in name_in_group
+        )
+    mates += additional if "." not in name else ()
     listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
-    what = "is a metric, and not a parameter" if name in MEASURED.get() else "is not a parameter"
-    raise Refused(f"{what}; {listed}{did_you_mean(name, [*more, *known])}", name)
+    reason = "is a metric, and not a parameter" if name in MEASURED.get() else "is not a parameter"
+    raise Refused(f"{reason}; {listed}{did_you_mean(name, [*additional, *names])}", name)

@@ -100,9 +100,9 @@ def unread(setup: Setup, name: str) -> tuple[str, str] | None:
         if setup.controller is None
         else []
     )
-    choice, wanted = next((_NEEDS[each] for each in groups if each in _NEEDS), ("", ""))
+    choice, requirement = next((_NEEDS[group] for group in groups if group in _NEEDS), ("", ""))
     acting = setup.modes.get(choice) or getattr(setup, choice, "").split("+")
-    return (choice, wanted) if choice and wanted not in acting else None
+    return (choice, requirement) if choice and requirement not in acting else None
 
 
 def is_terrain(name: str) -> bool:
@@ -114,11 +114,11 @@ def is_terrain(name: str) -> bool:
 # The declared fields of all files that describe a walk: setup, pilot, run and fixed parameters.
 
 
-def _kept(given: Any) -> Any:
-    if not isinstance(given, mujoco.MjSpec):
-        return given
+def _kept(value: Any) -> Any:
+    if not isinstance(value, mujoco.MjSpec):
+        return value
     try:
-        return resolve_scene(given)
+        return resolve_scene(value)
     except ParameterError as error:
         raise Refused(str(error).removeprefix("scene ")) from None
 
@@ -133,20 +133,20 @@ SceneField = Annotated[
 def _in_a_file(name: str) -> tuple[Any, Any]:
     """A choice of the setup as a field of a file: one of several names, by default that of `Setup`."""
     field = Setup.__dataclass_fields__[name]
-    about, allowed = (
+    declaration, allowed = (
         field.metadata["doc"],
         [*(allowed_names(Setup) | {"spine": SPINES}).get(name, ())],
     )
     if name in ("timestep", "controller"):
-        return float if name == "timestep" else str, optional(about)
+        return float if name == "timestep" else str, optional(declaration)
     if isinstance(field.default, ProfileChoice):  # changes with the profile, which no JSON has
         extra: Any = {"enum": allowed, "default": str(field.default)}
         return str, Field(
-            default_factory=lambda: field.default, description=about, json_schema_extra=extra
+            default_factory=lambda: field.default, description=declaration, json_schema_extra=extra
         )
     kind = {"scene": SceneField, "hinges": Annotated[int, Whole(1, MOST_HINGES)]}.get(name, str)
     names: Any = {"json_schema_extra": {"enum": allowed}} if allowed else {}
-    return kind, Field(default=field.default, description=about, **names)
+    return kind, Field(default=field.default, description=declaration, **names)
 
 
 #: Choices of a setup that are fields of a file; the others stand in sections, or only in Python.
@@ -174,11 +174,11 @@ class Arc(Fields):
     )
 
 
-def _rows(given: Any) -> Any:
-    for row in given if isinstance(given, list) else [given]:
+def _rows(value: Any) -> Any:
+    for row in value if isinstance(value, list) else [value]:
         if not isinstance(row, list) or len(row) != 2:
             raise Refused(f"has {describe(row)}: expected {Waypoints.example}.")
-    return given
+    return value
 
 
 class Waypoints(Fields):
@@ -213,12 +213,12 @@ class PilotFields(OneOf):
     open_loop: OpenLoopFields | None = optional("at a constant turn rate")
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
-        if given == "external" or (isinstance(given, dict) and list(given) == ["external"]):
+    def written_out(cls, value: Any) -> Any:
+        if value == "external" or (isinstance(value, dict) and list(value) == ["external"]):
             raise Refused(
                 "is 'external', which takes its command from Python: use rollout.Simulator."
             )
-        return super().written_out(given)
+        return super().written_out(value)
 
 
 class RunFields(Fields):
@@ -269,12 +269,12 @@ class WalkFields(SetupFields):
     @classmethod
     def called(cls, path: FieldPath) -> str:
         """Entries of a section by their parameter's name alone, but for what is inside of a tuned parameter."""
-        named = path[:1] in (("set",), ("vary",), ("randomize",)) or (
+        is_parameter = path[:1] in (("set",), ("vary",), ("randomize",)) or (
             path[:1] == ("tune",) and len(path) == 2
         )
         return (
             str(path[1])
-            if named and path[1:] and path[1] not in ("repeats", "from")
+            if is_parameter and path[1:] and path[1] not in ("repeats", "from")
             else super().called(path)
         )
 
@@ -294,14 +294,14 @@ class RecordedSetup(SetupFields):
             SpecError: one is none, or has another type.
         """
         left_out = ("metrics", "schedule")
-        given = {
+        choices = {
             name: value
             for name, value in recorded.items()
             if value is not None and name not in left_out
         }
-        given = {name: given[name] for name in names or given if name in given}
-        found = read(Document("the recording", given), cls)
-        return {name: getattr(found, name) for name in given}
+        choices = {name: choices[name] for name in names or choices if name in choices}
+        fields = read(Document("the recording", choices), cls)
+        return {name: getattr(fields, name) for name in choices}
 
 
 #: Values of a pilot's option that files give as words.
@@ -362,23 +362,23 @@ class WalkSpec:
         Args:
             folder: where the file is to stand, resolved: a controller in it is named from there.
         """
-        own, given = self.setup.controller is not None, self.setup.fields()
+        is_custom, fields = self.setup.controller is not None, self.setup.fields()
         data: dict[str, Any] = {
-            name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"
+            name: fields[name] for name in SETUP_FIELDS if name in fields and name != "controller"
         }
         for name in ("steering", *robot_choices(self.setup.profile)):
             if isinstance(getattr(self.setup, name), ProfileChoice):
                 data.pop(name, None)  # it follows the profile, which may vary
-        data |= {"controller": written_controller(self.setup, folder)} if own else {}
+        data |= {"controller": written_controller(self.setup, folder)} if is_custom else {}
         data["timestep"] = float(self.setup.timestep)
-        if not own or self.pilot or self.setup.pilot != Setup.pilot:
+        if not is_custom or self.pilot or self.setup.pilot != Setup.pilot:
             data["pilot"] = {self.setup.pilot: dict(self.pilot)} if self.pilot else self.setup.pilot
         names = (
             ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
         )
         data["run"] = {name: float(getattr(self.run, name)) for name in names}
         data["set"] = dict(self.fixed)
-        data |= {"schedule": given["schedule"]} if self.setup.schedule else {}
+        data |= {"schedule": fields["schedule"]} if self.setup.schedule else {}
         return data | (
             {"metrics": written_metrics(self.setup, folder)} if self.setup.metrics else {}
         )
@@ -411,13 +411,13 @@ def check_sources(
     def check_effect(section: str, name: str) -> None:
         lacks = [unread(setup, name) for setup in setups or [walk.setup]]
         if lacks[0] is not None and all(lacks):
-            choice, wanted = lacks[0]
-            chosen = " or ".join(
+            choice, requirement = lacks[0]
+            choices = " or ".join(
                 dict.fromkeys(getattr(setup, choice) for setup in setups or [walk.setup])
             )
             doc.fail(
                 (section, name),
-                f"has no effect: it is read only with {choice}: {wanted}, and {choice} is {chosen}.",
+                f"has no effect: it is read only with {choice}: {requirement}, and {choice} is {choices}.",
                 name,
             )
 
@@ -446,7 +446,7 @@ def check_sources(
 
 def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     """The arguments of a `WalkSpec`; raises a `SpecError` where setup or run say that something cannot be."""
-    given = doc.data.get("pilot", Setup.pilot)
+    pilot_value = doc.data.get("pilot", Setup.pilot)
     pilot, options = fields.pilot.chosen
     choices = {name: getattr(fields, name) for name in SETUP_FIELDS if name in doc.data} | {
         "pilot": pilot
@@ -463,13 +463,13 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
         setup = Setup(**choices)
         check_code(setup)
     except ParameterError as error:  # about the field that it names
-        field, _, rest = str(error).partition(" ")
+        field, _, reason = str(error).partition(" ")
         if field.startswith("schedule"):
-            doc.fail(("schedule", *(int(part) - 1 for part in field.split(".")[1:])), rest)
+            doc.fail(("schedule", *(int(part) - 1 for part in field.split(".")[1:])), reason)
         if field not in choices:
             doc.fail(("pilot", "waypoints", "points"), f"is refused: {error}")
-        doc.fail((field,), rest)
-    values = pilot_options(given, pilot, options)
+        doc.fail((field,), reason)
+    values = pilot_options(pilot_value, pilot, options)
     parameters = all_parameters(setup)
     for name, value in fields.set.items():
         check_value(doc, ("set", name), name, parameters[name], value)
@@ -483,37 +483,37 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
         key = subject.removeprefix("run.")
         doc.fail(("pilot", "straight", key) if key == "distance" else ("run", key), message)
     # Defaults are written out: for a run at 1 Hz, seconds equal cycles.
-    warmup, end = (float(each) for each in run.seconds(1.0))
+    warmup, end = (float(duration) for duration in run.seconds(1.0))
     names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
     run = dataclasses.replace(run, **dict(zip(names, (end, warmup), strict=True)))
     return {"setup": setup, "run": run, "fixed": fields.set, "pilot": values}
 
 
-def read_schedule(doc: Document, given: list[SwitchFields]) -> tuple[Switch, ...]:
+def read_schedule(doc: Document, entries: list[SwitchFields]) -> tuple[Switch, ...]:
     """The switches of a file."""
-    found = []
-    for number, each in enumerate(given):
+    switches = []
+    for number, entry in enumerate(entries):
         try:
-            found.append(Switch(values=each.set, **each.model_dump(exclude={"set"})))
+            switches.append(Switch(values=entry.set, **entry.model_dump(exclude={"set"})))
         except ParameterError as error:
             field, _, message = str(error).partition(" ")
             doc.fail(
                 ("schedule", number) if field == "switch" else ("schedule", number, field), message
             )
-    return tuple(found)
+    return tuple(switches)
 
 
 def scene_beside(doc: Document, scene: str) -> str:
     """The scene, or the user's file of that name beside the document."""
-    beside = Path(doc.source).parent / scene
-    return str(beside) if beside.suffix == ".xml" and os.path.isfile(beside) else scene
+    path = Path(doc.source).parent / scene
+    return str(path) if path.suffix == ".xml" and os.path.isfile(path) else scene
 
 
-def pilot_options(given: Any, pilot: str, options: Any) -> dict[str, Any]:
+def pilot_options(value: Any, pilot: str, options: Any) -> dict[str, Any]:
     """The options of a pilot, in the order of the file: what a directory holds is known by it."""
     values = (
-        {key: getattr(options, key) for key in given[pilot] or ()}
-        if isinstance(given, dict)
+        {key: getattr(options, key) for key in value[pilot] or ()}
+        if isinstance(value, dict)
         else {}
     )
     return values | {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
@@ -553,24 +553,24 @@ def check_reach(
     }
     values: dict[str, np.ndarray] = {}
     for name, section in sections.items():
-        column, about = np.unique(parts[section][name]), parameters[name]
+        column, declaration = np.unique(parts[section][name]), parameters[name]
         # An open bound is only approached.
-        on_bound = (about.open_low & (column <= about.low)) | (
-            about.open_high & (column >= about.high)
+        on_bound = (declaration.open_low & (column <= declaration.low)) | (
+            declaration.open_high & (column >= declaration.high)
         )
         values |= {name: column[~on_bound]} if not on_bound.all() else {}
     constant = {name: column[0] for name, column in values.items() if len(column) == 1}
 
-    def refuse(error: ParameterError, name: str, given: np.ndarray) -> NoReturn:
+    def refuse(error: ParameterError, name: str, values: np.ndarray) -> NoReturn:
         """Fail at the parameter that the error is about, or else at this one, with the value of it."""
         subject, _, message = str(error).partition(" ")
-        message = message if subject in sections else f"is {given[0]:g}, with which {error}"
+        message = message if subject in sections else f"is {values[0]:g}, with which {error}"
         name = subject if subject in sections else name
         doc.fail((sections[name], name), message, name)
 
-    def refusal(some: Mapping[str, np.ndarray]) -> ParameterError | None:
+    def refusal(selection: Mapping[str, np.ndarray]) -> ParameterError | None:
         try:
-            setup.check(setup.world({**constant, **some}))
+            setup.check(setup.world({**constant, **selection}))
         except ParameterError as error:
             return error
         return None
@@ -581,22 +581,22 @@ def check_reach(
             while (
                 len(column) > 1 and str(error).partition(" ")[0] not in sections
             ):  # halve until one is left
-                first, rest = np.array_split(column, 2)
-                column = first if refusal({name: first}) else rest
+                first, remainder = np.array_split(column, 2)
+                column = first if refusal({name: first}) else remainder
                 error = refusal({name: column}) or error
             refuse(error, name, column)
-    together = _TOGETHER if setup.controller is None else ("*",)
+    groups = _TOGETHER if setup.controller is None else ("*",)
     mesh = {
         name: column
         for name, column in values.items()
-        if any(fnmatch.fnmatchcase(name, p) for p in together)
+        if any(fnmatch.fnmatchcase(name, p) for p in groups)
     }
     while math.prod(map(len, mesh.values())) > _MOST_TRIED:
         longest = max(mesh, key=lambda name: len(mesh[name]))
         mesh[longest] = mesh[longest][
             np.linspace(0, len(mesh[longest]) - 1, len(mesh[longest]) // 2).astype(int)
         ]
-    combined = [each.reshape(-1) for each in np.meshgrid(*mesh.values(), indexing="ij")]
+    combined = [grid.reshape(-1) for grid in np.meshgrid(*mesh.values(), indexing="ij")]
     if len(mesh) > 1 and (error := refusal(dict(zip(mesh, combined, strict=True)))) is not None:
         name = next(iter(mesh))
         refuse(error, name, mesh[name])
@@ -637,27 +637,27 @@ def written_out(doc: Document) -> Document:
     """
     data, lines = dict(doc.data), dict(doc.lines)
     for section in _SECTIONS:
-        given = data.get(section)
-        if not (isinstance(given, dict) and any(map(is_pattern, given))):
+        entries = data.get(section)
+        if not (isinstance(entries, dict) and any(map(is_pattern, entries))):
             continue
         origin: dict[str, str] = {}  # of each name, the key of the file that it has its value from
-        for key in given:
-            found = matches(key, NAMES.get()) if is_pattern(key) else [key]
-            if not found:
+        for key in entries:
+            names = matches(key, NAMES.get()) if is_pattern(key) else [key]
+            if not names:
                 doc.fail(
                     (section, key),
                     "matches no parameter (nermo-mjx sweep --list-parameters prints all).",
                     key,
                 )
-            for name in found if is_pattern(key) else ():
-                if name in origin and name not in given:
+            for name in names if is_pattern(key) else ():
+                if name in origin and name not in entries:
                     doc.fail(
                         (section, key),
                         f"and '{origin[name]}' both match {name}: give it one source.",
                         key,
                     )
-            origin |= {name: key for name in found if name == key or name not in given}
-        data[section] = {name: given[key] for name, key in origin.items()}
+            origin |= {name: key for name in names if name == key or name not in entries}
+        data[section] = {name: entries[key] for name, key in origin.items()}
         below: dict[str, list[FieldPath]] = {}
         for path in doc.lines:
             if len(path) > 1 and path[0] == section:
@@ -673,38 +673,48 @@ def with_body(doc: Document, source: str | None) -> Document:
     Raises:
         ParameterError: the directory has no bodies.
     """
-    given = doc.data.get("set") or {}
-    if source is None or not isinstance(given, dict):
+    fixed = doc.data.get("set") or {}
+    if source is None or not isinstance(fixed, dict):
         return doc
     best = identified.best(source)
-    sections = [each for section in _SECTIONS if isinstance(each := doc.data.get(section), dict)]
+    sections = [
+        entries for section in _SECTIONS if isinstance(entries := doc.data.get(section), dict)
+    ]
     keys = {key for section in sections for key in section}
-    named = {name for key in keys for name in (matches(key, best) if is_pattern(key) else [key])}
-    body = {name: value for name, value in best.items() if name not in named}
-    return dataclasses.replace(doc, data=doc.data | {"set": body | given})
+    names = {name for key in keys for name in (matches(key, best) if is_pattern(key) else [key])}
+    body = {name: value for name, value in best.items() if name not in names}
+    return dataclasses.replace(doc, data=doc.data | {"set": body | fixed})
 
 
-def in_numbers(doc: Document, more: Mapping[str, Quantity] | None = None) -> Document:
+def in_numbers(doc: Document, additional: Mapping[str, Quantity] | None = None) -> Document:
     """The document with SI numbers in the place of texts such as `-45 deg`, wherever a parameter's name stands before,
     or one of `more`.
 
     Raises:
         SpecError: a text has a unit that does not convert.
     """
-    known = {**NAMES.get(), **(more or {})}
+    declarations = {**NAMES.get(), **(additional or {})}
 
-    def number(given: Any, path: FieldPath, name: str) -> Any:
-        if isinstance(given, dict):
+    def number(field_value: Any, path: FieldPath, name: str) -> Any:
+        if isinstance(field_value, dict):
             return {
-                key: number(value, (*path, key), key if key in known else name)
-                for key, value in given.items()
+                key: number(value, (*path, key), key if key in declarations else name)
+                for key, value in field_value.items()
             }
-        if isinstance(given, list):
-            return [number(value, (*path, i), name) for i, value in enumerate(given)]
-        if not (name and isinstance(given, str) and re.match(MEASURED_TEXT["pattern"], given)):
-            return given
-        if (found := known[name].number(given)) is None:
-            doc.fail(path, f"is {describe(given)}: {known[name].expected}", WalkFields.called(path))
-        return found
+        if isinstance(field_value, list):
+            return [number(value, (*path, i), name) for i, value in enumerate(field_value)]
+        if not (
+            name
+            and isinstance(field_value, str)
+            and re.match(MEASURED_TEXT["pattern"], field_value)
+        ):
+            return field_value
+        if (converted := declarations[name].number(field_value)) is None:
+            doc.fail(
+                path,
+                f"is {describe(field_value)}: {declarations[name].expected}",
+                WalkFields.called(path),
+            )
+        return converted
 
     return dataclasses.replace(doc, data=number(doc.data, (), ""))

@@ -147,7 +147,7 @@ class Vary(_Structures):
 
     @classmethod
     def refuse(cls, key: str) -> None:
-        refuse_parameter(key, more=STRUCTURES)
+        refuse_parameter(key, additional=STRUCTURES)
 
 
 class StructureValue(NamedTuple):
@@ -356,7 +356,7 @@ def read_row_table(doc: Document, given: Any) -> RowTable:
         if name in STRUCTURES:
             continue
         try:
-            refuse_parameter(name, more=STRUCTURES)
+            refuse_parameter(name, additional=STRUCTURES)
         except Refused as refused:
             message = str(refused)
             if name in METRICS or name in TRANSITION or name in _RESULTS:
