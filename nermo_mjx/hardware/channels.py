@@ -138,25 +138,29 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
             "table of channels",
         )
     file = read(doc, ChannelsFile)
-    found: dict[int, ServoChannel] = {}
+    channels_by_number: dict[int, ServoChannel] = {}
     for servo in (key for key in doc.data if key not in Servos.model_fields):
-        given = getattr(file, servo).model_dump(exclude_unset=True)
-        channel = ServoChannel(servo, given.pop("channel"), **given)
+        fields = getattr(file, servo).model_dump(exclude_unset=True)
+        channel = ServoChannel(servo, fields.pop("channel"), **fields)
         if channel.direction not in (1, -1):
             doc.fail((servo, "direction"), f"is {channel.direction:g}: allowed is 1 or -1.")
-        if channel.number in found:
+        if channel.number in channels_by_number:
             doc.fail(
                 (servo, "channel"),
-                f"is {channel.number}, which {found[channel.number].servo} has already.",
+                f"is {channel.number}, which {channels_by_number[channel.number].servo} has already.",
             )
         if channel.low >= channel.high:
             doc.fail(
-                (servo, "low" if "low" in given else "high"),
+                (servo, "low" if "low" in fields else "high"),
                 f"low is {channel.low:g} and high {channel.high:g}: low must be less.",
             )
-        found[channel.number] = channel
-    if not found:
+        channels_by_number[channel.number] = channel
+    if not channels_by_number:
         doc.fail((), "no servo is named; at least one is needed.")
     if file.whole_degrees not in (None, *WHOLE):
         doc.fail(("whole_degrees",), f"is {file.whole_degrees!r}: allowed is {' or '.join(WHOLE)}.")
-    return Channels(tuple(found[number] for number in sorted(found)), file.rate, file.whole_degrees)
+    return Channels(
+        tuple(channels_by_number[number] for number in sorted(channels_by_number)),
+        file.rate,
+        file.whole_degrees,
+    )

@@ -68,11 +68,11 @@ class Sent:
     latest: float
 
 
-def lateness(late: float, of: float) -> str:
+def lateness(late: float, total: float) -> str:
     """A sentence on commands that this machine was too slow for, if they are more than a share of `TOO_LATE`."""
-    if late <= TOO_LATE * of:
+    if late <= TOO_LATE * total:
         return ""
-    return f"{late / of:.0%} of the commands were late and left out: this machine is too slow, or too busy."
+    return f"{late / total:.0%} of the commands were late and left out: this machine is too slow, or too busy."
 
 
 def send_table(
@@ -95,7 +95,7 @@ def send_table(
         SendError: messages were not sent, and how many; sending ends when the connection is lost, or has been away for
             `PATIENCE`.
     """
-    given, rows = table.given, len(table.time)
+    column_given, rows = table.given, len(table.time)
     if not table.periodic:
         seconds = min(rows / table.rate, math.inf if seconds is None else seconds)
     begun, row, messages, skipped, latest = clock(), 0, 0, 0, 0.0
@@ -110,7 +110,7 @@ def send_table(
                 row, skipped = row + int(-early * table.rate), skipped + int(-early * table.rate)
                 continue
             try:
-                send(table.angles[row % rows], given[row % rows])
+                send(table.angles[row % rows], column_given[row % rows])
                 messages, reached, latest = messages + 1, clock(), max(latest, -early)
             except SendError as error:
                 lost = str(error).rstrip(".")
@@ -142,17 +142,17 @@ def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
         SendError: no answer, or the connection is refused.
     """
     with linked(url, topic, ROS_TYPE) as publish:
-        yield lambda angles, given: publish(servo_message(url, angles, given))
+        yield lambda angles, column_given: publish(servo_message(url, angles, column_given))
 
 
 def servo_message(
-    url: str, angles: Float[np.ndarray, " channels"], given: Float[np.ndarray, " channels"]
+    url: str, angles: Float[np.ndarray, " channels"], column_given: Float[np.ndarray, " channels"]
 ) -> Any:
     """The message with the angles of a row [deg], as the robot behind this URL takes it."""
     if url.startswith(("mqtt", PRINT)):
         return [
             int(angle) if angle == int(angle) else round(float(angle), 3)
-            for angle in given.tolist()
+            for angle in column_given.tolist()
         ]
     return {
         "layout": {"dim": [], "data_offset": 0},

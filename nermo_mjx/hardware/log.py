@@ -99,15 +99,15 @@ class SignalFields(Fields):
     time: ClockFields = optional("its own clock")
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
+    def written_out(cls, value: Any) -> Any:
         """With a force, which former versions called a contact, as one."""
         if (
-            isinstance(given, dict)
-            and given.get("quantity") == "contact"
-            and given.get("unit") in [*_FORCE]
+            isinstance(value, dict)
+            and value.get("quantity") == "contact"
+            and value.get("unit") in [*_FORCE]
         ):
-            return given | {"quantity": "force"}
-        return given
+            return value | {"quantity": "force"}
+        return value
 
 
 class LogFields(Fields):
@@ -172,16 +172,16 @@ class Log:
     @property
     def duration(self) -> float:
         """From the first to the last sample of any channel [s]."""
-        return max(float(each.times[-1]) for each in self.channels)
+        return max(float(channel.times[-1]) for channel in self.channels)
 
     def of_quantity(self, quantity: str) -> dict[str, Channel]:
         """The channels of a quantity, by what they are of."""
-        return {each.of: each for each in self.channels if each.quantity == quantity}
+        return {channel.of: channel for channel in self.channels if channel.quantity == quantity}
 
     def channel(self, quantity: str, of: str | None = None) -> Channel | None:
         """The channel of a quantity and of a name, or the first one of any name; None if there is none."""
-        found = self.of_quantity(quantity)
-        return next(iter(found.values()), None) if of is None else found.get(of)
+        candidates = self.of_quantity(quantity)
+        return next(iter(candidates.values()), None) if of is None else candidates.get(of)
 
 
 def table_of_log(file: str | os.PathLike[str]) -> Any:
@@ -282,14 +282,14 @@ def read_log(
         SpecError: a file is absent or wrong, a column is missing or holds no numbers, the time runs backward, or a
             sensor's column never changes; one sentence with file, line or row, field, value and what is allowed.
     """
-    what = "file of a log's channels"
+    kind = "file of a log's channels"
     doc = (
-        read_mapping(channels, what) if isinstance(channels, Mapping) else read_file(channels, what)
+        read_mapping(channels, kind) if isinstance(channels, Mapping) else read_file(channels, kind)
     )
     fields, table = read(doc, LogFields), table_of_log(file)
     if not fields.channels:
         doc.fail(("channels",), "names no channel: at least one is needed.")
-    reader, made = _Reader(doc, fields, str(file), table), dict[tuple[str, str], Channel]()
+    reader, channel_map = _Reader(doc, fields, str(file), table), dict[tuple[str, str], Channel]()
     for name, entry in fields.channels.items():
         quantity = entry.quantity
         key = (quantity, entry.of or _OF.get(quantity, ""))
@@ -297,30 +297,33 @@ def read_log(
             doc.fail(
                 ("channels", name), "has no 'of': expected the name of its servo, joint or foot."
             )
-        if key in made:
+        if key in channel_map:
             doc.fail(
                 ("channels", name, "of"),
-                f"is {key[1]!r}: its {quantity} is channel {made[key].name!r} already.",
+                f"is {key[1]!r}: its {quantity} is channel {channel_map[key].name!r} already.",
             )
         times, values, unit = reader.samples(name, entry)
-        made[key] = Channel(name, *key, times, values, unit)
-    for (quantity, of), each in made.items():
-        command = made.get(("command", of)) if quantity == "angle" else None
+        channel_map[key] = Channel(name, *key, times, values, unit)
+    for (quantity, source), channel in channel_map.items():
+        command = channel_map.get(("command", source)) if quantity == "angle" else None
         moves = quantity in _MOVING or (command is not None and np.ptp(command.values) > MOVED)
-        still = np.flatnonzero(np.ptp(each.values, axis=0).reshape(-1) == 0.0) if moves else ()
+        still = np.flatnonzero(np.ptp(channel.values, axis=0).reshape(-1) == 0.0) if moves else ()
         for i in still:
-            entry = fields.channels[each.name]
-            column = reader.columns(each.name, entry)[i]
+            entry = fields.channels[channel.name]
+            column = reader.columns(channel.name, entry)[i]
             doc.fail(
-                ("channels", each.name),
+                ("channels", channel.name),
                 f"is of column {column!r}, which never changes in {file}: a measured {quantity} does; leave the "
                 "channel out.",
             )
-    start = min(each.times[0] for each in made.values())
-    moved = tuple(dataclasses.replace(each, times=each.times - start) for each in made.values())
-    for each in moved:
-        reader.note(each.name, _gaps_of(each))
-    return Log(moved, str(file), reader.findings)
+    start = min(channel.times[0] for channel in channel_map.values())
+    shifted = tuple(
+        dataclasses.replace(channel, times=channel.times - start)
+        for channel in channel_map.values()
+    )
+    for channel in shifted:
+        reader.note(channel.name, _gaps_of(channel))
+    return Log(shifted, str(file), reader.findings)
 
 
 def _gaps_of(channel: Channel) -> str:
@@ -364,25 +367,25 @@ class _Reader:
         """A column that the field at `path` names; NaN where a cell is empty."""
         import pandas as pd
 
-        names = [str(each) for each in self.table.columns]
+        names = [str(label) for label in self.table.columns]
         if name not in names:
             allowed = f"{self.file} has {', '.join(names)}{did_you_mean(name, names)}"
             self.doc.fail(path, f"asks for the column {name!r}, but {allowed}")
-        given = self.table.iloc[:, names.index(name)]
-        dated = given.dtype.kind in "mM"
-        found = (
-            np.full(len(given), np.inf)
+        cells = self.table.iloc[:, names.index(name)]
+        dated = cells.dtype.kind in "mM"
+        matches = (
+            np.full(len(cells), np.inf)
             if dated
-            else pd.to_numeric(given, errors="coerce").to_numpy(float)
+            else pd.to_numeric(cells, errors="coerce").to_numpy(float)
         )
-        wrong = np.isinf(found) | (np.isnan(found) & ~given.isna().to_numpy())
+        wrong = np.isinf(matches) | (np.isnan(matches) & ~cells.isna().to_numpy())
         if wrong.any():
             row = int(np.argmax(wrong))
-            text = describe(str(given.iloc[row]))
+            text = describe(str(cells.iloc[row]))
             raise SpecError(
                 f"{self.where(row)}: column {name!r} is {text}: expected a finite number, or nothing."
             )
-        return found
+        return matches
 
     def factor(self, unit: Any, units: Mapping[str, float], *path: str) -> float:
         """SI units per number of a column."""
@@ -395,24 +398,31 @@ class _Reader:
             return float(unit)
         if not isinstance(unit, str) or unit not in units:
             allowed = f"{', '.join(units)}, or how many {next(iter(units))} a count is"
-            found = did_you_mean(unit, units) if isinstance(unit, str) else "."
-            self.doc.fail((*path, "unit"), f"is {describe(unit)}: allowed is {allowed}{found}")
+            suggestion = did_you_mean(unit, units) if isinstance(unit, str) else "."
+            self.doc.fail((*path, "unit"), f"is {describe(unit)}: allowed is {allowed}{suggestion}")
         return units[unit]
 
     def clock(self, name: str, entry: SignalFields) -> Float[np.ndarray, " n"]:
         """Times of the rows for a channel [s]; NaN where there is none."""
         path: tuple[str, ...] = ("time",)
-        own = self.fields.time.model_dump(exclude_unset=True)
+        time_fields = self.fields.time.model_dump(exclude_unset=True)
         if entry.time is not None:
-            own, path = own | entry.time.model_dump(exclude_unset=True), ("channels", name, "time")
+            time_fields, path = (
+                time_fields | entry.time.model_dump(exclude_unset=True),
+                ("channels", name, "time"),
+            )
         for field in ("column", "unit"):
-            if field not in own:
+            if field not in time_fields:
                 self.doc.fail(path, f"has no '{field}': expected {ClockFields.expected}.")
-        stamps = self.column(own["column"], *path, "column") * self.factor(
-            own["unit"], _SECONDS, *path
+        stamps = self.column(time_fields["column"], *path, "column") * self.factor(
+            time_fields["unit"], _SECONDS, *path
         )
         first = stamps[np.argmax(np.isfinite(stamps))]
-        return first + own.get("offset", 0.0) + own.get("scale", 1.0) * (stamps - first)
+        return (
+            first
+            + time_fields.get("offset", 0.0)
+            + time_fields.get("scale", 1.0) * (stamps - first)
+        )
 
     def columns(self, name: str, entry: SignalFields) -> list[str]:
         """The names of a channel's columns."""
@@ -440,22 +450,22 @@ class _Reader:
             if isinstance(entry.unit, str)
             else [*units][:1]
         )
-        unit = [each for each in upto if units[each] == 1.0][-1]
+        unit = [axis_name for axis_name in upto if units[axis_name] == 1.0][-1]
         if (sign := 1.0 if entry.sign is None else entry.sign) not in (1, -1):
             self.doc.fail((*path, "sign"), f"is {entry.sign:g}: allowed is 1 or -1.")
         names, time = self.columns(name, entry), self.clock(name, entry)
-        given = np.stack([self.column(each, *path) for each in names], axis=-1)
-        rows = np.flatnonzero(np.isfinite(given).all(axis=-1) & np.isfinite(time))
+        raw_columns = np.stack([self.column(axis_name, *path) for axis_name in names], axis=-1)
+        rows = np.flatnonzero(np.isfinite(raw_columns).all(axis=-1) & np.isfinite(time))
         if len(rows) < 2:
             self.doc.fail(path, f"has {len(rows)} samples in {self.file}: expected two at least.")
-        times, values = time[rows], sign * factor * (given[rows] - (entry.zero or 0.0))
+        times, values = time[rows], sign * factor * (raw_columns[rows] - (entry.zero or 0.0))
         self._refuse_backward(rows, times)
-        late = times < np.maximum.accumulate(times)
-        if late.any():
-            most = float(np.max(np.maximum.accumulate(times) - times))
+        is_late = times < np.maximum.accumulate(times)
+        if is_late.any():
+            longest_step_back = float(np.max(np.maximum.accumulate(times) - times))
             self.note(
                 name,
-                f"{late.sum()} samples came late, by up to {most:.3g} s, and were brought in order",
+                f"{is_late.sum()} samples came late, by up to {longest_step_back:.3g} s, and were brought in order",
             )
         order = np.argsort(times, kind="stable")
         times, values = times[order], values[order]
@@ -486,7 +496,7 @@ class _Reader:
 
 def several(names: Sequence[str]) -> str:
     """Names in a sentence, at most three of them."""
-    more = len(names) - 3
+    remaining = len(names) - 3
     return ", ".join(names[:3]) + (
-        f" and {more} other{'s' if more > 1 else ''}" if more > 0 else ""
+        f" and {remaining} other{'s' if remaining > 1 else ''}" if remaining > 0 else ""
     )

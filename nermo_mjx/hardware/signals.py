@@ -44,63 +44,66 @@ class Difference:
 def values_at(channel: Channel, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n ..."]:
     """A channel's values at other times, linear between its samples; NaN before, after, and in its gaps."""
     flat = channel.values.reshape(len(channel.times), -1)
-    found = np.stack(
-        [np.interp(times, channel.times, each, np.nan, np.nan) for each in flat.T], axis=-1
+    interpolated = np.stack(
+        [np.interp(times, channel.times, component, np.nan, np.nan) for component in flat.T],
+        axis=-1,
     )
     for begin, end in channel.gaps:
-        found[(times > begin) & (times < end)] = np.nan
-    return found.reshape(len(times), *channel.values.shape[1:])
+        interpolated[(times > begin) & (times < end)] = np.nan
+    return interpolated.reshape(len(times), *channel.values.shape[1:])
 
 
-def lag_of(channel: Channel, other: Channel) -> tuple[float, float]:
+def lag_of(channel: Channel, reference: Channel) -> tuple[float, float]:
     """How long one channel is behind another one of one column [s], and their correlation then.
 
     The sign is that of their correlation without a lag; the lag has the largest one of this sign, at the vertex of a
     parabola through its hill, so between samples, too.
     """
-    step = max(channel.interval, other.interval)
+    step = max(channel.interval, reference.interval)
     count = max(2, int(LONGEST_LAG / step))
     lags = step * np.arange(-count, count + 1)
-    found = np.array(
-        [_correlation(channel.values, values_at(other, channel.times - lag)) for lag in lags]
+    correlations = np.array(
+        [_correlation(channel.values, values_at(reference, channel.times - lag)) for lag in lags]
     )
-    sign = 1.0 if found[count] >= 0.0 else -1.0
-    found = sign * found
-    if found.max() <= 0.0:
-        return 0.0, sign * float(found[count])
+    sign = 1.0 if correlations[count] >= 0.0 else -1.0
+    correlations = sign * correlations
+    if correlations.max() <= 0.0:
+        return 0.0, sign * float(correlations[count])
     # Each hill around a maximum, of those that are as high as the highest the nearest: signals may be periodic.
     edges = np.flatnonzero(
-        np.diff(found >= _HILL * found.max(), prepend=False, append=False)
+        np.diff(correlations >= _HILL * correlations.max(), prepend=False, append=False)
     ).reshape(-1, 2)
-    hills = [hill for hill in edges if found[slice(*hill)].max() >= _ALIKE * found.max()]
+    hills = [
+        hill for hill in edges if correlations[slice(*hill)].max() >= _ALIKE * correlations.max()
+    ]
     begin, end = min(hills, key=lambda hill: abs(lags[slice(*hill)].mean()))
-    best = begin + int(np.argmax(found[begin:end]))
+    best = begin + int(np.argmax(correlations[begin:end]))
     near = slice(max(0, min(begin, best - 1)), max(end, best + 2))
     bend, slope, _ = (
-        np.polyfit(lags[near] - lags[best], found[near], 2)
-        if np.ptp(found[near])
+        np.polyfit(lags[near] - lags[best], correlations[near], 2)
+        if np.ptp(correlations[near])
         else (0.0, 0.0, 0.0)
     )
     vertex = lags[best] - (0.5 * slope / bend if bend < 0.0 else 0.0)
-    return float(np.clip(vertex, *lags[near][[0, -1]])), sign * float(found[best])
+    return float(np.clip(vertex, *lags[near][[0, -1]])), sign * float(correlations[best])
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    both = np.isfinite(b)
-    if both.sum() < 3 or np.ptp(a[both]) == 0.0 or np.ptp(b[both]) == 0.0:
+    is_finite = np.isfinite(b)
+    if is_finite.sum() < 3 or np.ptp(a[is_finite]) == 0.0 or np.ptp(b[is_finite]) == 0.0:
         return 0.0
-    return float(np.corrcoef(a[both], b[both])[0, 1])
+    return float(np.corrcoef(a[is_finite], b[is_finite])[0, 1])
 
 
-def channel_differences(log: Log, other: Log) -> list[Difference]:
+def channel_differences(log: Log, reference: Log) -> list[Difference]:
     """The channels of one log minus those of another one, axis by axis, of the quantities and things that both have.
 
     Two channels are compared at the time stamps of the coarser one, whose signal between them is not known, and in its
     frame (`in_frame_of`). Exchanging the logs changes the signs of `bias` and `lag`, and the names.
     """
-    found = []
+    differences = []
     for channel in log.channels:
-        twin = other.of_quantity(channel.quantity).get(channel.of)
+        twin = reference.of_quantity(channel.quantity).get(channel.of)
         if twin is None:
             continue
         coarse, fine = sorted((channel, twin), key=_fineness)
@@ -108,15 +111,15 @@ def channel_differences(log: Log, other: Log) -> list[Difference]:
         pairs = zip(
             axes_of(channel), axes_of(coarse), axes_of(in_frame_of(fine, coarse)), strict=False
         )
-        for (name, _), (_, one), (_, two) in pairs:
-            residual = one.values - values_at(two, one.times)
+        for (name, _), (_, first), (_, two) in pairs:
+            residual = first.values - values_at(two, first.times)
             residual = residual[np.isfinite(residual)]
             if len(residual):
                 rms, bias = float(np.sqrt(np.mean(residual**2))), float(residual.mean())
-                lag, correlation = lag_of(one, two)
-                sizes = rms, sign * bias, float(one.values.std())
-                found.append(Difference(name, channel.unit, *sizes, sign * lag, correlation))
-    return found
+                lag, correlation = lag_of(first, two)
+                sizes = rms, sign * bias, float(first.values.std())
+                differences.append(Difference(name, channel.unit, *sizes, sign * lag, correlation))
+    return differences
 
 
 def _fineness(channel: Channel) -> tuple[Any, ...]:
@@ -129,24 +132,28 @@ def in_frame_of(twin: Channel, channel: Channel) -> Channel:
     [Umeyama, IEEE PAMI 13, 1991]; other quantities as they are."""
     if channel.quantity not in ("position", "yaw"):
         return twin
-    there = values_at(twin, channel.times)
-    both = np.isfinite(there).reshape(len(there), -1).all(axis=1)
-    if not both.any():
+    twin_values = values_at(twin, channel.times)
+    is_finite = np.isfinite(twin_values).reshape(len(twin_values), -1).all(axis=1)
+    if not is_finite.any():
         return twin
-    here, there, moved = (
-        each.reshape(len(each), -1) for each in (channel.values[both], there[both], twin.values)
+    channel_points, twin_values, all_points = (
+        points.reshape(len(points), -1)
+        for points in (channel.values[is_finite], twin_values[is_finite], twin.values)
     )
-    axes = min(here.shape[1], there.shape[1])
-    seen, shown, moved = (
-        here - here.mean(axis=0),
-        there - there.mean(axis=0),
-        moved - there.mean(axis=0),
+    axes = min(channel_points.shape[1], twin_values.shape[1])
+    channel_centred, twin_centred, all_points = (
+        channel_points - channel_points.mean(axis=0),
+        twin_values - twin_values.mean(axis=0),
+        all_points - twin_values.mean(axis=0),
     )
     if channel.quantity == "position":
-        turn = np.vdot(shown[:, 0] + 1j * shown[:, 1], seen[:, 0] + 1j * seen[:, 1])
-        ground = (moved[:, 0] + 1j * moved[:, 1]) * turn / max(abs(turn), 1e-300)
-        moved = np.stack([ground.real, ground.imag, *moved.T[2:]], axis=-1)
-    values = moved[:, :axes] + here.mean(axis=0)[:axes]
+        turn = np.vdot(
+            twin_centred[:, 0] + 1j * twin_centred[:, 1],
+            channel_centred[:, 0] + 1j * channel_centred[:, 1],
+        )
+        ground = (all_points[:, 0] + 1j * all_points[:, 1]) * turn / max(abs(turn), 1e-300)
+        all_points = np.stack([ground.real, ground.imag, *all_points.T[2:]], axis=-1)
+    values = all_points[:, :axes] + channel_points.mean(axis=0)[:axes]
     return dataclasses.replace(twin, values=values if channel.values.ndim > 1 else values[:, 0])
 
 
@@ -159,8 +166,8 @@ def axes_of(channel: Channel) -> list[tuple[str, Channel]]:
         else [channel.name]
     )
     return [
-        (name, dataclasses.replace(channel, values=each))
-        for name, each in zip(names, flat, strict=True)
+        (name, dataclasses.replace(channel, values=component))
+        for name, component in zip(names, flat, strict=True)
     ]
 
 
@@ -197,55 +204,56 @@ def findings_of(log: Log) -> tuple[str, ...]:
     """What looks wrong with a log's channels, in sentences; nothing of a log that is in order."""
     commands, angles = log.of_quantity("command"), log.of_quantity("angle")
     pairs = [
-        (angles[of], commands[of])
-        for of in angles
-        if of in commands and np.ptp(commands[of].values) > MOVED
+        (angles[servo], commands[servo])
+        for servo in angles
+        if servo in commands and np.ptp(commands[servo].values) > MOVED
     ]
     lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
-    found = [*log.findings]
+    findings = [*log.findings]
     for angle, command in pairs:
         (lag, correlation), name = lags[angle.of], angle.of.replace("_", " ")
         if abs(correlation) < _FOLLOWS:
-            found.append(f"{name} does not follow its command ({correlation:.2f}).")
+            findings.append(f"{name} does not follow its command ({correlation:.2f}).")
             continue
         if correlation < 0.0:
-            found.append(f"{name} seems mirrored ({correlation:.2f}).")
-        there = values_at(command, angle.times - lag)
-        both = np.isfinite(there)
-        gain, apart = (
-            np.polyfit(there[both], angle.values[both], 1)[0],
-            (angle.values - there)[both].mean(),
+            findings.append(f"{name} seems mirrored ({correlation:.2f}).")
+        command_values = values_at(command, angle.times - lag)
+        is_finite = np.isfinite(command_values)
+        gain, offset = (
+            np.polyfit(command_values[is_finite], angle.values[is_finite], 1)[0],
+            (angle.values - command_values)[is_finite].mean(),
         )
         if not _GAINS[0] < abs(gain) < _GAINS[1]:
-            found.append(
+            findings.append(
                 f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
             )
-        elif correlation > 0.0 and abs(apart) > _OFF:
-            found.append(
-                f"{name} stands {apart:.2g} {angle.unit} off its command: one of the two has another zero."
+        elif correlation > 0.0 and abs(offset) > _OFF:
+            findings.append(
+                f"{name} stands {offset:.2g} {angle.unit} off its command: one of the two has another zero."
             )
-        others = [each for of, (each, _) in lags.items() if of != angle.of]
+        others = [servo_lag for servo, (servo_lag, _) in lags.items() if servo != angle.of]
         if lag < -max(angle.interval, command.interval):
-            found.append(
+            findings.append(
                 f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
             )
         elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
-            most = f"{1e3 * max(others):.0f} ms at most"
-            found.append(
-                f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}."
+            largest_lag = f"{1e3 * max(others):.0f} ms at most"
+            findings.append(
+                f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {largest_lag}."
             )
-    found += _drifts(log, pairs)
-    alone, unled = (
-        [of for of in a if of not in b] for a, b in ((commands, angles), (angles, commands))
+    findings += _drifts(log, pairs)
+    angle_only, unled = (
+        [servo for servo in a if servo not in b]
+        for a, b in ((commands, angles), (angles, commands))
     )
-    for of in alone:
-        for other in difflib.get_close_matches(of, unled, 1, 0.8):
-            found.append(
-                f"{commands[of].name} is of {of!r}, and {angles[other].name} of {other!r}: are both of one servo?"
+    for servo in angle_only:
+        for similar_name in difflib.get_close_matches(servo, unled, 1, 0.8):
+            findings.append(
+                f"{commands[servo].name} is of {servo!r}, and {angles[similar_name].name} of {similar_name!r}: are both of one servo?"
             )
-    if slow := [each.name for each in log.channels if each.interval > _SLOWEST]:
-        every = max(each.interval for each in log.channels)
-        found.append(
+    if slow := [servo_lag.name for servo_lag in log.channels if servo_lag.interval > _SLOWEST]:
+        every = max(servo_lag.interval for servo_lag in log.channels)
+        findings.append(
             f"{several(slow)}: a sample comes every {every:.3g} s: has the time another unit?"
         )
     for channel in log.channels:
@@ -253,22 +261,24 @@ def findings_of(log: Log) -> tuple[str, ...]:
         expected = (
             values_at(commands[channel.of], channel.times - lags[channel.of][0]) if led else None
         )
-        found += _own_findings(channel, expected)
-    return tuple(found)
+        findings += _own_findings(channel, expected)
+    return tuple(findings)
 
 
 def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]:
     """Clocks that run away from another one: angles behind their commands, and the change of a yaw behind a gyro."""
     yaw, gyro = log.channel("yaw"), log.channel("gyro")
-    seen = {angle.name: (angle, command) for angle, command in pairs}
+    channels_by_name = {angle.name: (angle, command) for angle, command in pairs}
     if yaw is not None and gyro is not None:
         rate = dataclasses.replace(yaw, values=np.gradient(yaw.values, yaw.times))
-        seen[yaw.name] = rate, dataclasses.replace(gyro, values=gyro.values[:, 2])
-    found: dict[tuple[str, str], list[tuple[str, float]]] = {}
-    for name, (channel, other) in seen.items():
+        channels_by_name[yaw.name] = rate, dataclasses.replace(gyro, values=gyro.values[:, 2])
+    drifts: dict[tuple[str, str], list[tuple[str, float]]] = {}
+    for name, (channel, command_channel) in channels_by_name.items():
         # Channels that share most stamps are of one clock; their lags may change with the motion.
-        few, many = sorted((each.times.round(9) for each in (channel, other)), key=len)
-        if np.isin(few, many).mean() > 0.5:
+        fewer_times, more_times = sorted(
+            (pair_channel.times.round(9) for pair_channel in (channel, command_channel)), key=len
+        )
+        if np.isin(fewer_times, more_times).mean() > 0.5:
             continue
         parts = [
             part for part in np.array_split(np.arange(len(channel.times)), _PARTS) if len(part) > 2
@@ -278,15 +288,17 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
             for p in parts
         ]
         lags, middle = (
-            np.array([lag_of(each, other) for each in pieces]).T[0],
-            [each.times.mean() for each in pieces],
+            np.array([lag_of(pair_channel, command_channel) for pair_channel in pieces]).T[0],
+            [pair_channel.times.mean() for pair_channel in pieces],
         )
         (slope, _), (variance, *_) = np.polyfit(middle, lags, 1, cov=True)
         change = abs(slope) * np.ptp(channel.times)
         if change > _DRIFTED and abs(slope) > _CERTAIN * np.sqrt(variance[0]):
-            found.setdefault((channel.quantity, other.quantity), []).append((name, float(slope)))
-    for (_, behind), each in found.items():
-        names, slopes = zip(*each, strict=True)
+            drifts.setdefault((channel.quantity, command_channel.quantity), []).append(
+                (name, float(slope))
+            )
+    for (_, behind), pair_channel in drifts.items():
+        names, slopes = zip(*pair_channel, strict=True)
         slope = float(np.median(slopes))
         yield (
             f"{several(names)}: the lag behind the {behind} {'grows' if slope > 0 else 'shrinks'} by "
@@ -296,11 +308,11 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
 
 def _own_findings(channel: Channel, expected: np.ndarray | None) -> Iterator[str]:
     """What looks wrong in one channel alone; `expected` is its command, if it has one, at its lag."""
-    most = float(np.abs(channel.values).max())
-    if channel.quantity in ("command", "angle") and channel.unit == "rad" and most > _TURNS:
-        yield f"{channel.name} reaches {most:.3g} rad: is its unit deg, or its zero another one?"
-    if channel.quantity == "gyro" and most > _FASTEST:
-        yield f"{channel.name} reaches {most:.3g} rad/s: is its unit deg/s?"
+    largest = float(np.abs(channel.values).max())
+    if channel.quantity in ("command", "angle") and channel.unit == "rad" and largest > _TURNS:
+        yield f"{channel.name} reaches {largest:.3g} rad: is its unit deg, or its zero another one?"
+    if channel.quantity == "gyro" and largest > _FASTEST:
+        yield f"{channel.name} reaches {largest:.3g} rad/s: is its unit deg/s?"
     if channel.quantity == "accelerometer":
         weight = float(np.median(np.linalg.norm(channel.values, axis=-1)))
         if not _WEIGHT[0] < weight < _WEIGHT[1]:
@@ -309,21 +321,21 @@ def _own_findings(channel: Channel, expected: np.ndarray | None) -> Iterator[str
         for name, axis in axes_of(channel):
             for sign, end in ((1.0, "upper"), (-1.0, "lower")):
                 if _is_saturated(sign * axis.values, expected):
-                    at = f"{sign * (sign * axis.values).max():.3g} {axis.unit}"
-                    yield f"{name} stays at its {end} end, {at}: is it saturated?"
+                    level_text = f"{sign * (sign * axis.values).max():.3g} {axis.unit}"
+                    yield f"{name} stays at its {end} end, {level_text}: is it saturated?"
 
 
 def _is_saturated(values: np.ndarray, expected: np.ndarray | None) -> bool:
     """Whether a signal stays at its largest value while what it should follow goes on, or more often than near it."""
-    at, levels = values == values.max(), np.unique(values)
-    lengths = np.diff(np.flatnonzero(np.diff(at, prepend=False, append=False)))[::2]
+    is_largest, levels = values == values.max(), np.unique(values)
+    lengths = np.diff(np.flatnonzero(np.diff(is_largest, prepend=False, append=False)))[::2]
     if lengths.max(initial=0) < _STAYS or len(levels) < _STAYS:
         return False
     width = float(np.median(np.diff(levels)))
     if expected is not None:
-        going = expected[at & np.isfinite(expected)]
+        going = expected[is_largest & np.isfinite(expected)]
         return len(going) > 0 and bool(
             np.ptp(going) > max(_STAYS * width, _BEYOND * np.nanstd(expected))
         )
     near = ((values < values.max()) & (values >= values.max() - 3.0 * width)).sum() / 3.0
-    return bool(at.sum() > _OFTEN * max(near, 1.0))
+    return bool(is_largest.sum() > _OFTEN * max(near, 1.0))

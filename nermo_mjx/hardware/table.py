@@ -112,18 +112,18 @@ class ServoTable:
         )
         return f"{what}{', '.join(names)}." if names else ""
 
-    def to_csv(self, about: str = "") -> str:
+    def to_csv(self, description: str = "") -> str:
         """The table as text: comments that begin with #, a line of headings with units, then the rows.
 
         Args:
-            about: description of the gait, for the first comment.
+            description: description of the gait, for the first comment.
         """
-        then = "after the last row, continue with the first"
+        instruction = "after the last row, continue with the first"
         long = f" of {1 / self.frequency:.6g} s" if self.frequency else ""
         lines = [
-            *([about] if about else []),
+            *([description] if description else []),
             f"{self.how_many}{long}, {len(self.time)} rows, {self.rate:.6g} rows/s; "
-            f"{then if self.periodic else 'not periodic, to be played once'}.",
+            f"{instruction if self.periodic else 'not periodic, to be played once'}.",
             "columns are in the order of the channels: "
             + ", ".join(f"{channel.number} {channel.servo}" for channel in self.channels),
             *([self.too_fast] if self.too_fast else []),
@@ -221,7 +221,9 @@ def servo_table(
 
 def _rate_of(channels: Channels, rate: float | None) -> float:
     """Rows per second [Hz]; raises `ParameterError` if no table can have as many."""
-    rate = next(each for each in (rate, channels.rate, DEFAULT_RATE) if each is not None)
+    rate = next(
+        candidate for candidate in (rate, channels.rate, DEFAULT_RATE) if candidate is not None
+    )
     if not 0.0 < rate <= HIGHEST_RATE:
         raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {HIGHEST_RATE:g}].")
     return rate
@@ -266,15 +268,15 @@ def check_clearance(
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data, body = mujoco.MjData(model), model.geom_bodyid
     of_robot = model.body_rootid[body] == model.body("torso").rootid
-    drawn = np.flatnonzero(of_robot & (model.geom_group == VISUAL_GROUP))
-    first, second = drawn[np.array(np.triu_indices(len(drawn), 1))]
+    visual_geoms = np.flatnonzero(of_robot & (model.geom_group == VISUAL_GROUP))
+    first, second = visual_geoms[np.array(np.triu_indices(len(visual_geoms), 1))]
     parents = model.body_parentid[body]
-    apart = (
+    clearance = (
         (body[first] != body[second])
         & (parents[first] != body[second])
         & (body[first] != parents[second])
     )
-    pairs = np.stack([first, second], axis=-1)[apart]
+    pairs = np.stack([first, second], axis=-1)[clearance]
     reach = model.geom_rbound[pairs].sum(axis=-1)
     data.ctrl[:] = angles[0]
     mujoco.mj_step(model, data, nstep=50 * _BETWEEN)
@@ -285,9 +287,9 @@ def check_clearance(
         between = np.linalg.norm(data.geom_xpos[pairs[:, 0]] - data.geom_xpos[pairs[:, 1]], axis=-1)
         for pair in pairs[between < reach]:
             if mujoco.mj_geomDistance(model, data, *pair, 1e-3, None) < 0.0:
-                one, other = (model.body(body[geom]).name for geom in pair)
+                first_body, second_body = (model.body(body[geom]).name for geom in pair)
                 raise ParameterError(
-                    f"{one} and {other} would touch at {time:.3f} s: take a shorter stride, or less of the spine."
+                    f"{first_body} and {second_body} would touch at {time:.3f} s: take a shorter stride, or less of the spine."
                 )
 
 
@@ -297,23 +299,25 @@ def _steady(
     """Angles [rad] of `rows` rows at `rate`, once they repeat from one pass to the next."""
     # Ticks are counted in simulated time, which the controller's own clock may outrun.
     ratio = float(np.asarray(params.tracking.clock_ratio))
-    within = max(1, math.ceil(CONTROL_RATE * ratio / rate - 1e-9))
-    ticks_rate = within * rate / ratio
-    made, robot = setup.make_controller(), setup.load()
-    assert isinstance(made, Controller)
-    controller = dataclasses.replace(made, control_rate=ticks_rate, pilot_rate=ticks_rate)
+    tick_limit = max(1, math.ceil(CONTROL_RATE * ratio / rate - 1e-9))
+    ticks_rate = tick_limit * rate / ratio
+    servo_controller, robot = setup.make_controller(), setup.load()
+    assert isinstance(servo_controller, Controller)
+    controller = dataclasses.replace(
+        servo_controller, control_rate=ticks_rate, pilot_rate=ticks_rate
+    )
     # In double precision, so that the phase is exact after many cycles.
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
         still = robot.sensors(jnp.zeros(robot.model.nsensordata))  # which an open loop ignores
-        state = _begin(made, exact, still, phase)  # the rate does not affect it
-        before = None
+        state = _begin(servo_controller, exact, still, phase)  # the rate does not affect it
+        previous = None
         for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
-            state, angles = _run(controller, robot.servos, exact, state, still, rows, within)
-            found = np.asarray(angles)
-            if before is not None and np.abs(found - before).max() < _ALIKE:
-                return found
-            before = found
+            state, angles = _run(controller, robot.servos, exact, state, still, rows, tick_limit)
+            angle_table = np.asarray(angles)
+            if previous is not None and np.abs(angle_table - previous).max() < _ALIKE:
+                return angle_table
+            previous = angle_table
     raise ParameterError(
         "the controller does not settle into a periodic gait with these parameters."
     )
@@ -434,11 +438,11 @@ def recorded_table(
     commanded = [
         np.interp(recording.time[0] + time, recording.time, column) for column in recording.ctrl.T
     ]
-    known = dict(quantities(ModelParameters))
-    given = {
+    declarations = dict(quantities(ModelParameters))
+    values = {
         name: float(value)
         for name, value in (recording.metadata.get("parameters") or {}).items()
-        if name.startswith(("servo.", "geometry.", "build.")) and name in known
+        if name.startswith(("servo.", "geometry.", "build.")) and name in declarations
     }
-    model = replace_quantities(ModelParameters(), given)
+    model = replace_quantities(ModelParameters(), values)
     return _table(connected, robot, np.stack(commanded, axis=-1), rate, model)

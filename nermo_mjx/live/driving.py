@@ -209,13 +209,13 @@ class Driving:
         }
         now = _numbers(self.control).get("frequency", 1.0)
         slower = now / min(now, now + moves.get("frequency", 0.0))
-        if (least := float(turned(moves)) * slower) >= switch.blend:
+        if (shortest_blend := float(turned(moves)) * slower) >= switch.blend:
             raise ParameterError(
-                f"blend is {switch.blend:g}: allowed is more than {least:g} cycles; a limb would go backward."
+                f"blend is {switch.blend:g}: allowed is more than {shortest_blend:g} cycles; a limb would go backward."
             )
         added, move = np.array([*moves.values()]), np.array([*moves.values()])
-        for _, seconds, other in self._blends:
-            added = added + other * switch.blend / rate / seconds
+        for _, seconds, other_choice in self._blends:
+            added = added + other_choice * switch.blend / rate / seconds
         if float(turned(dict(zip(moves, added, strict=True)))) * slower >= switch.blend:
             raise ParameterError(
                 "beside the change before, a limb would go backward: wait until that has ended."
@@ -363,20 +363,20 @@ class Driving:
     ) -> Recording:
         qpos, qvel, ctrl, sensordata = map(np.stack, zip(*rows, strict=True))
         sensors = self.simulator.robot.sensors(sensordata)
-        named = {
+        named_values = {
             field.name: np.asarray(getattr(sensors, field.name))
             for field in dataclasses.fields(sensors)
         }
-        about = plain_json(self.about | {"driven": driven}) if driven else self.about
-        return Recording(time, qpos, qvel, ctrl, named, self._hash, about)
+        metadata = plain_json(self.about | {"driven": driven}) if driven else self.about
+        return Recording(time, qpos, qvel, ctrl, named_values, self._hash, metadata)
 
     def _acting(self, commanded: Mapping[str, float], modes: Mapping[str, set[str]]) -> Any:
         """The parameters as commanded, with gains of 0 for the modes that do not act."""
-        there = self.simulator.setup.modes
+        available = self.simulator.setup.modes
         off = {
             gain
             for field in MODES
-            for name in set(there[field]) - modes[field]
+            for name in set(available[field]) - modes[field]
             for gain in GAINS[name]
         }
         values = {
@@ -402,7 +402,7 @@ def _with_all_modes(setup: Setup) -> Setup:
     on += [
         {"tail_motion": name} for name in TAIL_MOTIONS if setup.tail != "rigid" and name != NO_MODE
     ]
-    later = tuple(Switch(1e5 * (k + 1), **one) for k, one in enumerate(on))
+    later = tuple(Switch(1e5 * (k + 1), **mode_choice) for k, mode_choice in enumerate(on))
     return dataclasses.replace(setup, schedule=later)
 
 
@@ -433,13 +433,13 @@ class Commanded(BaseModel, extra="forbid"):
     blend: Finite = 1.0
     set: dict[str, Finite] = {}
 
-    def switch(self, at: float) -> Switch:
+    def switch(self, begin: float) -> Switch:
         """The same at a time [s]; raises `ParameterError` as `Switch` does."""
-        given = {
+        fields = {
             name: getattr(self, name)
             for name in ("gait", "steering", "spine", "head", "tail_motion")
         }
-        return Switch(at, self.blend, **given, values=self.set)
+        return Switch(begin, self.blend, **fields, values=self.set)
 
 
 class _Written(Commanded):
@@ -540,13 +540,13 @@ def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
     """What a recording, or a journal up to its last whole line, says of a drive."""
     try:
         if isinstance(source, Recording):
-            about, pieces = source.metadata, [b'{"ticks": %d}' % len(source.time)]
+            metadata, pieces = source.metadata, [b'{"ticks": %d}' % len(source.time)]
         else:  # after a power cut zeros may follow
             first, *pieces = read_bytes(source, MOST_FILE).partition(b"\0")[0].split(b"\n")[
                 :-1
             ] or [b""]
-            about = read_as(first, Metadata, "line 1").model_dump()
-        driven: _Driven = read_as(json.dumps(about.get("driven")), _Driven, "driven")
+            metadata = read_as(first, Metadata, "line 1").model_dump()
+        driven: _Driven = read_as(json.dumps(metadata.get("driven")), _Driven, "driven")
         for number, text in enumerate(pieces, 2):
             piece: _Driven = read_as(text, _Driven, f"line {number}")
             for name in ("commands", "pushes", "samples"):
@@ -558,22 +558,24 @@ def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
         ) from None
     if not (driven.ticks or driven.samples):
         raise RecordingError("nothing was driven: there is nothing to make again.")
-    return about, driven
+    return metadata, driven
 
 
-def _setup(about: Mapping[str, Any], controller: Any) -> Setup:
+def _setup(metadata: Mapping[str, Any], controller: Any) -> Setup:
     """The setup of a drive, with a controller that is given instead of the one that it names."""
-    given = RecordedSetup.choices(about.get("setup") or {}) | (
+    choices = RecordedSetup.choices(metadata.get("setup") or {}) | (
         {} if controller is None else {"controller": controller}
     )
-    named = None if controller is not None else given.get("controller")
-    if named is not None and (data_of(named) or ("", named))[1]:
-        own = "give your own copy of it, --controller FILE.py:NAME, or FILE.npz:FILE.py of a policy"
-        raise ParameterError(
-            f"controller is {named!r}, code that a file names, which is not run: {own}."
+    controller_name = None if controller is not None else choices.get("controller")
+    if controller_name is not None and (data_of(controller_name) or ("", controller_name))[1]:
+        advice = (
+            "give your own copy of it, --controller FILE.py:NAME, or FILE.npz:FILE.py of a policy"
         )
-    setup = Setup(**given)
-    if (code := about.get("code")) and code != _code(setup):
+        raise ParameterError(
+            f"controller is {controller_name!r}, code that a file names, which is not run: {advice}."
+        )
+    setup = Setup(**choices)
+    if (code := metadata.get("code")) and code != _code(setup):
         raise ParameterError(
             f"controller is {setup.controller!r}: another one than that of the drive."
         )
@@ -589,10 +591,10 @@ def as_sweep(recording: Recording, controller: Any = None) -> dict[str, Any]:
         RecordingError: it is not of a drive.
         ParameterError: as `replayed`; or there are more commands than a schedule can have, or they overlap.
     """
-    about, driven = _told(recording)
+    metadata, driven = _told(recording)
     dt, values = float(recording.time[0]), driven.values
     switches = tuple(command.switch(round(tick * dt, 9)) for tick, command in driven.commands)
-    setup = dataclasses.replace(_setup(about, controller), schedule=switches)
+    setup = dataclasses.replace(_setup(metadata, controller), schedule=switches)
     setup.check(setup.world({name: np.asarray(value) for name, value in values.items()}))
     options = {
         name.removeprefix("pilot."): value
@@ -617,19 +619,19 @@ def replayed(source: Recording | Path, controller: Any = None) -> Recording:
         RecordingError: it is not of a drive.
         ParameterError: its setup or a command names something that this version does not have, or Python.
     """
-    about, driven = _told(source)
-    driving = Driving(_setup(about, controller), driven.values)
+    metadata, driven = _told(source)
+    driving = Driving(_setup(metadata, controller), driven.values)
     if driven.samples:
         driving.rows = [
             tuple(np.array(part, float) for part in sample) for sample in driven.samples
         ]
         if {tuple(map(len, row)) for row in driving.rows} != {tuple(map(len, driving._sample()))}:
             raise RecordingError("its samples are not of this robot.")
-        made = driving.recording()
-        return dataclasses.replace(made, metadata={**made.metadata, "driven": None})
+        replay = driving.recording()
+        return dataclasses.replace(replay, metadata={**replay.metadata, "driven": None})
     for tick in range(driven.ticks):
-        for at, command in driven.commands:
-            if at == tick:
+        for command_tick, command in driven.commands:
+            if command_tick == tick:
                 driving.command(command.switch(driving.time))
         for push in driven.pushes:
             if push.tick == tick:
@@ -638,8 +640,8 @@ def replayed(source: Recording | Path, controller: Any = None) -> Recording:
     return driving.recording()
 
 
-def difference(one: Recording, other: Recording) -> float | None:
+def difference(first: Recording, second: Recording) -> float | None:
     """Time of the first sample that differs in any bit of positions, velocities or targets [s]; None if none does."""
-    pairs = [(getattr(one, name), getattr(other, name)) for name in ("qpos", "qvel", "ctrl")]
+    pairs = [(getattr(first, name), getattr(second, name)) for name in ("qpos", "qvel", "ctrl")]
     differs = np.any([(a != b).any(axis=1) for a, b in pairs], axis=0)
-    return float(one.time[np.argmax(differs)]) if differs.any() else None
+    return float(first.time[np.argmax(differs)]) if differs.any() else None

@@ -105,9 +105,9 @@ class Shown:
         self._speeds: list[tuple[float, float]] = []
         self._time = 0.0
 
-    def document(self, about: dict[str, Any]) -> str:
+    def document(self, description: dict[str, Any]) -> str:
         """The page; `about` is what its driving part has to know."""
-        live = {"points": self._points, "slots": SLOTS, **about}
+        live = {"points": self._points, "slots": SLOTS, **description}
         return document(
             "viewer", "Nermo: drive", self._header | {"live": live}, [self._packer], ("", "live")
         )
@@ -123,10 +123,10 @@ class Shown:
         if self._before is not None:
             turns = np.where((turns * self._before).sum(-1, keepdims=True) < 0, -turns, turns)
         self._before = turns
-        wanted, passed = origin + self._centre, self.driving.time - self._time
+        target, passed = origin + self._centre, self.driving.time - self._time
         self._time = self.driving.time
-        held = wanted if self._follow is None else self._follow
-        self._follow = held + (wanted - held) * (1.0 - np.exp(-passed / FOLLOW))
+        position = target if self._follow is None else self._follow
+        self._follow = position + (target - position) * (1.0 - np.exp(-passed / FOLLOW))
         parts = [
             [self.driving.time],
             origin,
@@ -164,8 +164,8 @@ class Shown:
     def _mean_speed(self, speed: float) -> float:
         """Over the last gait cycle."""
         begin = self._time - 1.0 / self.driving.cycle_rate
-        self._speeds = [each for each in self._speeds if each[0] > begin] + [(self._time, speed)]
-        return float(np.mean([each for _, each in self._speeds]))
+        self._speeds = [entry for entry in self._speeds if entry[0] > begin] + [(self._time, speed)]
+        return float(np.mean([entry for _, entry in self._speeds]))
 
 
 # ---
@@ -274,20 +274,25 @@ class LiveDrive:
             except (OSError, RuntimeError):
                 time.sleep(0.1)
 
-    def _serve(self, taken: socket.socket, address: Any) -> None:
+    def _serve(self, accepted: socket.socket, address: Any) -> None:
         """A connection in its own thread; of too many, one that has not got in makes room."""
         with self._lock:
             if len(self._connections) >= CONNECTIONS:
                 out = next(
-                    (each for each, inside in [*self._connections.items()] if not inside), taken
+                    (
+                        connection
+                        for connection, inside in [*self._connections.items()]
+                        if not inside
+                    ),
+                    accepted,
                 )
                 _cut(out)
                 self._connections.pop(out, None)
-            self._connections[taken] = False
+            self._connections[accepted] = False
         try:
-            self._server.handler(taken, address)
+            self._server.handler(accepted, address)
         finally:
-            self._connections.pop(taken, None)
+            self._connections.pop(accepted, None)
 
     def _answer(self, connection: Any, request: Any) -> Any:
         """The page, or None to let the socket open; anything else is refused."""
@@ -464,16 +469,16 @@ class LiveDrive:
             self.paused, self._sent, self._gone = True, {}, [time.perf_counter()]
         else:
             try:
-                said = Message.model_validate_json(message)
-                if said.shown is not None:
-                    if (sent := self._sent.pop(said.shown, None)) is not None:
-                        self.delays = [*self.delays[-999:], time.perf_counter() - sent]
+                command = Message.model_validate_json(message)
+                if command.shown is not None:
+                    if (sent_time := self._sent.pop(command.shown, None)) is not None:
+                        self.delays = [*self.delays[-999:], time.perf_counter() - sent_time]
                     return
-                self._obey(said)
+                self._obey(command)
             except ValidationError as error:
                 first = error.errors()[0]
-                where = ".".join(map(str, first["loc"])) or "message"
-                self._refuse(f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200])
+                location = ".".join(map(str, first["loc"])) or "message"
+                self._refuse(f"{location}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200])
             except Exception as error:  # no message ends the drive
                 self._refuse(
                     str(error)
@@ -527,18 +532,16 @@ class LiveDrive:
         """Write the recording of what was driven since the start; where that fails, the journal stays."""
         journal, self._journal, saved = self._journal, None, True
         if self.record is not None and self.driving.rows:
-            wanted = (
-                self.record if journal is None else journal.path.with_suffix(self.record.suffix)
-            )
-            path = free(wanted, first=False) if os.path.lexists(wanted) else wanted
+            file = self.record if journal is None else journal.path.with_suffix(self.record.suffix)
+            path = free(file, first=False) if os.path.lexists(file) else file
             try:
                 self.files.append(self.driving.recording().save(path))
             except RecordingError as error:
-                saved, where = (
+                saved, message = (
                     False,
                     "lost" if journal is None else f"in {journal.path}, for `nermo-mjx replay`",
                 )
-                self.failure = f"{str(error).rstrip('.')}; what was driven is {where}."
+                self.failure = f"{str(error).rstrip('.')}; what was driven is {message}."
         if journal is not None:
             journal.end(keep=not saved)
 
@@ -611,16 +614,23 @@ def free(record: Path, *, first: bool = True) -> Path:
     """
     for number in itertools.count(1):
         path = record if number == 1 else record.with_name(f"{record.stem}-{number}{record.suffix}")
-        there = next(
-            (each for each in (path.with_suffix(JOURNAL), path) if os.path.lexists(each)), None
+        existing = next(
+            (
+                candidate
+                for candidate in (path.with_suffix(JOURNAL), path)
+                if os.path.lexists(candidate)
+            ),
+            None,
         )
-        if there is None:
+        if existing is None:
             return path
         if first:
-            how = (
-                f" (nermo-mjx replay {there} makes what was driven again)"
-                if there.suffix == JOURNAL
+            advice = (
+                f" (nermo-mjx replay {existing} makes what was driven again)"
+                if existing.suffix == JOURNAL
                 else ""
             )
-            raise ParameterError(f"record is {record}: {there} exists{how}; name another file.")
+            raise ParameterError(
+                f"record is {record}: {existing} exists{advice}; name another file."
+            )
     raise AssertionError

@@ -97,19 +97,19 @@ def needed_sensors(setup: Setup) -> set[str]:
     }
 
 
-def _numbers(given: Any, *lengths: int) -> np.ndarray:
+def _numbers(value: Any, *lengths: int) -> np.ndarray:
     """A message's list of numbers; raises `ValueError` with what is wrong with it."""
     try:
-        found = np.asarray([] if given is None else given, float)
+        numbers = np.asarray([] if value is None else value, float)
     except (TypeError, ValueError, OverflowError):
         raise ValueError("garbage") from None
-    if isinstance(given, list) and any(isinstance(each, bool | str) for each in given):
+    if isinstance(value, list) and any(isinstance(element, bool | str) for element in value):
         raise ValueError("garbage")
-    if found.ndim != 1 or len(found) not in lengths:
+    if numbers.ndim != 1 or len(numbers) not in lengths:
         raise ValueError("of a wrong size")
-    if not (np.abs(found) < _LARGEST).all():  # NaN, too
+    if not (np.abs(numbers) < _LARGEST).all():  # NaN, too
         raise ValueError("not finite")
-    return found
+    return numbers
 
 
 class Measured:
@@ -146,7 +146,7 @@ class Measured:
         """Take a message, or leave it out; called in the connection's thread."""
         now = self.clock()
         try:
-            found, stamp = self._read(message)
+            readings, stamp = self._read(message)
             # A robot that has been away may have another clock now.
             if stamp is not None and stamp <= self._stamp and now - self.arrived <= self.watchdog:
                 raise ValueError("out of order")
@@ -154,23 +154,23 @@ class Measured:
             self.counts[str(error)] = self.counts.get(str(error), 0) + 1
             return
         data = self.sensordata.copy()
-        for name, values in found.items():
+        for name, values in readings.items():
             data[getattr(self._places, name)] = values
         self.since = now if now - self.arrived > self.watchdog else self.since
         self.counts["taken"] += 1
         self._stamp = -math.inf if stamp is None else stamp
-        self.sensordata, self.told, self.arrived = data, frozenset(found), now
+        self.sensordata, self.told, self.arrived = data, frozenset(readings), now
         if self.log is not None:
-            self.log.measured(now, stamp, found)
+            self.log.measured(now, stamp, readings)
 
     def _read(self, message: Any) -> tuple[dict[str, np.ndarray], float | None]:
         """Readings by field of `Sensors`, and the message's time [s]."""
         if not isinstance(message, dict):
             raise ValueError("garbage")
-        rest = max(0, len(self.channels.servos) - _LEG_SERVOS)
+        remaining = max(0, len(self.channels.servos) - _LEG_SERVOS)
         legs, aux = (
             _numbers(message.get(f"servo_pos_{part}"), 0, size)
-            for part, size in (("leg", len(self.channels.servos) - rest), ("aux", rest))
+            for part, size in (("leg", len(self.channels.servos) - remaining), ("aux", remaining))
         )
         contact, imu = (
             _numbers(message.get("contact_sensors"), 0, 4),
@@ -178,19 +178,21 @@ class Measured:
         )
         if (contact < 0.0).any():
             raise ValueError("out of range")
-        found: dict[str, np.ndarray] = {"foot_force": contact} if len(contact) else {}
+        readings: dict[str, np.ndarray] = {"foot_force": contact} if len(contact) else {}
         if len(imu):
-            found |= dict(zip(_IMU, np.split(imu, np.cumsum([*_IMU.values()])[:-1]), strict=True))
-            length = np.linalg.norm(found["orientation"])
-            if not 0.5 < length < 2.0 or np.abs(found["linear_velocity"]).max() > DIVERGED_SPEED:
+            readings |= dict(
+                zip(_IMU, np.split(imu, np.cumsum([*_IMU.values()])[:-1]), strict=True)
+            )
+            length = np.linalg.norm(readings["orientation"])
+            if not 0.5 < length < 2.0 or np.abs(readings["linear_velocity"]).max() > DIVERGED_SPEED:
                 raise ValueError("not finite")
-            found["orientation"] = found["orientation"] / length
+            readings["orientation"] = readings["orientation"] / length
         if len(legs) + len(aux) == len(self.channels.servos):
             degrees = np.degrees([*legs, *aux])
-            found["servo_angle"] = own_angles(self.channels, self.robot, degrees, self.pose)
-        if not found or self.needed - found.keys():
-            raise ValueError("of a wrong size" if found else "garbage")
-        return found, _stamp(message.get("header"))
+            readings["servo_angle"] = own_angles(self.channels, self.robot, degrees, self.pose)
+        if not readings or self.needed - readings.keys():
+            raise ValueError("of a wrong size" if readings else "garbage")
+        return readings, _stamp(message.get("header"))
 
     @property
     def pose(self) -> Float[np.ndarray, " n_servos"]:
@@ -242,11 +244,14 @@ class Driven:
         """What happened."""
         commands = f"It walked for {self.walked:.1f} s, and {self.sent} commands were sent"
         limited = f", {self.limited} of them within the limits of a channel" if self.limited else ""
-        held = f"; {self.holds} times it stood still, as no message came" if self.holds else ""
+        hold_note = f"; {self.holds} times it stood still, as no message came" if self.holds else ""
         heard = (
             f"{self.messages['taken']} messages of the robot were taken{_left_out(self.messages)}."
         )
-        return [f"{commands}{limited}{held}.", *([heard] if any(self.messages.values()) else [])]
+        return [
+            f"{commands}{limited}{hold_note}.",
+            *([heard] if any(self.messages.values()) else []),
+        ]
 
     def failures(self, factor: float = 1.0, answers: bool = True) -> list[str]:
         """What was wrong with it: of a robot that `answers`, driven at `factor` seconds per second."""
@@ -254,18 +259,18 @@ class Driven:
         unsent = (
             f"{self.unsent} commands were not taken." if self.unsent > TOO_LATE * everything else ""
         )
-        late = lateness(self.skipped + max(0.0, 1.0 - factor) * everything, everything)
+        lateness_note = lateness(self.skipped + max(0.0, 1.0 - factor) * everything, everything)
         ended = f"{self.ended[:1].upper()}{self.ended[1:].rstrip('.')}." if self.ended else ""
         never = f"The robot never answered on {SENSORS_TOPIC}: it was driven in an open loop."
         return [
-            each
-            for each in (
+            reason
+            for reason in (
                 ended,
                 "" if self.messages["taken"] or not answers else never,
-                late,
+                lateness_note,
                 unsent,
             )
-            if each
+            if reason
         ]
 
 
@@ -287,22 +292,28 @@ class LinkLog(Appended):
             {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos},
         )
         axes = {name: list(reading_names(name)) for name in _LOGGED}
-        told: dict[str, dict[str, Any]] = {}
-        for each in (channel for channel in channels if channel.servo in robot.servos):
-            sent = {"unit": "deg", "sign": each.direction, "zero": each.zero}
-            told[f"{each.servo}_servo_command"] = {"quantity": "command", "of": each.servo, **sent}
-            told[f"{each.servo}_servo_angle"] = {
+        channel_specs: dict[str, dict[str, Any]] = {}
+        for mapped_channel in (channel for channel in channels if channel.servo in robot.servos):
+            spec = {"unit": "deg", "sign": mapped_channel.direction, "zero": mapped_channel.zero}
+            channel_specs[f"{mapped_channel.servo}_servo_command"] = {
+                "quantity": "command",
+                "of": mapped_channel.servo,
+                **spec,
+            }
+            channel_specs[f"{mapped_channel.servo}_servo_angle"] = {
                 "quantity": "angle",
-                "of": each.servo,
+                "of": mapped_channel.servo,
                 "unit": "rad",
             }
         feet = zip(reading_names("foot_force"), LIMBS, strict=True)
-        told |= {name: {"quantity": "force", "of": limb, "unit": "N"} for name, limb in feet}
-        told |= {
+        channel_specs |= {
+            name: {"quantity": "force", "of": limb, "unit": "N"} for name, limb in feet
+        }
+        channel_specs |= {
             name: {"quantity": name, "columns": axes[name], "unit": READINGS[name].unit}
             for name in _LOGGED
         }
-        self._told = told | {"yaw": {"quantity": "yaw", "unit": "rad"}}
+        self._told = channel_specs | {"yaw": {"quantity": "yaw", "unit": "rad"}}
         self._names = [name for key in self._told for name in axes.get(key, [key])] + ["stamp"]
         self._counts, self._new, self._written = Counter[str](), deque[str](), b""
         self._left = (",".join(["t", *self._names]) + "\n").encode()
@@ -312,16 +323,16 @@ class LinkLog(Appended):
         """What was sent at a time [s], of all channels [deg]."""
         self._add(now, {f"{servo}_servo_command": degrees[i] for servo, i in self._servos.items()})
 
-    def measured(self, now: float, stamp: float | None, found: Mapping[str, np.ndarray]) -> None:
+    def measured(self, now: float, stamp: float | None, readings: Mapping[str, np.ndarray]) -> None:
         """A message that came at a time [s], by field of `Sensors`, and its own time."""
         row = {} if stamp is None else {"stamp": stamp}
         self._offset = min(self._offset, now - self._begun - row.get("stamp", -math.inf))
         for name in ("servo_angle", "foot_force", *_LOGGED):
             row |= dict(
-                zip(reading_names(name, self._robot.servos), found.get(name, ()), strict=False)
+                zip(reading_names(name, self._robot.servos), readings.get(name, ()), strict=False)
             )
-        if "orientation" in found:
-            row["yaw"] = math.radians(attitude_of(found["orientation"][None])[0, 2])
+        if "orientation" in readings:
+            row["yaw"] = math.radians(attitude_of(readings["orientation"][None])[0, 2])
         self._add(now, row)
 
     def _add(self, now: float, row: Mapping[str, float]) -> None:
@@ -331,22 +342,22 @@ class LinkLog(Appended):
 
     def _more(self) -> bytes:
         # A channel has two samples at least.
-        there = {
+        channel_fields = {
             name: e
             for name, e in self._told.items()
             if self._counts[e.get("columns", [name])[0]] > 1
         }
         if math.isfinite(self._offset):
-            own = {"column": "stamp", "offset": round(self._offset, 6)}
-            there = {
-                name: e if e["quantity"] == "command" else e | {"time": own}
-                for name, e in there.items()
+            time_column = {"column": "stamp", "offset": round(self._offset, 6)}
+            channel_fields = {
+                name: e if e["quantity"] == "command" else e | {"time": time_column}
+                for name, e in channel_fields.items()
             }
-        about = dump({"time": {"column": "t", "unit": "s"}, "channels": there}).encode()
-        if about != self._written:
+        content = dump({"time": {"column": "t", "unit": "s"}, "channels": channel_fields}).encode()
+        if content != self._written:
             with contextlib.suppress(OSError):  # the log's own error tells of a full disk
-                replace_file(self.about, about)
-                self._written = about
+                replace_file(self.about, content)
+                self._written = content
         return "".join(self._new.popleft() for _ in range(len(self._new))).encode()
 
 
@@ -424,11 +435,14 @@ class RobotDriving(Driving):
             ParameterError: the URL, a channel or the rate is invalid; before anything is compiled.
         """
         address(url, "connect")
-        connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
+        connected, control_rate = (
+            channels_of(channels, setup.load()),
+            1.0 / setup.make_controller().dt,
+        )
         rate = rate or connected.rate
-        if rate is not None and rate > most + 1e-6:
+        if rate is not None and rate > control_rate + 1e-6:
             raise ParameterError(
-                f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's."
+                f"rate is {rate:g} Hz: allowed is (0, {control_rate:g}], the controller's."
             )
         self.needed, self.operator = needed_sensors(setup), lambda: 0.0
         self._url, self._channels, self._watchdog, self._log = url, connected, watchdog, log
@@ -470,8 +484,8 @@ class RobotDriving(Driving):
 
     def failures(self, factor: float = 1.0) -> list[str]:
         """What was wrong with the drive, see `Driven`; without a robot none answers."""
-        found = self.driven.failures(factor, answers=self._url != PRINT)
-        return [*found, self.failed] if self.failed else found
+        messages = self.driven.failures(factor, answers=self._url != PRINT)
+        return [*messages, self.failed] if self.failed else messages
 
     def connect(self, measured: Measured, publish: Callable[[Any], None]) -> None:
         """Drive the robot that has been measured from now on; `publish` sends it a message."""
@@ -570,9 +584,9 @@ class RobotDriving(Driving):
         if not np.isfinite(self.pose).all():
             driven.ended = "the controller asks for an angle that is not a number"
             return
-        wanted = sent_angles(channels, measured.robot.servos, np.degrees(self.pose)[None])[0]
-        degrees = np.clip(wanted, self._low, self._high)
-        driven.limited += bool(np.abs(degrees - wanted).max() > 1e-6)
+        servo_angles = sent_angles(channels, measured.robot.servos, np.degrees(self.pose)[None])[0]
+        degrees = np.clip(servo_angles, self._low, self._high)
+        driven.limited += bool(np.abs(degrees - servo_angles).max() > 1e-6)
         try:
             self._publish(servo_message(self._url, degrees, channels.given(degrees)))
             driven.sent, self._reached = driven.sent + 1, measured.clock()
@@ -616,8 +630,8 @@ class RobotDriving(Driving):
 
     def recording(self) -> Recording:
         """The commands, what the robot measured, and how the simulated body moved; no `replay` makes it again."""
-        made = super().recording()
-        return dataclasses.replace(made, metadata={**made.metadata, "driven": None})
+        recording = super().recording()
+        return dataclasses.replace(recording, metadata={**recording.metadata, "driven": None})
 
     def _sample(self) -> tuple[np.ndarray, ...]:
         simulated = super()._sample()
@@ -718,10 +732,10 @@ class SimulatedRobot:
         self._body.ctrl[0] = self._ctrl
         self._body.move(self._readings)
         self._ticks += 1
-        told = sensor_message(
+        sensor_text = sensor_message(
             self.robot, self._channels, self._readings[0, -1], self._ticks * self.dt
         )
-        self.outward.put(now + self.dt, told)
+        self.outward.put(now + self.dt, sensor_text)
 
     def run(self, url: str, seconds: float | None = None) -> dict[str, Any]:
         """Be there for a time [s], or until Ctrl-C or SIGTERM; returns `about`. For the URL see `linked`."""
@@ -758,37 +772,39 @@ class SimulatedRobot:
 
     def sentences(self) -> list[str]:
         """What happened."""
-        about = self.about
+        description = self.about
         last = (
             ""
-            if about["silence"] is None
-            else f", the last one {about['silence']:.1f} s before the end"
+            if description["silence"] is None
+            else f", the last one {description['silence']:.1f} s before the end"
         )
-        far = f"got {1e3 * about['distance']:.0f} mm far; its tilt is {math.degrees(about['tilt']):.0f} degrees"
+        far = f"got {1e3 * description['distance']:.0f} mm far; its tilt is {math.degrees(description['tilt']):.0f} degrees"
         return [
-            f"The simulated robot was there for {about['seconds']:.1f} s, and {far}.",
-            f"{about['commands'].get('taken', 0)} commands were taken{last}{_left_out(about['commands'])}.",
+            f"The simulated robot was there for {description['seconds']:.1f} s, and {far}.",
+            f"{description['commands'].get('taken', 0)} commands were taken{last}{_left_out(description['commands'])}.",
         ]
 
 
 def _left_out(counts: Mapping[str, int]) -> str:
     """What became of messages that were not taken, as the end of a sentence."""
-    found = ", ".join(
-        f"{count} {what}" for what, count in counts.items() if count and what != "taken"
+    listing = ", ".join(
+        f"{count} {reason}" for reason, count in counts.items() if count and reason != "taken"
     )
-    return found and f"; left out: {found}"
+    return listing and f"; left out: {listing}"
 
 
-def _commanded(message: Any, channels: Channels, robot: Robot, before: np.ndarray) -> np.ndarray:
+def _commanded(message: Any, channels: Channels, robot: Robot, previous: np.ndarray) -> np.ndarray:
     """The servos' angles of a message [rad]; servos that it does not name stay where they are."""
-    given, in_radians = (
+    value, in_radians = (
         (message.get("data"), True) if isinstance(message, dict) else (message, False)
     )
-    if not isinstance(given, list):
+    if not isinstance(value, list):
         raise ValueError("garbage")
-    found = _numbers(given, len(channels.servos))
-    degrees = np.degrees(found) if in_radians else found
-    return np.clip(own_angles(channels, robot, degrees, before), *robot.model.actuator_ctrlrange.T)
+    angles = _numbers(value, len(channels.servos))
+    degrees = np.degrees(angles) if in_radians else angles
+    return np.clip(
+        own_angles(channels, robot, degrees, previous), *robot.model.actuator_ctrlrange.T
+    )
 
 
 def own_angles(
@@ -819,6 +835,6 @@ def sensor_message(
         "contact_sensors": sensors.foot_force,
         "imu_sensor": imu,
     }
-    when = {"sec": int(stamp), "nanosec": int(1e9 * (stamp % 1.0))}
-    told = {name: values.round(7).tolist() for name, values in parts.items()}
-    return {"header": {"stamp": when, "frame_id": "imu"}, **told}
+    stamp_fields = {"sec": int(stamp), "nanosec": int(1e9 * (stamp % 1.0))}
+    fields = {name: values.round(7).tolist() for name, values in parts.items()}
+    return {"header": {"stamp": stamp_fields, "frame_id": "imu"}, **fields}

@@ -55,10 +55,10 @@ def show(
         ParameterError: its setup names something that this version does not have.
         DirectoryError: a directory holds no runs that can be shown, or is given with another recording.
     """
-    for each in (recording, other):
+    for source in (recording, other):
         of_type(
             "recording",
-            each,
+            source,
             (Recording, str, os.PathLike, type(None)),
             "a recording, or the path of one",
         )
@@ -78,11 +78,16 @@ def show(
         return explore(recording, height=height or 680)
     from nermo_mjx.view.clip import page_of
 
-    given = [recording] if other is None else [recording, other]
+    sources = [recording] if other is None else [recording, other]
     names = [
-        "AB"[i] if isinstance(each, Recording) else Path(each).stem for i, each in enumerate(given)
+        "AB"[i] if isinstance(source, Recording) else Path(source).stem
+        for i, source in enumerate(sources)
     ]
     if len(set(names)) < len(names):  # files of one name tell runs apart by their folders
-        names = ["/".join(Path(str(each)).resolve().with_suffix("").parts[-2:]) for each in given]
-    loaded = [each if isinstance(each, Recording) else Recording.load(each) for each in given]
+        names = [
+            "/".join(Path(str(source)).resolve().with_suffix("").parts[-2:]) for source in sources
+        ]
+    loaded = [
+        source if isinstance(source, Recording) else Recording.load(source) for source in sources
+    ]
     return page_of(loaded, names, height or 480)

@@ -61,13 +61,13 @@ def body_radius(
     model: mujoco.MjModel, data: mujoco.MjData, root: int
 ) -> tuple[Float[np.ndarray, " 3"], float]:
     """Centre [m] and radius [m] of everything visible that is attached to the root body, in the pose of `data`."""
-    shown = (model.body_rootid[model.geom_bodyid] == model.body_rootid[root]) & (
+    is_visible = (model.body_rootid[model.geom_bodyid] == model.body_rootid[root]) & (
         model.geom_group < 3
     )
-    if root == 0 or not shown.any():
+    if root == 0 or not is_visible.any():
         return np.array(model.stat.center), float(model.stat.extent)
     # Few geoms reach far; their bounding spheres are loose, so count half of each radius.
-    centres, radii = data.geom_xpos[shown], 0.5 * model.geom_rbound[shown, None]
+    centres, radii = data.geom_xpos[is_visible], 0.5 * model.geom_rbound[is_visible, None]
     low, high = (centres - radii).min(axis=0), (centres + radii).max(axis=0)
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 

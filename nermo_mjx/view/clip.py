@@ -48,8 +48,10 @@ class Frames:
         self, model: mujoco.MjModel, motion: Motion, origin: Float[np.ndarray, "T 3"]
     ) -> None:
         self.bodies: Int[np.ndarray, " n"] = np.flatnonzero(model.body_weldid != 0)
-        place = {int(body): i for i, body in enumerate(self.bodies)}
-        self.parents = [place.get(int(model.body_parentid[body]), -1) for body in self.bodies]
+        index_of_body = {int(body): i for i, body in enumerate(self.bodies)}
+        self.parents = [
+            index_of_body.get(int(model.body_parentid[body]), -1) for body in self.bodies
+        ]
         self._position = motion.position[:, self.bodies] - origin[:, None]
         turns = motion.quaternion[:, self.bodies]
         self._turns = [
@@ -70,10 +72,10 @@ class Frames:
         """Points in the frames in which they move least: indices in `bodies` or -1, and the points."""
         frames, points = [], path.copy()
         for k in range(path.shape[1]):
-            each = [path[:, k], *(self._inside(i, path[:, k]) for i in range(len(self.bodies)))]
-            best = int(np.argmin([seen.var(axis=0).sum() for seen in each]))
+            paths = [path[:, k], *(self._inside(i, path[:, k]) for i in range(len(self.bodies)))]
+            best = int(np.argmin([path_in_frame.var(axis=0).sum() for path_in_frame in paths]))
             frames.append(best - 1)
-            points[:, k] = each[best]
+            points[:, k] = paths[best]
         return frames, points
 
     def _inside(self, frame: int, points: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
@@ -142,9 +144,9 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
 def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """The colour in which MuJoCo draws it: the material's unless the geom has its own; a texture's mean colour."""
     material = int(model.geom_matid[geom])
-    own = np.array(model.geom_rgba[geom], float)
-    if material < 0 or not np.allclose(own, 0.5 * np.array([1, 1, 1, 2])):
-        return own
+    rgba = np.array(model.geom_rgba[geom], float)
+    if material < 0 or not np.allclose(rgba, 0.5 * np.array([1, 1, 1, 2])):
+        return rgba
     colour = np.array(model.mat_rgba[material], float)
     for texture in [t for t in model.mat_texid[material] if t >= 0][:1]:
         channels, start = model.tex_nchannel[texture], model.tex_adr[texture]
@@ -205,7 +207,10 @@ class Models:
             own_geometry(recording) or Geometry(),
             own_build(recording) or ModelParameters().build,
         )
-        key = robot.config, tuple(float(value) for each in shape for _, value in values_of(each))
+        key = (
+            robot.config,
+            tuple(float(value) for part_shape in shape for _, value in values_of(part_shape)),
+        )
         if key not in self._known:
             self._known[key] = len(self.headers)
             self.headers.append(shapes_of(shown_model(recording, robot), self._packer))
@@ -229,7 +234,8 @@ def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> d
     """The header's part on recordings: `models`, each once, and `clips`; errors as above."""
     models = Models(packer)
     clips = [
-        clip_of(each, name, models, packer) for each, name in zip(recordings, names, strict=True)
+        clip_of(recording, name, models, packer)
+        for recording, name in zip(recordings, names, strict=True)
     ]
     return {"models": models.headers, "clips": clips}
 
@@ -277,13 +283,13 @@ def clip_of(
         "plots": [],
     }
     for tendon in motion.tendons:
-        within, path = frames.fixed(tendon.path - origin[:, None])
-        about = {"name": tendon.name, "radius": tendon.radius, "frames": within}
+        frame_indices, path = frames.fixed(tendon.path - origin[:, None])
+        tendon_data = {"name": tendon.name, "radius": tendon.radius, "frames": frame_indices}
         values = {
             "path": packer.steps(path, detail.length),
             "tension": packer.steps(tendon.tension, detail.force),
         }
-        header["tendons"].append(about | values)
+        header["tendons"].append(tendon_data | values)
     for contact in motion.contacts:
         point, force = (
             packer.steps(contact.point - origin, detail.length),
@@ -293,15 +299,16 @@ def clip_of(
     for plot in plots_of(recording, motion):
         lines = []
         for line in plot.lines:
-            known = line.values[np.isfinite(line.values)]
+            finite_values = line.values[np.isfinite(line.values)]
             values = packer.steps(
-                line.values, detail.curve * float(np.ptp(known)) if len(known) else 0.0
+                line.values,
+                detail.curve * float(np.ptp(finite_values)) if len(finite_values) else 0.0,
             )
             lines.append(
                 {"name": line.name, "colour": line.colour, "faint": line.faint, "values": values}
             )
-        about = {"key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars}
-        header["plots"].append(about | {"lines": lines})
+        tendon_data = {"key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars}
+        header["plots"].append(tendon_data | {"lines": lines})
     return header | {"model": models.index(recording, robot)}
 
 
@@ -310,7 +317,7 @@ def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
     if not {"foot_force", "foot_position"} <= recording.sensors.keys():
         return []
     samples = np.searchsorted(recording.time, motion.time)
-    force, place = (
+    force, position = (
         recording.sensors["foot_force"][samples],
         recording.sensors["foot_position"][samples],
     )
@@ -318,7 +325,7 @@ def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
     for limb in range(force.shape[1]):
         for begin, end in stretches(force[:, limb] > 0.1):
             if motion.time[end - 1] - motion.time[begin] >= 0.05:
-                x, y = place[(begin + end - 1) // 2, limb, :2]
+                x, y = position[(begin + end - 1) // 2, limb, :2]
                 prints.append(
                     [
                         round(float(motion.time[begin]), 4),

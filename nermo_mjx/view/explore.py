@@ -114,17 +114,21 @@ class ExplorerRuns:
     def of(self, *roles: str) -> list[ExplorerColumn]:
         """Columns of these roles that differ between the runs."""
         return [
-            each for each in self.columns.values() if each.role in roles and len(each.distinct) > 1
+            column
+            for column in self.columns.values()
+            if column.role in roles and len(column.distinct) > 1
         ]
 
 
-def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> ExplorerRuns:
+def runs_of(
+    path: Path, required_rows: Collection[int] = (), limit: int = MOST_ROWS
+) -> ExplorerRuns:
     """The runs of a directory.
 
     Args:
         path: of a sweep or a search; if it has `atlas.parquet`, the cells are shown.
-        kept: rows that are always included.
-        most: maximum number of rows; of more, the best and an even selection of the others.
+        required_rows: rows that are always included.
+        limit: maximum number of rows; of more, the best and an even selection of the others.
 
     Raises:
         DirectoryError: it has no runs yet, or they cannot be read.
@@ -148,16 +152,20 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ex
             )
         results = Results(files)
         schema, column = results.schema, results.column
-    about = schema.metadata or {}
+    metadata = schema.metadata or {}
     fields = {field.name: meta(field) for field in schema}
-    shown = [
+    shown_fields = [
         name
         for role in ROLES
-        for name, each in fields.items()
-        if each.get("role") == role and name != "seed"
+        for name, schema_field in fields.items()
+        if schema_field.get("role") == role and name != "seed"
     ]
-    metrics = [name for name in shown if fields[name]["role"] == "metric"]
-    atlas = json_of(about[b"atlas"], _Atlas, path / "atlas.parquet") if b"atlas" in about else None
+    metrics = [name for name in shown_fields if fields[name]["role"] == "metric"]
+    atlas = (
+        json_of(metadata[b"atlas"], _Atlas, path / "atlas.parquet")
+        if b"atlas" in metadata
+        else None
+    )
     sides = {field.name: better(field) for field in schema}
     if atlas is None and not metrics:
         raise DirectoryError("The table has no metric: no column's role is 'metric'.")
@@ -170,20 +178,20 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ex
     number = column("row")
     price = _column(leading, fields[leading], sides[leading], column(leading)).cost()
     places = np.arange(len(number))
-    if len(number) > most:
-        best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, most // 2)]
-        places = np.union1d(thinned(places, most - len(best)), best)
-        places = np.union1d(places, np.flatnonzero(np.isin(number, list(kept))))
+    if len(number) > limit:
+        best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, limit // 2)]
+        places = np.union1d(thinned(places, limit - len(best)), best)
+        places = np.union1d(places, np.flatnonzero(np.isin(number, list(required_rows))))
     columns = {
         name: _column(name, fields[name], sides[name], column(name)[places])
-        for name in shown
+        for name in shown_fields
         if name != "row"
     }
     if atlas is not None:
         side = "low" if atlas["objective"]["direction"] == "minimize" else "high"
         columns[leading] = dataclasses.replace(columns[leading], better=side)
     kind = "atlas" if atlas is not None else kind_of(path) or "sweep"
-    grid = about.get(b"sampler") == b"grid"
+    grid = metadata.get(b"sampler") == b"grid"
     return ExplorerRuns(
         kind, columns, number[places].astype(np.int64), len(number), leading, grid, atlas
     )
@@ -204,14 +212,16 @@ class _Atlas(BaseModel, extra="allow"):
     measures: Annotated[list[_Aim], Field(min_length=1, max_length=2)]
 
 
-def _column(name: str, about: Mapping[str, str], side: str, values: np.ndarray) -> ExplorerColumn:
-    role = about["role"]
+def _column(
+    name: str, metadata: Mapping[str, str], side: str, values: np.ndarray
+) -> ExplorerColumn:
+    role = metadata["role"]
     if values.dtype.kind in "OUS" and any(isinstance(value, str) for value in values):
         values = np.array(["–" if value is None else str(value) for value in values], object)
     else:
         values = values.astype(float)  # None of a nullable column becomes NaN
-    unit, log = about.get("unit", "1"), about.get("scale") == "log"
-    return ExplorerColumn(name, unit, about.get("description", ""), role, side, log, values)
+    unit, log = metadata.get("unit", "1"), metadata.get("scale") == "log"
+    return ExplorerColumn(name, unit, metadata.get("description", ""), role, side, log, values)
 
 
 #: Choices that are options of `nermo-mjx walk`, with the values that it takes.
@@ -250,11 +260,15 @@ def commands_of(path: Path, runs: ExplorerRuns) -> dict[str, Any]:
 
 def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
     """The `nermo-mjx walk` command for a row of a resolved file; None if it has no option for one of its choices."""
-    varied = [each for each in runs.columns.values() if each.role in ("varied", "randomized")]
-    names = {each.name: set(each.values) for each in varied if each.is_text}
-    given = spec.get("pilot", Setup.pilot)
-    pilot, options = next(iter(given.items())) if isinstance(given, dict) else (str(given), None)
-    chosen: Mapping[str, Any] = options or {}
+    varied = [column for column in runs.columns.values() if column.role in ("varied", "randomized")]
+    names = {column.name: set(column.values) for column in varied if column.is_text}
+    pilot_field = spec.get("pilot", Setup.pilot)
+    pilot, options = (
+        next(iter(pilot_field.items()))
+        if isinstance(pilot_field, dict)
+        else (str(pilot_field), None)
+    )
+    pilot_options: Mapping[str, Any] = options or {}
     step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))
     if (
         spec.get("controller") is not None
@@ -268,7 +282,7 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
             and (preset is None or float(step) != preset.timestep)
         )
         or not names.get("pilot", {pilot}) <= set(_PILOTS)
-        or ("pilot" not in names and not set(chosen) <= set(_PILOTS[pilot]))
+        or ("pilot" not in names and not set(pilot_options) <= set(_PILOTS[pilot]))
     ):
         return None
     fixed = dict(spec.get("set") or {})
@@ -282,7 +296,7 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
         )
     if "pilot" not in names:
         words += ["--pilot", pilot] if pilot != Setup.pilot else []
-        fixed |= {f"pilot.{key}": _TURNS.get(value, value) for key, value in chosen.items()}
+        fixed |= {f"pilot.{key}": _TURNS.get(value, value) for key, value in pilot_options.items()}
     run = spec.get("run") or {}
     length, warmup = ("duration", "warmup") if "duration" in run else ("cycles", "warmup_cycles")
     for option, name in ((f"--{length}", length), ("--warmup", warmup)):
@@ -292,7 +306,7 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
     return {
         "words": shlex.join(words),
         "options": [[_option(name), name] for name in (*_OPTIONS, "pilot") if name in names],
-        "set": [each.name for each in varied if not each.is_text],
+        "set": [column.name for column in varied if not column.is_text],
     }
 
 
@@ -394,20 +408,22 @@ def explore(
 
 def _optimum(path: Path) -> dict[str, Any] | None:
     """The answer of a sweep that seeks an optimum: its table, and of each line the group and the row to be shown."""
-    found = optimum_in(path) if kind_of(path) == "sweep" else None
-    if found is None:
+    optimum = optimum_in(path) if kind_of(path) == "sweep" else None
+    if optimum is None:
         return None
-    heads, cells = optimum_cells(found)
+    heads, cells = optimum_cells(optimum)
     lines = [
         # A gain stands below its mean, and a region's ranges below one another.
         {
-            "cells": [re.sub(r" \((.*)\)$|(?<=[:,]) (?!.*\])", r"\n\1", cell) for cell in own],
+            "cells": [
+                re.sub(r" \((.*)\)$|(?<=[:,]) (?!.*\])", r"\n\1", cell) for cell in cell_names
+            ],
             "group": answer.group,
         }
         | {"row": answer.rows[0] if answer.rows else None}
-        for own, answer in zip(cells, found.answers, strict=True)
+        for cell_names, answer in zip(cells, optimum.answers, strict=True)
     ]
-    return {"title": found.title, "heads": heads, "lines": lines, "notes": found.how()}
+    return {"title": optimum.title, "heads": heads, "lines": lines, "notes": optimum.how()}
 
 
 def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
@@ -419,7 +435,7 @@ def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
     """
     sweep = SweepRecord.of_directory(path) if runs.kind == "sweep" else None
     comparison: dict[str, Any] = dict(sweep.comparison or {}) if sweep is not None else {}
-    names = {each.name for each in runs.of("varied")}
+    names = {column.name for column in runs.of("varied")}
     if sweep is not None and sweep.optimum is not None:
         ((by, base),) = sweep.optimum["base"].items()
         comparison = {"by": by, "base": base, "for": sweep.optimum["over"]}
@@ -445,8 +461,10 @@ def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
     left_out = {by.name, "spine.phase"} if by.name == "spine.amplitude" else {by.name}
     keys = [runs.columns[name].values for name in sorted(names - left_out)]
     keys = [key if key.dtype == object else same_values(key) for key in keys]
-    known = [key for key in keys if key.dtype == object or np.isfinite(key[of_base]).all()]
-    texts = np.array([np.zeros(len(of_base)).astype(str), *(key.astype(str) for key in known)])
+    finite_keys = [key for key in keys if key.dtype == object or np.isfinite(key[of_base]).all()]
+    texts = np.array(
+        [np.zeros(len(of_base)).astype(str), *(key.astype(str) for key in finite_keys)]
+    )
     alike = np.unique(texts, axis=1, return_inverse=True)[1]
     count = np.bincount(alike[of_base & well], minlength=alike.max() + 1)
     total = np.bincount(alike[of_base & well], leading.values[of_base & well], alike.max() + 1)
@@ -454,13 +472,13 @@ def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
         gain = 100.0 * (leading.values / np.abs(total / count)[alike] - np.sign(total)[alike])
     values = np.where(well & ~of_base & np.isfinite(gain), gain, np.nan)
     text = by.values[of_base][0] if by.is_text else f"{by.name} {float(base):g}"
-    about = f"{runs.leading.replace('_', ' ')} relative to the mean of {text}, all else equal"
-    found = ExplorerColumn(
-        f"{runs.leading}_gain", "%", about, "metric", leading.better, False, values
+    description = f"{runs.leading.replace('_', ' ')} relative to the mean of {text}, all else equal"
+    gain_column = ExplorerColumn(
+        f"{runs.leading}_gain", "%", description, "metric", leading.better, False, values
     )
     return dataclasses.replace(
         runs,
-        columns={found.name: found, **runs.columns},
+        columns={gain_column.name: gain_column, **runs.columns},
         gain_over=tuple(comparison.get("for") or ()),
     )
 
@@ -471,38 +489,43 @@ def start_of(runs: ExplorerRuns) -> dict[str, Any]:
     A gain is the colour, over the parameters that it is compared for.
     """
     repeat = runs.columns.get("repeat")
-    of = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
+    statistic = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
     varied, metrics, gain, colour = (
         runs.of("varied"),
         runs.of("metric"),
         f"{runs.leading}_gain",
         runs.leading,
     )
-    gridded = [each for each in varied if runs.grid and len(each.distinct) <= MOST_CELLS]
+    gridded = [column for column in varied if runs.grid and len(column.distinct) <= MOST_CELLS]
     cells = len(gridded) > 1
     if gain in runs.columns and cells:
-        wanted = sorted(gridded, key=lambda each: each.name not in runs.gain_over)[:2]
-        x, y = (each.name for each in sorted(wanted, key=lambda each: each.is_text))
-        colour, of = gain, "mean"
+        axes = sorted(gridded, key=lambda column: column.name not in runs.gain_over)[:2]
+        x, y = (column.name for column in sorted(axes, key=lambda column: column.is_text))
+        colour, statistic = gain, "mean"
     elif runs.atlas is not None:
-        measures = [each["metric"] for each in runs.atlas["measures"]]
+        measures = [column["metric"] for column in runs.atlas["measures"]]
         x, y = [*measures, runs.leading][:2]
         cells = len(measures) > 1
     elif cells:
         # A number across, and structures above each other.
         steps, names = (
-            [each.name for each in gridded if each.is_text == is_text] for is_text in (False, True)
+            [column.name for column in gridded if column.is_text == is_text]
+            for is_text in (False, True)
         )
         x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
     else:
-        directed = {each.name for each in metrics if each.better and each.name != runs.leading}
+        directed = {
+            column.name for column in metrics if column.better and column.name != runs.leading
+        }
         colour = next(
             (name for name in (*MAIN_METRICS, *runs.columns) if name in directed), runs.leading
         )
-        numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
-        others = [each.name for each in [*numbers, *varied, *metrics] if each.name != runs.leading]
+        numbers = [column for column in [*varied, *runs.of("randomized")] if not column.is_text]
+        others = [
+            column.name for column in [*numbers, *varied, *metrics] if column.name != runs.leading
+        ]
         x, y = [*others, runs.leading][0], runs.leading
-    return {"x": x, "y": y, "colour": colour, "cells": cells, "of": of}
+    return {"x": x, "y": y, "colour": colour, "cells": cells, "of": statistic}
 
 
 def _field(column: ExplorerColumn, grid: bool, packer: Packer) -> dict[str, Any]:
@@ -510,7 +533,7 @@ def _field(column: ExplorerColumn, grid: bool, packer: Packer) -> dict[str, Any]
     unit = shown(column.name, column.unit, [1.0])
     gain = column.unit == "%" and column.name.endswith("_gain")
     cyclic = column.unit == "rad" and column.name.rpartition(".")[2] == "phase"
-    about: dict[str, Any] = {
+    field: dict[str, Any] = {
         "name": column.name,
         "role": column.role,
         "about": column.description,
@@ -521,19 +544,19 @@ def _field(column: ExplorerColumn, grid: bool, packer: Packer) -> dict[str, Any]
         "group": headed().get(column.name),
         "colours": "gain" if gain else "cyclic" if cyclic else "",
     }
-    known = column.distinct
-    about["stepped"] = len(known) <= (
+    values = column.distinct
+    field["stepped"] = len(values) <= (
         MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW
     )
     if column.is_text:
-        codes = np.searchsorted(known.astype(str), column.values.astype(str))
-        return about | {"texts": known.tolist(), "values": packer.plain(codes, "uint16")}
-    if len(known) <= _LISTED:
+        codes = np.searchsorted(values.astype(str), column.values.astype(str))
+        return field | {"texts": values.tolist(), "values": packer.plain(codes, "uint16")}
+    if len(values) <= _LISTED:
         codes = np.where(
-            np.isfinite(column.values), np.searchsorted(known, column.values), len(known)
+            np.isfinite(column.values), np.searchsorted(values, column.values), len(values)
         )
-        return about | {"known": known.tolist(), "values": packer.plain(codes, "uint16")}
-    return about | {"values": packer.floats(column.values, exact=column.role != "metric")}
+        return field | {"known": values.tolist(), "values": packer.plain(codes, "uint16")}
+    return field | {"values": packer.floats(column.values, exact=column.role != "metric")}
 
 
 def _palette() -> dict[str, Any]:

@@ -51,8 +51,8 @@ class RecordedGait:
         """The parameters that are known by name."""
         setup = self.recording.metadata.get("setup", {})
         gait = GAIT_CODES.get(setup.get("gait"), setup.get("gait"))
-        known: dict[str, Any] = published_values(gait) if gait in GAITS else {}
-        return known | dict(self.recording.metadata.get("parameters", {}))
+        preset: dict[str, Any] = published_values(gait) if gait in GAITS else {}
+        return preset | dict(self.recording.metadata.get("parameters", {}))
 
     @property
     def cycle(self) -> float | None:
@@ -95,11 +95,11 @@ class RecordedGait:
         ):
             return None
         phase = (self.values.get("start.phase", 0.0) + self.recording.time / self.cycle) % 1.0
-        known = {name for name, _ in quantities(ControlParameters)}
-        given = {name: np.asarray(value) for name, value in self.values.items() if name in known}
+        names = {name for name, _ in quantities(ControlParameters)}
+        values = {name: np.asarray(value) for name, value in self.values.items() if name in names}
         free = self.recording.metadata.get("setup", {}).get("trajectory") == FREE
         stepping = FreeStepping() if free else Stepping()
-        limbs = stepping.limbs(replace_quantities(ControlParameters(), given), jnp.asarray(phase))
+        limbs = stepping.limbs(replace_quantities(ControlParameters(), values), jnp.asarray(phase))
         return np.asarray(limbs.stance)
 
     @cached_property
@@ -364,7 +364,7 @@ def in_leg_frame(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     axes = [model.site(f"{limb}_axis").id for limb in LIMBS]
     feet = [model.site(f"{limb}_foot").id for limb in LIMBS]
     bodies = model.site_bodyid[axes]
-    found = np.empty((len(qpos), len(LIMBS), 2))
+    angles = np.empty((len(qpos), len(LIMBS), 2))
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
     straight = data.xmat[bodies].reshape(-1, 3, 3).copy()  # where y is backward and z up
@@ -373,8 +373,8 @@ def in_leg_frame(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
         mujoco.mj_kinematics(model, data)
         turned = data.xmat[bodies].reshape(-1, 3, 3) @ straight.transpose(0, 2, 1)
         arm = data.site_xpos[feet] - data.site_xpos[axes]
-        found[k] = np.einsum("lji,lj->li", turned, arm)[:, 1:]
-    return found
+        angles[k] = np.einsum("lji,lj->li", turned, arm)[:, 1:]
+    return angles
 
 
 def commanded_feet(ctrl: np.ndarray, routing: str, geometry: Geometry) -> np.ndarray:
@@ -393,9 +393,10 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
     measured = walk.recording.sensors.get("servo_angle")
     if measured is None:
         return None
-    part, what = walk.shown
+    part, description = walk.shown
     time, aim, angle = (
-        np.asarray(each)[part] for each in (walk.recording.time, walk.recording.ctrl, measured)
+        np.asarray(samples)[part]
+        for samples in (walk.recording.time, walk.recording.ctrl, measured)
     )
     aim, angle = np.degrees(aim), np.degrees(angle)
     names = servos_by_count(angle.shape[1])
@@ -426,12 +427,12 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
         Line2D([], [], color=_KNEE, lw=1.5, label="knee, measured"),
     ]
     if others:
-        moved = ", ".join(names[i].replace("_", " ") for i in others)
-        handles.append(Line2D([], [], color=_OTHER, lw=1.5, label=f"{moved}, measured"))
+        listing = ", ".join(names[i].replace("_", " ") for i in others)
+        handles.append(Line2D([], [], color=_OTHER, lw=1.5, label=f"{listing}, measured"))
     handles.append(Line2D([], [], color=INK, lw=0.9, ls=(0, (4, 2)), label="commanded"))
     return page.finish(
         handles,
-        f"{what}; hip 0: leg straight down, positive: backward; spine positive: to the left",
+        f"{description}; hip 0: leg straight down, positive: backward; spine positive: to the left",
     )
 
 
@@ -444,12 +445,12 @@ def beside_robot(walk: RecordedGait) -> Figure | None:
     page = FigurePage(
         "The robot's log beside the twin", (9.6, 1.3 + 1.35 * rows), rows, 2, sharex=True
     )
-    for ax, each in zip(page.axes.T.ravel(), channels, strict=False):
-        measured, simulated = (line.values for line in each.lines)
+    for ax, channel in zip(page.axes.T.ravel(), channels, strict=False):
+        measured, simulated = (line.values for line in channel.lines)
         ax.plot(time, simulated, color=SERIES[0], lw=1.8, zorder=3)
         ax.plot(time, measured, color=INK, lw=0.7, zorder=4)
         ax.plot(time, measured - simulated, color=SERIES[1], lw=0.7, zorder=2)
-        title = f"{each.title} [{each.unit}]"
+        title = f"{channel.title} [{channel.unit}]"
         ax.annotate(title, (0, 1.0), xycoords="axes fraction", va="bottom", color=INK, fontsize=8.5)
         ax.margins(y=0.1)
         horizontal_grid(ax)

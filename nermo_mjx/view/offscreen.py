@@ -28,13 +28,13 @@ def require_gl() -> None:
     Raises:
         RenderingUnavailable: with the remedy.
     """
-    chosen = os.environ.get("MUJOCO_GL", "")
-    if chosen.lower() in {"disable", "disabled", "off", "false", "0"}:
+    chosen_backend = os.environ.get("MUJOCO_GL", "")
+    if chosen_backend.lower() in {"disable", "disabled", "off", "false", "0"}:
         raise RenderingUnavailable(
             "Rendering is switched off by MUJOCO_GL: unset it, or set it to egl or osmesa."
         )
     if (
-        chosen
+        chosen_backend
         or sys.platform != "linux"
         or os.environ.get("DISPLAY")
         or os.environ.get("WAYLAND_DISPLAY")
@@ -56,8 +56,8 @@ def _headless_backend() -> str | None:
     if importlib.util.find_spec("OpenGL") is None:
         return None
     # MuJoCo refuses a backend that contradicts PyOpenGL's platform, if the user has set that.
-    wanted = os.environ.get("PYOPENGL_PLATFORM", "").lower()
-    allowed = {wanted} if wanted else {"egl", "osmesa"}
+    platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    allowed = {platform} if platform else {"egl", "osmesa"}
     if "egl" in allowed and _egl_starts(software=False):
         return "egl"
     if "osmesa" in allowed and _load("OSMesa", 8, 6, 9, 7) is not None:

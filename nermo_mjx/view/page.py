@@ -133,12 +133,12 @@ class Page:
         )
 
     def __repr__(self) -> str:
-        held = (
+        contents = (
             f"{self.rows} rows, {self.recordings} recordings"
             if self.rows
             else f"{self.samples} samples"
         )
-        return f"Page({len(self.html) / 1e6:.1f} MB, {held})"
+        return f"Page({len(self.html) / 1e6:.1f} MB, {contents})"
 
 
 def template(kind: str) -> str:
@@ -151,7 +151,7 @@ def template(kind: str) -> str:
 
 
 def _filled(document: str, content: Mapping[str, str]) -> str:
-    return re.sub(r"<!--(\w+)-->", lambda place: content.get(place[1], place[0]), document)
+    return re.sub(r"<!--(\w+)-->", lambda match: content.get(match[1], match[0]), document)
 
 
 def document(
@@ -171,7 +171,9 @@ def document(
         folders: of `web/` whose modules and style the page has.
     """
     styles = [
-        name for each in folders if (_WEB / (name := f"{each}/style.css".lstrip("/"))).is_file()
+        name
+        for web_folder in folders
+        if (_WEB / (name := f"{web_folder}/style.css".lstrip("/"))).is_file()
     ]
     data = [
         f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>'
@@ -180,10 +182,12 @@ def document(
     # An import map: the libraries, and each of our modules as `viewer/[FOLDER/]NAME.js`, as data URLs.
     sources = {name: web_file(path) for name, path in _LIBRARIES.items()}
     for folder in folders:
-        for each in sorted(
-            each.name for each in (_WEB / folder).iterdir() if each.name.endswith(".js")
+        for web_folder in sorted(
+            web_folder.name
+            for web_folder in (_WEB / folder).iterdir()
+            if web_folder.name.endswith(".js")
         ):
-            name = f"viewer/{folder}/{each}".replace("//", "/")
+            name = f"viewer/{folder}/{web_folder}".replace("//", "/")
             sources[name] = f"{web_file(name.removeprefix('viewer/'))}\n//# sourceURL={name}\n"
     encoded = {
         name: base64.b64encode(source.encode()).decode("ascii") for name, source in sources.items()

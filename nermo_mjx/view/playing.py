@@ -128,8 +128,8 @@ def write_keyframes(
         raise ParameterError(
             f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}."
         )
-    wanted = recording.time[0] + np.arange(count) / rate
-    samples = np.unique(np.abs(recording.time - wanted[:, None]).argmin(axis=1))
+    times = recording.time[0] + np.arange(count) / rate
+    samples = np.unique(np.abs(recording.time - times[:, None]).argmin(axis=1))
     spec = shown_spec(recording, robot) or mujoco.MjSpec.from_string(robot.to_xml())
     for sample in samples:
         key = spec.add_key(

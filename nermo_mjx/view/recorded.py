@@ -49,10 +49,15 @@ def own_build(recording: Recording) -> Build | None:
 
 
 def _own(recording: Recording, published: Tree, group: str) -> Tree | None:
-    given, known = recording.metadata.get("parameters") or {}, dict(values_of(published))
-    own = {name.removeprefix(group): value for name, value in given.items() if value is not None}
-    changed = {name: np.asarray(own[name], float) for name in known.keys() & own.keys()}
-    if all(float(value) == float(known[name]) for name, value in changed.items()):
+    parameters, defaults = recording.metadata.get("parameters") or {}, dict(values_of(published))
+    group_values = {
+        name.removeprefix(group): value for name, value in parameters.items() if value is not None
+    }
+    changed = {
+        name: np.asarray(group_values[name], float)
+        for name in defaults.keys() & group_values.keys()
+    }
+    if all(float(value) == float(defaults[name]) for name, value in changed.items()):
         return None
     return replace_quantities(published, changed)
 
@@ -82,13 +87,13 @@ def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
     """
     from nermo_mjx.physics.variation import compile_model  # importing JAX takes a second
 
-    known = {name: about.default for name, about in quantities(ModelParameters)}
-    known |= terrain_values(str(robot.config.scene))
-    given = recording.metadata.get("parameters") or {}
+    defaults = {name: declaration.default for name, declaration in quantities(ModelParameters)}
+    defaults |= terrain_values(str(robot.config.scene))
+    parameters = recording.metadata.get("parameters") or {}
     changed = {
         name: value
-        for name, value in given.items()
-        if name in known and value not in (None, known[name])
+        for name, value in parameters.items()
+        if name in defaults and value not in (None, defaults[name])
     }
     return compile_model(robot, changed) if changed else robot.model
 
@@ -149,7 +154,7 @@ class Motion:
 def motion_of(
     recording: Recording,
     model: mujoco.MjModel,
-    most: int | None = None,
+    limit: int | None = None,
     data: mujoco.MjData | None = None,
 ) -> Motion:
     """Evaluate a model at a recording's samples, up to the first that is not finite.
@@ -157,7 +162,7 @@ def motion_of(
     Args:
         recording: the run.
         model: that was simulated, with the run's parameters (`recorded_model`).
-        most: maximum number of samples; of a longer recording every second, third, ... one is kept.
+        limit: maximum number of samples; of a longer recording every second, third, ... one is kept.
         data: of the model, to be used again where the recording is known to fit it.
 
     Raises:
@@ -165,13 +170,13 @@ def motion_of(
     """
     if data is None:
         recording.check_model(model)
-    samples = finite_samples(recording, most)
+    samples = finite_samples(recording, limit)
     data = data or mujoco.MjData(model)
     position = np.empty((len(samples), model.nbody, 3))
     quaternion = np.empty((len(samples), model.nbody, 4))
     tension = np.zeros((len(samples), model.ntendon))
     paths: list[list[np.ndarray]] = [[] for _ in range(model.ntendon)]
-    found: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
+    segments: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
     for i, sample in enumerate(samples):
         data.qpos[:], data.qvel[:] = recording.qpos[sample], recording.qvel[sample]
         data.ctrl[:] = np.nan_to_num(recording.ctrl[sample])
@@ -182,7 +187,7 @@ def motion_of(
         for k, path in enumerate(paths):
             path.append(_path(data, k))
         for key, point, force in _contacts(model, data):
-            places, forces = found.setdefault(
+            places, forces = segments.setdefault(
                 key, (np.full((len(samples), 3), np.nan), np.zeros((len(samples), 3)))
             )
             places[i], forces[i] = point, force
@@ -190,18 +195,21 @@ def motion_of(
     for k, path in enumerate(paths):
         longest = max(map(len, path))
         points = np.stack(
-            [np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in path]
+            [
+                np.pad(segment, ((0, longest - len(segment)), (0, 0)), mode="edge")
+                for segment in path
+            ]
         )
         tendons.append(
             Tendon(model.tendon(k).name, float(model.tendon_width[k]), points, tension[:, k])
         )
     contacts = []
-    for key in sorted(found):
-        places, forces = found[key]
+    for key in sorted(segments):
+        places, forces = segments[key]
         # The point of the previous contact, and before the first contact the first one's.
-        there = np.flatnonzero(np.isfinite(places[:, 0]))
-        nearest = there[
-            np.maximum(np.searchsorted(there, np.arange(len(places)), side="right") - 1, 0)
+        finite_rows = np.flatnonzero(np.isfinite(places[:, 0]))
+        nearest = finite_rows[
+            np.maximum(np.searchsorted(finite_rows, np.arange(len(places)), side="right") - 1, 0)
         ]
         bodies = [model.body(model.geom_bodyid[geom]).name for geom in key[:2]]
         limb = next(
@@ -213,10 +221,10 @@ def motion_of(
     )
 
 
-def finite_samples(recording: Recording, most: int | None = None) -> np.ndarray:
+def finite_samples(recording: Recording, limit: int | None = None) -> np.ndarray:
     """Indices of the shown samples: those before the first that is not finite, at most `most` of them."""
     count = finite_count(np.isfinite(np.concatenate([recording.qpos, recording.qvel], axis=1)))
-    return np.arange(0, count, 1 if most is None else -(-count // most))
+    return np.arange(0, count, 1 if limit is None else -(-count // limit))
 
 
 def finite_count(finite: Bool[np.ndarray, "T n"]) -> int:
@@ -267,20 +275,20 @@ def _contacts(
 ) -> list[tuple[tuple[int, int, int], np.ndarray, np.ndarray]]:
     """((geom, geom, number), point, force on the robot) of each contact."""
     result: list[Any] = []
-    seen: dict[tuple[int, int], int] = {}
+    counts: dict[tuple[int, int], int] = {}
     wrench = np.zeros(6)
     for i in range(data.ncon):
         contact = data.contact[i]
         if contact.efc_address < 0:
             continue
         mujoco.mj_contactForce(model, data, i, wrench)
-        one, two = int(contact.geom1), int(contact.geom2)
-        number = seen[one, two] = seen.get((one, two), -1) + 1
+        first_geom, second_geom = int(contact.geom1), int(contact.geom2)
+        number = counts[first_geom, second_geom] = counts.get((first_geom, second_geom), -1) + 1
         # MuJoCo's normal points from the first geom to the second, and the force acts on the second.
-        sign = -1.0 if model.body_weldid[model.geom_bodyid[two]] == 0 else 1.0
+        sign = -1.0 if model.body_weldid[model.geom_bodyid[second_geom]] == 0 else 1.0
         result.append(
             (
-                (one, two, number),
+                (first_geom, second_geom, number),
                 contact.pos.copy(),
                 sign * (contact.frame.reshape(3, 3).T @ wrench[:3]),
             )
@@ -361,10 +369,10 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
             Plot("force", "Force on feet and tail", "N", tuple(Curve(*load) for load in loads))
         )
     if {"position", "orientation"} <= sensors.keys():
-        angles, place = attitude_of(sensors["orientation"]), 1e3 * sensors["position"]
+        angles, position = attitude_of(sensors["orientation"]), 1e3 * sensors["position"]
         names = zip(("roll", "pitch", "yaw"), _ORDINALS, angles.T, strict=True)
         plots.append(
-            Plot("attitude", "Attitude of the torso", "°", tuple(Curve(*each) for each in names))
+            Plot("attitude", "Attitude of the torso", "°", tuple(Curve(*curve) for curve in names))
         )
         if "linear_velocity" in sensors:
             yaw, velocity = np.deg2rad(angles[:, 2]), 1e3 * sensors["linear_velocity"]
@@ -382,16 +390,19 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
                     (mean, Curve("at once", "first", forward, faint=True)),
                 )
             )
-        way = (Curve("forward", "first", -place[:, 1]), Curve("to the left", "second", place[:, 0]))
-        plots.append(Plot("place", "Position of the torso", "mm", way))
+        path_curves = (
+            Curve("forward", "first", -position[:, 1]),
+            Curve("to the left", "second", position[:, 0]),
+        )
+        plots.append(Plot("place", "Position of the torso", "mm", path_curves))
     tensions: dict[str, list[Curve]] = {"leg": []}
     for tendon in motion.tendons:
         limb = next((limb for limb in LIMBS if tendon.name.startswith(limb)), "")
-        part, _, rest = ("leg", "", limb) if limb else tendon.name.partition("_")
+        part, _, limb_name = ("leg", "", limb) if limb else tendon.name.partition("_")
         curves = tensions.setdefault(part, [])
         if limb or len(curves) < len(_ORDINALS):
             curves.append(
-                Curve(rest.replace("_", " "), limb or _ORDINALS[len(curves)], tendon.tension)
+                Curve(limb_name.replace("_", " "), limb or _ORDINALS[len(curves)], tendon.tension)
             )
     for part, curves in tensions.items():
         key = "knee_tension" if part == "leg" else f"{part}_tension"
@@ -405,16 +416,21 @@ def beside_log(recording: Recording) -> list[Plot]:
     """Each channel of a robot's log that a recording holds: measured (NaN in gaps) and simulated, with the RMS of their
     difference, and the lag of measured behind simulated."""
     plots = []
-    for name, about in (_part(recording, "log").get("channels") or {}).items():
+    for name, channel_fields in (_part(recording, "log").get("channels") or {}).items():
         if (values := recording.sensors.get(BESIDE + name)) is not None:
-            unit = str(about.get("unit", ""))
-            both, rms = (
-                in_shown_unit("", unit, each) for each in (np.asarray(values, float), about["rms"])
+            unit = str(channel_fields.get("unit", ""))
+            value_pair, rms = (
+                in_shown_unit("", unit, values_row)
+                for values_row in (np.asarray(values, float), channel_fields["rms"])
             )
-            curves = zip(("measured", "simulated"), ("second", "first"), both.values.T, strict=True)
-            title = f"{name}: lag {1e3 * about['lag']:.0f} ms, RMS {float(rms.values):.3g}"  # in the plot's unit
+            curves = zip(
+                ("measured", "simulated"), ("second", "first"), value_pair.values.T, strict=True
+            )
+            title = f"{name}: lag {1e3 * channel_fields['lag']:.0f} ms, RMS {float(rms.values):.3g}"  # in the plot's unit
             plots.append(
-                Plot(f"log_{name}", title, both.unit, tuple(Curve(*curve) for curve in curves))
+                Plot(
+                    f"log_{name}", title, value_pair.unit, tuple(Curve(*curve) for curve in curves)
+                )
             )
     return plots
 
@@ -508,8 +524,8 @@ def headline_of(recording: Recording) -> list[list[str]]:
     """A few metrics as (label, value with unit), their profile, and the status if something went wrong."""
     metrics = _part(recording, "metrics")
     units = _units(recording)
-    known = [(name, label) for name, label in _HEADLINE.items() if name in metrics]
-    rows = [[label, _shown(metrics[name], units[name], digits=3)] for name, label in known]
+    labelled = [(name, label) for name, label in _HEADLINE.items() if name in metrics]
+    rows = [[label, _shown(metrics[name], units[name], digits=3)] for name, label in labelled]
     status = metrics.get("status", "ok")
     profile = (_part(recording, "setup") | _part(recording, "labels")).get("profile")
     rows += [["profile", str(profile)]] if rows and profile else []
@@ -551,7 +567,7 @@ def _units(recording: Recording) -> dict[str, str]:
     from nermo_mjx.rollout.setup import WorldParameters
     from nermo_mjx.rollout.transitions import TRANSITION
 
-    units = {name: about.unit for name, about in quantities(WorldParameters)}
+    units = {name: declaration.unit for name, declaration in quantities(WorldParameters)}
     return (
         units
         | {name: metric.unit for name, metric in (METRICS | TRANSITION).items()}

@@ -57,13 +57,13 @@ def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Pa
         DirectoryError: no section of it is finished, or it cannot be read.
     """
     start_jax()
-    training, drawn = Training.from_file(path / SPEC), training_figures(path)
+    training, figures = Training.from_file(path / SPEC), training_figures(path)
     name, parts, samples = html.escape(path.resolve().name), list[str](), 0
     code = code_place(training.task.observe)
     if code and not RUNS_CODE.get():
-        own = html.escape(Path(code).name)
+        code_name = html.escape(Path(code).name)
         parts.append(
-            f"<p>The policy observes functions of {own}, which a command that only reads does not run.</p>"
+            f"<p>The policy observes functions of {code_name}, which a command that only reads does not run.</p>"
         )
     elif (path / POLICY_FILE).exists():
         for scene, recording in recorded(training, load_policy(path / POLICY_FILE, code), engine):
@@ -72,14 +72,14 @@ def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Pa
             samples = max(samples, page.samples)
     if (content := content_of(path / EVALUATION)) is not None:
         judged = judged_in(training.evaluated()[0][0])
-        where = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
+        conditions = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
         table = _table(summary_of(parquet_table(content)))
         parts.append(
-            f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>'
+            f'<h2>Evaluation</h2><p>{conditions}</p><div class="wide"><table>{table}</table></div>'
         )
     if reload is not None:
         parts.insert(0, f'<meta http-equiv="refresh" content="{reload:g}">')
-    return Page(offline_page(name, "a training", parts, drawn), 680, samples)
+    return Page(offline_page(name, "a training", parts, figures), 680, samples)
 
 
 def offline_page(name: str, what: str, parts: Sequence[str], figures: Figures) -> str:
@@ -109,18 +109,19 @@ def offline_page(name: str, what: str, parts: Sequence[str], figures: Figures) -
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
 
 
-def _table(found: dict[str, Any]) -> str:
+def _table(results: dict[str, Any]) -> str:
     """The evaluation: shares of successes, and medians."""
-    rows = ["".join(f"<th>{each}</th>" for each in _HEADINGS)]
-    for scene, walkers in found.items():
-        for who, numbers in walkers.items():
-            shown = [
+    rows = ["".join(f"<th>{heading}</th>" for heading in _HEADINGS)]
+    for scene, walkers in results.items():
+        for walker, numbers in walkers.items():
+            cells = [
                 f"{factor * numbers[key]:.{digits}f}" for key, (factor, digits) in _NUMBERS.items()
             ]
-            called = "policy" if who == POLICY else "controller alone"
+            called = "policy" if walker == POLICY else "controller alone"
             rows.append(
                 "".join(
-                    f"<td>{html.escape(each)}</td>" for each in (scene_name(scene), called, *shown)
+                    f"<td>{html.escape(heading)}</td>"
+                    for heading in (scene_name(scene), called, *cells)
                 )
             )
     return "".join(f"<tr>{row}</tr>" for row in rows)

@@ -151,9 +151,9 @@ class Strip:
     def at(self, seconds: float) -> UInt8[np.ndarray, "height width 3"]:
         """The strip around a time since the recording began [s]."""
         room = self._width - MARGIN
-        at = round(self._rate * seconds)
-        first = int(np.clip(at - round(self._rate * PAST), 0, self._run.shape[1] - room))
-        window, now = self._run[:, first : first + room].copy(), min(at - first, room - 1)
+        column = round(self._rate * seconds)
+        first = int(np.clip(column - round(self._rate * PAST), 0, self._run.shape[1] - room))
+        window, now = self._run[:, first : first + room].copy(), min(column - first, room - 1)
         window[:, now:] = PAPER - (PAPER - window[:, now:].astype(int)) * 2 // 5
         window[: -SCALE + 3, now : now + 1] = 0x22
         return np.concatenate([self._column, window], axis=1)
@@ -167,23 +167,23 @@ class Strip:
             until = since + width / self._rate
             figure = blank_strip(width, self.height)
             for top, panel in self._rows:
-                place = (
+                run_columns = (
                     0.0,
                     1 - (top + panel.height) / self.height,
                     1.0,
                     panel.height / self.height,
                 )
-                axes = figure.add_axes(place)
+                axes = figure.add_axes(run_columns)
                 axes.axis("off")
                 axes.set(xlim=(since, until), ylim=(panel.low, panel.high))
                 axes.axvspan(since, until, color="#f3f3f3", zorder=0, linewidth=0)
                 panel.draw(axes)
             for half in range(int(np.floor(2 * since)), int(np.ceil(2 * until)) + 1):
-                at = (half / 2 - since) * self._rate
-                if _HALF_LABEL < first + at < total - _HALF_LABEL:  # else it would be clipped
+                offset = (half / 2 - since) * self._rate
+                if _HALF_LABEL < first + offset < total - _HALF_LABEL:  # else it would be clipped
                     write_text(
                         figure,
-                        at,
+                        offset,
                         self.height - SCALE + 1,
                         f"{half / 2:g} s",
                         fontsize=7.5,
@@ -219,8 +219,8 @@ def servo_panels(recording: Recording) -> list[StripPanel]:
     commanded = np.degrees(np.asarray(recording.ctrl))
     panels = []
     for name, columns in {"hip": range(4), "knee": range(4, 8), "spine": range(8, 9)}.items():
-        shown = np.concatenate([measured[:, columns], commanded[:, columns]])
-        low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
+        angles = np.concatenate([measured[:, columns], commanded[:, columns]])
+        low, high = float(np.nanmin(angles)), float(np.nanmax(angles))
         middle, half = (low + high) / 2, max((high - low) / 2, 1.0)
 
         def draw(axes: Any, name: str = name, columns: range = columns) -> None:
@@ -231,7 +231,10 @@ def servo_panels(recording: Recording) -> list[StripPanel]:
                 )
                 axes.plot(recording.time, measured[:, column], color=colour, linewidth=1.1)
 
-        ends = [(at, f"{at:.0f}°", INK) for at in (middle + half, middle - half)]
+        ends = [
+            (limit_angle, f"{limit_angle:.0f}°", INK)
+            for limit_angle in (middle + half, middle - half)
+        ]
         notes = (ends[0], (middle, name, COLOURS.get(name, INK)), ends[1])
         panels.append(StripPanel(46, middle - 1.15 * half, middle + 1.15 * half, draw, notes))
     return panels
@@ -291,13 +294,17 @@ def write_video(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.touch()  # fail on an unwritable path before ffmpeg starts, and before the first frame is drawn
-        drawn = iter(frames)
-        first = next(drawn)  # and on a frame that cannot be drawn before ffmpeg waits for it
+        remaining_frames = iter(frames)
+        first = next(
+            remaining_frames
+        )  # and on a frame that cannot be drawn before ffmpeg waits for it
         with _writer(partial, fps, width, height, count) as write:
-            for done, frame in enumerate(itertools.chain([first], drawn), start=1):
+            for frame_count, frame in enumerate(
+                itertools.chain([first], remaining_frames), start=1
+            ):
                 write(frame)
                 if progress is not None:
-                    progress(done, count)
+                    progress(frame_count, count)
         partial.replace(path)
     except OSError as error:
         reason = (
@@ -472,10 +479,10 @@ def render(
     def frames() -> Iterator[UInt8[np.ndarray, "height width 3"]]:
         for i, row in enumerate(zip(*(pictures for pictures, _ in drawn), strict=True)):
             footers = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
-            each = [np.concatenate(parts) for parts in zip(headers, row, footers, strict=True)]
-            each += [np.full_like(each[0], PAPER)] * (-len(each) % beside)
+            panels = [np.concatenate(parts) for parts in zip(headers, row, footers, strict=True)]
+            panels += [np.full_like(panels[0], PAPER)] * (-len(panels) % beside)
             yield np.concatenate(
-                [_beside(each[start : start + beside]) for start in range(0, len(each), beside)]
+                [_beside(panels[start : start + beside]) for start in range(0, len(panels), beside)]
             )
 
     height = (height + len(headers[0]) + _FOOTER) * math.ceil(len(panes) / beside)
@@ -520,10 +527,14 @@ def check_video(
         raise ParameterError(
             f"A video {suffix} needs an even width and height, not {width} x {height}."
         )
-    own = [model.camera(i).name for i in range(model.ncam)]
-    known = [*CAMERAS, *filter(None, own), *([STEREO] if set(EYES) <= set(own) else [])]
-    if camera not in known:
-        raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join(known)}.")
+    model_cameras = [model.camera(i).name for i in range(model.ncam)]
+    camera_names = [
+        *CAMERAS,
+        *filter(None, model_cameras),
+        *([STEREO] if set(EYES) <= set(model_cameras) else []),
+    ]
+    if camera not in camera_names:
+        raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join(camera_names)}.")
     if camera == STEREO and width % 2:
         raise ParameterError(
             f"width is {width}: allowed is an even number with camera {STEREO}, half for each eye."
@@ -541,10 +552,14 @@ def frame_samples(recording: Recording, fps: float, speed: float) -> Int[np.ndar
     """The sample of the recording in each frame: the nearest in time."""
     count = finite_count(np.isfinite(recording.qpos))
     time = recording.time[:count] - recording.time[0]
-    wanted = np.arange(0.0, time[-1] + 1e-9, speed / fps)
-    after = np.clip(np.searchsorted(time, wanted), 0, count - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(wanted - time[before] < time[after] - wanted, before, after)
+    frame_times = np.arange(0.0, time[-1] + 1e-9, speed / fps)
+    next_samples = np.clip(np.searchsorted(time, frame_times), 0, count - 1)
+    previous_samples = np.maximum(next_samples - 1, 0)
+    return np.where(
+        frame_times - time[previous_samples] < time[next_samples] - frame_times,
+        previous_samples,
+        next_samples,
+    )
 
 
 def draw_frames(
@@ -648,9 +663,10 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer
 
 def _header(panes: Sequence[Pane], width: int) -> list[UInt8[np.ndarray, "height width 3"]]:
     """The captions above each picture, all with the height of the longest."""
-    most = int(width / CHARACTER)
+    character_limit = int(width / CHARACTER)
     texts = [
-        [part for line in pane.caption for part in textwrap.wrap(line, most)] for pane in panes
+        [part for line in pane.caption for part in textwrap.wrap(line, character_limit)]
+        for pane in panes
     ]
     height = _LINE * (1 + max(map(len, texts))) + 10
     strips = []

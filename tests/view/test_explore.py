@@ -150,7 +150,7 @@ def test_a_grids_values_are_steps_and_a_samples_are_not(swept: Path, tmp_path: P
 
 def test_of_too_many_rows_the_best_and_the_recorded_stay(tmp_path: Path) -> None:
     path = many(tmp_path / "many", 3000)
-    runs = runs_of(path, kept=[1234], most=600)
+    runs = runs_of(path, required_rows=[1234], limit=600)
     speed = pq.read_table(path / "results").column("speed").to_numpy()
     assert 500 <= len(runs.rows) <= 601
     assert set(np.argsort(speed)[-300:]) <= set(runs.rows)
