@@ -249,10 +249,11 @@ def findings_of(log: Log) -> tuple[str, ...]:
     for servo in angle_only:
         for similar_name in difflib.get_close_matches(servo, unled, 1, 0.8):
             findings.append(
-                f"{commands[servo].name} is of {servo!r}, and {angles[similar_name].name} of {similar_name!r}: are both of one servo?"
+                f"{commands[servo].name} is of {servo!r}, and {angles[similar_name].name} of"
+                f" {similar_name!r}: are both of one servo?"
             )
-    if slow := [servo_lag.name for servo_lag in log.channels if servo_lag.interval > _SLOWEST]:
-        every = max(servo_lag.interval for servo_lag in log.channels)
+    if slow := [channel.name for channel in log.channels if channel.interval > _SLOWEST]:
+        every = max(channel.interval for channel in log.channels)
         findings.append(
             f"{several(slow)}: a sample comes every {every:.3g} s: has the time another unit?"
         )
