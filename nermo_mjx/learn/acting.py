@@ -86,12 +86,12 @@ class ServoAction(Spec, ActionKind):
 
     def moved(self, servo: ServoAngles, action: Action) -> ServoAngles:
         """Servo angles, moved by the action."""
-        hip, knee, at = servo.hip, servo.knee, 0
+        hip, knee, index = servo.hip, servo.knee, 0
         if self.hip:
-            hip, at = hip + self.hip * action[:4], 4
+            hip, index = hip + self.hip * action[:4], 4
         if self.knee:
-            knee, at = knee + self.knee * action[at : at + 4], at + 4
-        spine = servo.spine + self.spine * action[at] if self.spine else servo.spine
+            knee, index = knee + self.knee * action[index : index + 4], index + 4
+        spine = servo.spine + self.spine * action[index] if self.spine else servo.spine
         return dataclasses.replace(servo, hip=hip, knee=knee, spine=spine)
 
 
@@ -161,14 +161,14 @@ class Modulation(Spec, ActionKind):
         return tuple(self.ranges)
 
     def check(self, controller: ControllerLike) -> None:
-        known = dict(quantities(controller.parameters))
+        allowed = dict(quantities(controller.parameters))
         if not self.ranges:
             raise ParameterError(
                 "modulation has no ranges: name at least one parameter of the controller."
             )
         for name, (low, high) in self.ranges.items():
-            if name not in known:
-                hint = did_you_mean(name, known)
+            if name not in allowed:
+                hint = did_you_mean(name, allowed)
                 raise ParameterError(
                     f"modulation has {name!r}, which is no parameter of the controller{hint}"
                 )
@@ -180,12 +180,12 @@ class Modulation(Spec, ActionKind):
             check_quantities(replace_quantities(controller.parameters, {name: high}))
 
     def parameters(self, params: Any, action: Action) -> Any:
-        held, moved = dict(values_of(params)), {}
+        values, changed = dict(values_of(params)), {}
         for share, (name, (low, high)) in zip(action, self.ranges.items(), strict=True):
-            value = jnp.asarray(held[name])
+            value = jnp.asarray(values[name])
             span = jnp.where(share > 0.0, high - value, value - low)
-            moved[name] = jnp.clip(value + share * span, low, high)
-        return replace_quantities(params, moved)
+            changed[name] = jnp.clip(value + share * span, low, high)
+        return replace_quantities(params, changed)
 
 
 #: What an action does, by the name in files.

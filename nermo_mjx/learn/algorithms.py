@@ -36,8 +36,10 @@ _Hidden = Annotated[tuple[Annotated[int, Whole(1, 4096)], ...], Field(strict=Fal
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
 
-def _value_loss(critic: Any, seen: Float[Array, "n k"], target: Float[Array, " n"]) -> Array:
-    return 0.5 * ((apply(critic, seen)[:, 0] - target) ** 2).mean()
+def _value_loss(
+    critic: Any, observations: Float[Array, "n k"], target: Float[Array, " n"]
+) -> Array:
+    return 0.5 * ((apply(critic, observations)[:, 0] - target) ** 2).mean()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,34 +100,40 @@ class PPO(Spec):
         return iterate
 
     def _updated(
-        self, observed: int, learned: Learned, found: Experience
+        self, observed: int, learned: Learned, experience: Experience
     ) -> tuple[Learned, dict[str, Array]]:
-        statistics = learned.statistics.begun(found.seen)
-        seen, then = (statistics.normalized(each) for each in (found.seen, found.then))
-        value, next_value = (apply(learned.critic, each)[..., 0] for each in (seen, then))
+        statistics = learned.statistics.begun(experience.seen)
+        observations, next_observations = (
+            statistics.normalized(values) for values in (experience.seen, experience.then)
+        )
+        value, next_value = (
+            apply(learned.critic, each)[..., 0] for each in (observations, next_observations)
+        )
         gain = advantages(
-            found.reward,
+            experience.reward,
             value,
             next_value,
-            found.terminated,
-            found.truncated,
+            experience.terminated,
+            experience.truncated,
             self.discount,
             self.trace,
         )
-        old = learned.actor.log_density(seen[..., :observed], found.action)
+        old = learned.actor.log_density(observations[..., :observed], experience.action)
         rows = jax.tree.map(
             lambda each: each.reshape(-1, *each.shape[2:]),
-            (seen, found.action, old, gain, value + gain),
+            (observations, experience.action, old, gain, value + gain),
         )
         count = len(rows[0])
 
         def step(carry: tuple[Any, ...], part: Array) -> tuple[tuple[Any, ...], dict[str, Array]]:
             actor, critic, (of_actor, of_critic) = carry
-            seen, action, old, gain, target = jax.tree.map(lambda each: each[part], rows)
+            observations, action, old_log_density, advantage, target = jax.tree.map(
+                lambda values: values[part], rows
+            )
 
             def policy_loss(actor: Any) -> tuple[Array, Array]:
-                change = actor.log_density(seen[:, :observed], action) - old
-                scaled = (gain - gain.mean()) / (gain.std() + 1e-8)
+                change = actor.log_density(observations[:, :observed], action) - old_log_density
+                scaled = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
                 ratio = jnp.exp(change)
                 clipped = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)
                 loss = (
@@ -135,18 +143,18 @@ class PPO(Spec):
                 return loss, (ratio - 1.0 - change).mean()
 
             slope, kl = jax.grad(policy_loss, has_aux=True)(actor)
-            miss, of_value = jax.value_and_grad(_value_loss)(critic, seen, target)
+            miss, of_value = jax.value_and_grad(_value_loss)(critic, observations, target)
             actor, of_actor = stepped(actor, slope, of_actor, learned.rate)
             critic, of_critic = stepped(critic, of_value, of_critic, self.rate)
             return (actor, critic, (of_actor, of_critic)), {"kl": kl, "value_loss": miss}
 
-        before = (learned.actor, learned.critic, learned.optimizers)
+        previous = (learned.actor, learned.critic, learned.optimizers)
         # Which steps (epochs * minibatches, n) each minibatch contains.
         keys = jax.random.split(learned.random(SHUFFLING), self.epochs)
         shuffled = jax.vmap(lambda key: jax.random.permutation(key, count))(keys)
         size = count // self.minibatches
         parts = shuffled[:, : size * self.minibatches].reshape(-1, size)
-        (actor, critic, optimizers), numbers = jax.lax.scan(step, before, parts)
+        (actor, critic, optimizers), numbers = jax.lax.scan(step, previous, parts)
         # The change by all steps of an iteration. Within one it grows from zero: a rate that followed it there would
         # first be raised with every step, and then be too high.
         kl, rate = numbers["kl"][-self.minibatches :].mean(), learned.rate
@@ -156,14 +164,14 @@ class PPO(Spec):
             slower, faster = kl > 2.0 * self.kl, kl < 0.5 * self.kl
             rate = jnp.where(slower, rate / _FACTOR, jnp.where(faster, rate * _FACTOR, rate))
             rate = jnp.clip(rate, _SLOWEST, _FASTEST)
-        about = {
+        statistics_of_update = {
             "kl": kl,
             "value_loss": numbers["value_loss"].mean(),
             "explained": 1.0 - jnp.var(gain) / (jnp.var(value + gain) + 1e-12),
             "rate": rate,
             "std": jnp.exp(actor.log_std).mean(),
         }
-        after = learned.after(
-            found.seen, count, actor=actor, critic=critic, optimizers=optimizers, rate=rate
+        updated = learned.after(
+            experience.seen, count, actor=actor, critic=critic, optimizers=optimizers, rate=rate
         )
-        return after, about
+        return updated, statistics_of_update

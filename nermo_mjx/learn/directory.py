@@ -101,8 +101,8 @@ class Curves:
         """With one more iteration, by this code."""
         names = self.names or tuple(numbers)
         row = np.array([[float(numbers[name]) for name in names]])
-        before = tuple(each for each in self.codes if each[0] < len(self))
-        codes = before if before and before[-1][1] == code else (*before, (len(self), code))
+        earlier = tuple(entry for entry in self.codes if entry[0] < len(self))
+        codes = earlier if earlier and earlier[-1][1] == code else (*earlier, (len(self), code))
         return Curves(names, row if not len(self) else np.concatenate([self.rows, row]), codes)
 
     def column(self, name: str) -> np.ndarray:
@@ -126,9 +126,13 @@ class Curves:
         table.add("iteration", np.arange(iterations), "index", "1", "iterations done before")
         for name, values in zip(self.names, self.rows.T, strict=True):
             term = name.removeprefix("term.")
-            own = ("term", units.get(term, "1"), f"mean of the reward's term {term} a step")
-            whole = values.astype(int) if name in ("steps", "episodes") else values
-            table.add(name, whole, *_COLUMNS.get(name, own))
+            reward_column = (
+                "term",
+                units.get(term, "1"),
+                f"mean of the reward's term {term} a step",
+            )
+            cells = values.astype(int) if name in ("steps", "episodes") else values
+            table.add(name, cells, *_COLUMNS.get(name, reward_column))
         lasted = np.diff([*(first for first, _ in self.codes), iterations])
         code = np.repeat(np.array([code for _, code in self.codes], object), lasted)
         table.add("code", code, "code", "1", "which code made the row, by its name in run.json")
@@ -190,26 +194,26 @@ class TrainingDirectory:
             DirectoryError: the checkpoints are those of another training, or cannot be read.
         """
 
-        def like(about: Mapping[str, Any]) -> dict[str, Any]:
-            here, there = json.loads(json.dumps(self.training.identity())), about["identity"]
-            if apart := changes(there["fields"], here["fields"]):
+        def like(metadata: Mapping[str, Any]) -> dict[str, Any]:
+            current, former = json.loads(json.dumps(self.training.identity())), metadata["identity"]
+            if differences := changes(former["fields"], current["fields"]):
                 raise WrongDirectory(
-                    f"{self.out} holds another training, with another {', '.join(apart)} (see "
+                    f"{self.out} holds another training, with another {', '.join(differences)} (see "
                     f"{self.out / SPEC}); choose another directory."
                 )
-            if (apart := changes(there["defaults"], here["defaults"])) and not accept:
+            if (differences := changes(former["defaults"], current["defaults"])) and not accept:
                 raise OtherCode(
-                    f"{self.out} was made with other defaults: {', '.join(apart)}; choose another directory, or resume "
+                    f"{self.out} was made with other defaults: {', '.join(differences)}; choose another directory, or resume "
                     "with --accept-new-code, and distinguish the rows by their column code."
                 )
-            return {"learned": beginning, "history": np.empty(about["rows"])}
+            return {"learned": beginning, "history": np.empty(metadata["rows"])}
 
-        found = self._checkpoints.restore(like, self._warn)
-        if found is None:
+        checkpoint = self._checkpoints.restore(like, self._warn)
+        if checkpoint is None:
             return beginning, Curves()
-        parts, about = found
-        codes = tuple((int(first), str(code)) for first, code in about["codes"])
-        return parts["learned"], Curves(tuple(about["names"]), parts["history"], codes)
+        parts, metadata = checkpoint
+        codes = tuple((int(first), str(code)) for first, code in metadata["codes"])
+        return parts["learned"], Curves(tuple(metadata["names"]), parts["history"], codes)
 
     def take_code(self, curves: Curves, *, accept: bool) -> str:
         """Note which code is about to learn; its short name.
@@ -228,7 +232,7 @@ class TrainingDirectory:
 
     def keep(self, learned: Learned, curves: Curves) -> None:
         """Store what was learned, and its history."""
-        about = {
+        metadata = {
             "names": list(curves.names),
             "rows": list(curves.rows.shape),
             "codes": curves.codes,
@@ -236,7 +240,7 @@ class TrainingDirectory:
         }
         with clear_errors(self.out):
             self._checkpoints.save(
-                int(learned.iteration), {"learned": learned, "history": curves.rows}, about
+                int(learned.iteration), {"learned": learned, "history": curves.rows}, metadata
             )
 
     def publish(self, curves: Curves, units: Mapping[str, str], policy: bytes | None) -> None:
@@ -248,23 +252,23 @@ class TrainingDirectory:
 
 def training_status(out: Path) -> Status:
     """How many iterations the history of a training's directory has."""
-    notes, rows, done, until = list[str](), None, 0, None
+    notes, rows, step_count, until = list[str](), None, 0, None
     try:
         training = Training.from_file(out / SPEC)
         rows, until = training.iterations, training.until
     except (SpecError, OSError) as error:
         notes.append(f"Its training cannot be read: {error}")
-    if about := metadata_of(out / HISTORY, notes, "it is made again of the checkpoints."):
-        done = about.num_rows
+    if metadata := metadata_of(out / HISTORY, notes, "it is made again of the checkpoints."):
+        step_count = metadata.num_rows
         if until is not None:  # one that was good enough before has no more of them
             with contextlib.suppress(FileError):
                 summary = json_of(content_of(out / SUMMARY) or b"{}", dict[str, Any], out / SUMMARY)
-                rows = done if summary.get("complete") is True else rows
-    complete = rows is not None and done >= rows and (out / SUMMARY).exists()
+                rows = step_count if summary.get("complete") is True else rows
+    complete = rows is not None and step_count >= rows and (out / SUMMARY).exists()
     return status_of(
         "iterations",
         out,
-        done,
+        step_count,
         rows,
         complete,
         command="train",

@@ -59,14 +59,14 @@ class State(NamedTuple):
     engine: Any
 
 
-def _state(seen: Observed, observation: Any, privileged: Any, engine: Any) -> State:
+def _state(observed: Observed, observation: Any, privileged: Any, engine: Any) -> State:
     """What a control step gave; observation and privileged input are those of new episodes where some ended."""
     final = {
-        "final_observation": seen.observation,
-        "final_privileged": seen.privileged,
+        "final_observation": observed.observation,
+        "final_privileged": observed.privileged,
         "engine": engine,
     }
-    now = {**seen._asdict(), "observation": observation, "privileged": privileged}
+    now = {**observed._asdict(), "observation": observation, "privileged": privileged}
     return State(**now, **final)
 
 
@@ -84,10 +84,10 @@ class CWorlds:
         self.newest: object = None
 
         def draw(key: Array, world: Array, episode: Array, steps: Array) -> Any:
-            own = jax.random.fold_in(
+            world_key = jax.random.fold_in(
                 jax.random.fold_in(jax.random.wrap_key_data(key), world), episode
             )
-            return episodes(own, staggered & (episode == 0), steps)
+            return episodes(world_key, staggered & (episode == 0), steps)
 
         self.draw = Lanes(draw)
 
@@ -96,8 +96,8 @@ class CWorlds:
         self.key, self.count, self.drawn = np.asarray(key), np.zeros(n, int), {}
         params, fields, qpos = self._episode(0, np.arange(n))
         self.session = CDriven(self.engine, params, qpos, fields)
-        seen, self.newest = self.session.observe(), object()
-        return _state(seen, seen.observation, seen.privileged, self.newest)
+        observed, self.newest = self.session.observe(), object()
+        return _state(observed, observed.observation, observed.privileged, self.newest)
 
     def step(self, state: State, action: Any) -> State:
         if self.session is None or state.engine is not self.newest:
@@ -107,24 +107,27 @@ class CWorlds:
         action = np.asarray(action, np.float32)
         if not np.isfinite(action).all():
             raise ParameterError("action has numbers that are not finite.")
-        seen = self.session.drive(action, self.loop.task.decimation)
-        ended = np.flatnonzero(seen.terminated | seen.truncated)
-        observation, privileged = seen.observation, seen.privileged
-        if len(ended):
+        observed = self.session.drive(action, self.loop.task.decimation)
+        ended_worlds = np.flatnonzero(observed.terminated | observed.truncated)
+        observation, privileged = observed.observation, observed.privileged
+        if len(ended_worlds):
             observation, privileged = observation.copy(), privileged.copy()
-            self.count[ended] += 1
+            self.count[ended_worlds] += 1
             parts = []
-            for k in np.unique(self.count[ended]):
-                worlds = ended[self.count[ended] == k]
+            for k in np.unique(self.count[ended_worlds]):
+                worlds = ended_worlds[self.count[ended_worlds] == k]
                 parts.append((worlds, self._episode(k, worlds)))
             order = np.argsort(np.concatenate([worlds for worlds, _ in parts]))
             params, fields, qpos = jax.tree.map(
                 lambda *leaves: np.concatenate(leaves)[order], *(episode for _, episode in parts)
             )
-            first = self.session.restart(ended, params, qpos, fields)
-            observation[ended], privileged[ended] = first.observation, first.privileged
+            first = self.session.restart(ended_worlds, params, qpos, fields)
+            observation[ended_worlds], privileged[ended_worlds] = (
+                first.observation,
+                first.privileged,
+            )
         self.newest = object()
-        return _state(seen, observation, privileged, self.newest)
+        return _state(observed, observation, privileged, self.newest)
 
     def _episode(self, k: int, worlds: np.ndarray) -> tuple[Any, dict[str, np.ndarray], np.ndarray]:
         """Parameters, model fields and first positions of the k-th episode of some worlds.
@@ -140,12 +143,14 @@ class CWorlds:
             params, model, qpos = self.draw(keys, places, np.full(n, k), np.full(n, self.steps))
             fields = self.variation.batch(model, n, self.episodes.reached)
             self.drawn[k] = params, fields, np.asarray(qpos, float)
-            for old in [each for each in self.drawn if each <= self.count.min() and each != k]:
+            for old in [
+                episode for episode in self.drawn if episode <= self.count.min() and episode != k
+            ]:
                 del self.drawn[old]
-        chosen: tuple[Any, dict[str, np.ndarray], np.ndarray] = jax.tree.map(
+        sampled: tuple[Any, dict[str, np.ndarray], np.ndarray] = jax.tree.map(
             lambda leaf: leaf[worlds], self.drawn[k]
         )
-        return chosen
+        return sampled
 
 
 class World(NamedTuple):
@@ -183,26 +188,26 @@ class MjxWorlds:
             else jax.random.key_data(jax.random.split(jax.random.wrap_key_data(key), self.worlds))
         )
         world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered, steps=steps))(keys)
-        seen = jax.vmap(self.seen)(world)
-        return _state(seen, seen.observation, seen.privileged, world)
+        observed = jax.vmap(self.seen)(world)
+        return _state(observed, observed.observation, observed.privileged, world)
 
     @full_precision
     def step(self, state: State, action: Any) -> State:
         world = jax.vmap(self.act)(state.engine, jnp.asarray(action))
-        seen = jax.vmap(self.seen)(world)
-        ended = seen.terminated | seen.truncated
+        observed = jax.vmap(self.seen)(world)
+        is_ended = observed.terminated | observed.truncated
 
         def following(key: Array) -> Array:
             return jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(key), 1))
 
         def anew() -> World:
             fresh = jax.vmap(self.begin)(jax.vmap(following)(world.key), world.steps)
-            chosen: World = jax.vmap(picked)(ended, fresh, world)
-            return chosen
+            next_world: World = jax.vmap(picked)(is_ended, fresh, world)
+            return next_world
 
-        world = jax.lax.cond(ended.any(), anew, lambda: world)
+        world = jax.lax.cond(is_ended.any(), anew, lambda: world)
         first = jax.vmap(self.seen)(world)
-        return _state(seen, first.observation, first.privileged, world)
+        return _state(observed, first.observation, first.privileged, world)
 
     @full_precision
     def begin(self, key: Array, steps: Any = 0.0, cut_short: bool = False) -> World:
@@ -230,14 +235,14 @@ class MjxWorlds:
 
     def seen(self, world: World) -> Observed:
         """What a world's last control step gave."""
-        seen = self.loop.observe(world.params, world.carry.loop, world.carry.sensordata)
-        unsolved = world.carry.unsolved.astype(seen.episode["unsolved"].dtype)
-        return seen._replace(episode={**seen.episode, "unsolved": unsolved})
+        observed = self.loop.observe(world.params, world.carry.loop, world.carry.sensordata)
+        unsolved = world.carry.unsolved.astype(observed.episode["unsolved"].dtype)
+        return observed._replace(episode={**observed.episode, "unsolved": unsolved})
 
 
-def picked(choice: Truth, one: Any, other: Any) -> Any:
+def picked(choice: Truth, if_true: Any, if_false: Any) -> Any:
     """One of two trees of a world."""
-    return jax.tree.map(functools.partial(jnp.where, choice), one, other)
+    return jax.tree.map(functools.partial(jnp.where, choice), if_true, if_false)
 
 
 class Environment:
@@ -343,7 +348,7 @@ class Environment:
                 raise ParameterError(
                     f"seed has {len(key)} entries: expected one number, or {self.worlds}, a world each."
                 )
-            key = jnp.stack([_raw_key(each) for each in key])
+            key = jnp.stack([_raw_key(world_key) for world_key in key])
         state: State = self._worlds.reset(_raw_key(self.seed if key is None else key), steps)
         return state
 
@@ -441,19 +446,27 @@ class Mixture:
         check_alike({str(part.setup.scene): part.loop for part in self.parts})
         self.worlds = worlds
         self._bounds = np.cumsum(counts)[:-1]
-        told = dict.fromkeys(name for part in self.parts for name in part.privileged_names)
-        self.privileged_names = (*told, *(f"part.{i}" for i in range(len(self.parts))))
+        privileged_columns = dict.fromkeys(
+            name for part in self.parts for name in part.privileged_names
+        )
+        self.privileged_names = (
+            *privileged_columns,
+            *(f"part.{i}" for i in range(len(self.parts))),
+        )
         self._columns = [
             np.array([self.privileged_names.index(name) for name in part.privileged_names])
             for part in self.parts
         ]
-        one = self.parts[0]
+        first_part = self.parts[0]
         self.pure, self.observation_size, self.action_size = (
-            one.pure,
-            one.observation_size,
-            one.action_size,
+            first_part.pure,
+            first_part.observation_size,
+            first_part.action_size,
         )
-        self.step_seconds, self.privileged_size = one.step_seconds, len(self.privileged_names)
+        self.step_seconds, self.privileged_size = (
+            first_part.step_seconds,
+            len(self.privileged_names),
+        )
         self._waiting = ThreadPoolExecutor(len(parts), thread_name_prefix="nermo_mjx_part")
 
     def reset(self, key: Any, steps: Any = 0.0) -> State:
@@ -461,13 +474,16 @@ class Mixture:
         key = jax.random.key(key) if isinstance(key, int) else key
         keys = [jax.random.fold_in(key, i) for i in range(len(self.parts))]
         return self.joined(
-            [part.reset(each, steps) for part, each in zip(self.parts, keys, strict=True)]
+            [part.reset(part_key, steps) for part, part_key in zip(self.parts, keys, strict=True)]
         )
 
     def step(self, state: State, action: Any) -> State:
         """One control step of all worlds; see `Environment.step`."""
-        given = zip(self.parts, state.engine, self.split(action), strict=True)
-        calls = [functools.partial(part.step, each, own) for part, each, own in given]
+        part_inputs = zip(self.parts, state.engine, self.split(action), strict=True)
+        calls = [
+            functools.partial(part.step, engine_state, part_action)
+            for part, engine_state, part_action in part_inputs
+        ]
         return self.joined([call() for call in calls] if self.pure else self.at_once(calls))
 
     def split(self, values: Any, axis: int = 0) -> list[Any]:
@@ -489,23 +505,27 @@ class Mixture:
             if name != "engine"
         }
         for name in ("privileged", "final_privileged"):
-            fields[name] = [self.told(i, each) for i, each in enumerate(fields[name])]
-        joined = {
+            fields[name] = [self.told(i, values) for i, values in enumerate(fields[name])]
+        joined_fields = {
             name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each)
             for name, each in fields.items()
         }
-        return State(**joined, engine=tuple(states))
+        return State(**joined_fields, engine=tuple(states))
 
-    def told(self, i: int, own: Any) -> Any:
+    def told(self, i: int, observation: Any) -> Any:
         """The critic's input (..., p) from that of part i, in the columns of all parts."""
-        which = len(self.privileged_names) - len(self.parts) + i
-        shape = *own.shape[:-1], self.privileged_size
+        column = len(self.privileged_names) - len(self.parts) + i
+        shape = *observation.shape[:-1], self.privileged_size
         if not self.pure:
-            told = np.zeros(shape, np.float32)
-            told[..., self._columns[i]], told[..., which] = own, 1.0
-            return told
+            extended = np.zeros(shape, np.float32)
+            extended[..., self._columns[i]], extended[..., column] = observation, 1.0
+            return extended
         return (
-            jnp.zeros(shape, jnp.float32).at[..., self._columns[i]].set(own).at[..., which].set(1.0)
+            jnp.zeros(shape, jnp.float32)
+            .at[..., self._columns[i]]
+            .set(observation)
+            .at[..., column]
+            .set(1.0)
         )
 
 
@@ -518,13 +538,13 @@ def divided(worlds: int, shares: Sequence[float]) -> list[int]:
     exact = worlds * np.asarray(shares, float) / np.sum(shares)
     counts = np.maximum(np.floor(exact + 1e-9).astype(int), 1)
     while counts.sum() != worlds:
-        missing = exact - counts
-        at = (
-            int(np.argmax(missing))
+        remainders = exact - counts
+        largest = (
+            int(np.argmax(remainders))
             if counts.sum() < worlds
-            else int(np.argmin(np.where(counts > 1, missing, np.inf)))
+            else int(np.argmin(np.where(counts > 1, remainders, np.inf)))
         )
-        counts[at] += 1 if counts.sum() < worlds else -1
+        counts[largest] += 1 if counts.sum() < worlds else -1
     return counts.tolist()
 
 
@@ -537,16 +557,16 @@ def check_worlds(worlds: int, parts: int) -> None:
 def check_alike(loops: Mapping[str, EpisodeLoop]) -> None:
     """Raise `ParameterError` where one policy cannot learn in all of these loops, by the names of their scenes."""
     (name, first), *others = loops.items()
-    for other, loop in others:
+    for other_name, loop in others:
         names = set(loop.observation_names) ^ set(first.observation_names)
-        same = (loop.observer, loop.controller.kind, loop.dt * loop.task.decimation) == (
+        is_alike = (loop.observer, loop.controller.kind, loop.dt * loop.task.decimation) == (
             first.observer,
             first.controller.kind,
             first.dt * first.task.decimation,
         )
-        if not same:
+        if not is_alike:
             differs = f" ({', '.join(sorted(names))})" if names else ""
             raise ParameterError(
-                f"scenes has {other!r}, where a policy observes or does something else than on {name!r}{differs}: one "
+                f"scenes has {other_name!r}, where a policy observes or does something else than on {name!r}{differs}: one "
                 "policy needs the same on all."
             )

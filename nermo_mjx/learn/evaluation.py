@@ -95,9 +95,11 @@ class PolicyEvaluator:
         """
         training = self.training
         draws = draws or Draws(training.evaluation.bodies, UNSEEN)
-        cases = [(setup, task, who) for setup, task in training.evaluated() for who in walkers]
+        cases = [
+            (setup, task, walker) for setup, task in training.evaluated() for walker in walkers
+        ]
         parts: list[_Part] = []
-        for i, (setup, task, who) in enumerate(cases):
+        for i, (setup, task, walker) in enumerate(cases):
             ends = own_terminations(setup.load().config, task.terminations)
             ending = tuple(
                 OwnMetric(
@@ -110,25 +112,27 @@ class PolicyEvaluator:
                 )
                 for name in ends
             )
-            there = _setup(setup, policy if who == POLICY else None)
-            there = dataclasses.replace(there, metrics=(*there.metrics, *ending))
-            key = str(setup.scene), who
+            walk_setup = _setup(setup, policy if walker == POLICY else None)
+            walk_setup = dataclasses.replace(walk_setup, metrics=(*walk_setup.metrics, *ending))
+            key = str(setup.scene), walker
             if key not in self._simulators:
-                self._simulators[key] = Simulator(there, engine=self.engine)
+                self._simulators[key] = Simulator(walk_setup, engine=self.engine)
             simulator = self._simulators[key]
-            drawn = unseen_bodies(training, task, draws)
+            bodies = unseen_bodies(training, task, draws)
             # As many walks where nothing that the simulator knows is drawn.
-            values = {"start.x": 0.0} | _known(simulator.setup, {**task.set, **drawn})
+            values = {"start.x": 0.0} | _known(simulator.setup, {**task.set, **bodies})
             values = {name: np.broadcast_to(value, draws.number) for name, value in values.items()}
             share = (
-                None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
+                None if progress is None else lambda share, i=i: progress((i + share) / len(cases))
             )
-            own = there.make_controller().parameters if who == POLICY else None
-            batch = simulator.prepare(values, training.run, own)
+            policy_parameters = (
+                walk_setup.make_controller().parameters if walker == POLICY else None
+            )
+            batch = simulator.prepare(values, training.run, policy_parameters)
             seeds = np.random.default_rng([training.seed, draws.key]).integers(
                 1 << 24, size=draws.number
             )
-            push = pushes_of({**task.set, **drawn}, seeds.astype(np.int32))
+            push = pushes_of({**task.set, **bodies}, seeds.astype(np.int32))
             push = default_precision(
                 jax.tree.map(lambda leaf: np.broadcast_to(leaf, draws.number), push)
             )
@@ -141,9 +145,9 @@ class PolicyEvaluator:
             )
             if task.corridor is not None:
                 well &= metrics["cross_track_peak"] <= task.corridor
-            for each in ending:
-                well &= metrics[each.name] == 0.0
-            parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result, well))
+            for world_index in ending:
+                well &= metrics[world_index.name] == 0.0
+            parts.append(_Part(scene_name(str(setup.scene)), walker, bodies, result, well))
         return _table(training, draws.number, parts)
 
 
@@ -155,23 +159,23 @@ def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.
     ranges, walks = task.randomize, range(draws.number)
     streams = (np.random.default_rng([training.seed, draws.key, walk]) for walk in walks)
     *shares, body = np.array([stream.random(len(ranges) + 1) for stream in streams]).T
-    drawn = {
+    sampled = {
         name: low + share * (high - low)
         for (name, (low, high)), share in zip(ranges.items(), shares, strict=True)
     }
     key = jax.random.fold_in(jax.random.key(training.seed), draws.key)
-    given = (
+    command_samples = (
         [task.sample(jax.random.fold_in(key, walk), jnp.inf) for walk in walks]
         if task.commands
         else []
     )
     for name in task.sampled:
         if name not in {*task.set, *ranges}:  # where the evaluation says otherwise
-            drawn[name] = np.array([float(each[name]) for each in given])
+            sampled[name] = np.array([float(sample[name]) for sample in command_samples])
     if task.bodies:
         ensemble = identified.bodies(task.bodies)
-        drawn |= ensemble.take(ensemble.at(body))
-    return drawn
+        sampled |= ensemble.take(ensemble.at(body))
+    return sampled
 
 
 def recorded(
@@ -179,8 +183,8 @@ def recorded(
 ) -> Iterator[tuple[str, Recording]]:
     """Each scene of a training's evaluation, and the policy's walk on its first unseen body from its first start."""
     for setup, task in training.evaluated():
-        there = _setup(setup, policy)
-        simulator = Simulator(there, engine=engine)
+        walk_setup = _setup(setup, policy)
+        simulator = Simulator(walk_setup, engine=engine)
         values = _known(
             simulator.setup, {**task.set, **unseen_bodies(training, task, Draws(1, UNSEEN))}
         )
@@ -228,18 +232,20 @@ def played_task(
         acting = RandomPolicy(**vars(acting)) if policy == RANDOM else acting
     else:
         acting = load_policy(policy, code_place(training.task.observe))
-    commands, late, noisy = (
+    commands, is_delayed, noisy = (
         acting.observer.commands,
         bool(acting.observer.delayed),
         acting.observer.noisy,
     )
-    told = {f"command.{name}" for name in commands} | ({"sensing.delay"} if late else set())
+    declared = {f"command.{name}" for name in commands} | (
+        {"sensing.delay"} if is_delayed else set()
+    )
     for name in values:
         if name in PUSHES:
             raise ParameterError(
                 f"{name} is given, and a walk that is played is not pushed: push it in drive."
             )
-        if name in GIVEN and name not in told and not (noisy and name.endswith("_noise")):
+        if name in GIVEN and name not in declared and not (noisy and name.endswith("_noise")):
             raise ParameterError(
                 f"{name} is given, and the policy was not trained with it: leave it out."
             )
@@ -263,22 +269,22 @@ def summary_of(table: pa.Table) -> dict[str, Any]:
         "electrical_cost_of_transport",
     )
     columns = {name: np.asarray(table.column(name).to_pylist()) for name in names}
-    found: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     for scene in dict.fromkeys(columns["scene"].tolist()):
-        for who in dict.fromkeys(columns["controller"].tolist()):
-            rows = (columns["scene"] == scene) & (columns["controller"] == who)
-            about = {"success": float(columns["success"][rows].mean())}
-            about |= {
+        for walker in dict.fromkeys(columns["controller"].tolist()):
+            rows = (columns["scene"] == scene) & (columns["controller"] == walker)
+            statistics = {"success": float(columns["success"][rows].mean())}
+            statistics |= {
                 name: float(np.nanmedian(columns[name][rows].astype(float))) for name in names[3:]
             }
-            found.setdefault(scene, {})[who] = about
-    return found
+            summary.setdefault(scene, {})[walker] = statistics
+    return summary
 
 
 def _setup(setup: Setup, policy: Policy | None) -> Setup:
     if policy is None:
         return setup
-    own = (
+    options = (
         "robot",
         "scene",
         "tail",
@@ -290,22 +296,24 @@ def _setup(setup: Setup, policy: Policy | None) -> Setup:
         "hinges",
         "metrics",
     )
-    there = policy.upon(pilot=setup.pilot, waypoints=setup.waypoints)
-    return Setup(**{name: getattr(setup, name) for name in own}, controller=there)
+    policy_setup = policy.upon(pilot=setup.pilot, waypoints=setup.waypoints)
+    return Setup(**{name: getattr(setup, name) for name in options}, controller=policy_setup)
 
 
 def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
     """The values that a setup has a name for: a controller alone is not commanded, and has no late sensors."""
-    known = dict(quantities(setup.world({})))
-    return {name: value for name, value in values.items() if name in known or name not in ADDED}
+    declarations = dict(quantities(setup.world({})))
+    return {
+        name: value for name, value in values.items() if name in declarations or name not in ADDED
+    }
 
 
 def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
     table, metrics = Columns(), training.metrics
-    known = {
-        name: about
+    units = {
+        name: declaration
         for setup, _ in training.evaluated()
-        for name, about in task_parameters(setup).items()
+        for name, declaration in task_parameters(setup).items()
     }
 
     scenes, walkers = (
@@ -316,7 +324,7 @@ def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
     table.add("body", np.tile(np.arange(n), len(parts)), "index", "1", "which body and start")
     for name in dict.fromkeys(name for part in parts for name in part.drawn):
         values = np.concatenate([part.drawn.get(name, np.full(n, np.nan)) for part in parts])
-        table.add(name, values, "randomized", known[name].unit, known[name].doc)
+        table.add(name, values, "randomized", units[name].unit, units[name].doc)
     for name in METRICS:
         column = np.concatenate([np.asarray(part.result.metrics[name]) for part in parts])
         table.add(name, column, "metric", metrics[name].unit, metrics[name].doc)

@@ -51,13 +51,15 @@ class Statistics:
 
     def extended(self, values: Float[Array, "*batch k"]) -> Statistics:
         """With more values."""
-        more = values.reshape(-1, values.shape[-1])
-        count, mean, variance = jnp.float32(len(more)), more.mean(axis=0), more.var(axis=0)
-        total, apart = self.count + count, mean - self.mean
+        rows = values.reshape(-1, values.shape[-1])
+        count, mean, variance = jnp.float32(len(rows)), rows.mean(axis=0), rows.var(axis=0)
+        total, difference = self.count + count, mean - self.mean
         spread = (
-            self.variance * self.count + variance * count + apart**2 * self.count * count / total
+            self.variance * self.count
+            + variance * count
+            + difference**2 * self.count * count / total
         )
-        return Statistics(total, self.mean + apart * count / total, spread / total)
+        return Statistics(total, self.mean + difference * count / total, spread / total)
 
     def normalized(self, values: Float[Array, "*batch k"]) -> Float[Array, "*batch k"]:
         """Values in standard deviations from the mean, at most ten."""
@@ -86,21 +88,21 @@ class Actor:
     layers: Layers
     log_std: Float[Array, " a"]
 
-    def mean(self, seen: Float[Array, "*batch o"]) -> Float[Array, "*batch a"]:
+    def mean(self, observation: Float[Array, "*batch o"]) -> Float[Array, "*batch a"]:
         """The mean action, within (-1, 1), at normalized observations."""
-        return jnp.tanh(apply(self.layers, seen))
+        return jnp.tanh(apply(self.layers, observation))
 
     def sample(
-        self, seen: Float[Array, "*batch o"], noise: Float[Array, "*batch a"]
+        self, observation: Float[Array, "*batch o"], noise: Float[Array, "*batch a"]
     ) -> Float[Array, "*batch a"]:
         """The action at standard normal noise; differentiable in policy and observation."""
-        return self.mean(seen) + jnp.exp(self.log_std) * noise
+        return self.mean(observation) + jnp.exp(self.log_std) * noise
 
     def log_density(
-        self, seen: Float[Array, "*batch o"], action: Float[Array, "*batch a"]
+        self, observation: Float[Array, "*batch o"], action: Float[Array, "*batch a"]
     ) -> Float[Array, "*batch"]:
         """The logarithm of an action's probability density."""
-        z = (action - self.mean(seen)) * jnp.exp(-self.log_std)
+        z = (action - self.mean(observation)) * jnp.exp(-self.log_std)
         return (
             -0.5 * (z**2).sum(axis=-1)
             - self.log_std.sum()
@@ -128,8 +130,8 @@ def new_layers(key: PRNGKeyArray, sizes: Sequence[int]) -> Layers:
     orthogonal = jax.nn.initializers.orthogonal(jnp.sqrt(2.0))
     keys = jax.random.split(key, len(sizes) - 1)
     return tuple(
-        (orthogonal(each, (a, b), jnp.float32), jnp.zeros(b, jnp.float32))
-        for each, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)
+        (orthogonal(layer_key, (a, b), jnp.float32), jnp.zeros(b, jnp.float32))
+        for layer_key, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)
     )
 
 
@@ -239,25 +241,33 @@ class EpisodeScores:
     def tally(self, experience: Experience) -> dict[str, float]:
         """Numbers of the episodes that ended in these steps: how many, their return, length, and share that lasted."""
         reward, failed, cut = (
-            np.asarray(each)
-            for each in (experience.reward, experience.terminated, experience.truncated)
+            np.asarray(column)
+            for column in (experience.reward, experience.terminated, experience.truncated)
         )
         returns, lengths, lasted = list[float](), list[int](), 0
         for t in range(len(reward)):
             self.returns += reward[t]
             self.lengths += 1
-            ended = failed[t] | cut[t]
-            if ended.any():
-                whole = ended & ~self.first
-                returns += self.returns[whole].tolist()
-                lengths += self.lengths[whole].tolist()
-                lasted += int((whole & ~failed[t]).sum())
-                self.returns[ended], self.lengths[ended], self.first[ended] = 0.0, 0, False
-        many = len(returns)
-        means = [sum(each) / many if many else np.nan for each in (returns, lengths, [lasted])]
+            is_ended = failed[t] | cut[t]
+            if is_ended.any():
+                is_whole = is_ended & ~self.first
+                returns += self.returns[is_whole].tolist()
+                lengths += self.lengths[is_whole].tolist()
+                lasted += int((is_whole & ~failed[t]).sum())
+                self.returns[is_ended], self.lengths[is_ended], self.first[is_ended] = 0.0, 0, False
+        episode_count = len(returns)
+        means = [
+            sum(each) / episode_count if episode_count else np.nan
+            for each in (returns, lengths, [lasted])
+        ]
         terms = {f"term.{name}": float(np.mean(each)) for name, each in experience.terms.items()}
         numbers = dict(zip(("return", "length", "lasted"), map(float, means), strict=True))
-        return {"episodes": float(many), **numbers, "reward": float(reward.mean()), **terms}
+        return {
+            "episodes": float(episode_count),
+            **numbers,
+            "reward": float(reward.mean()),
+            **terms,
+        }
 
 
 def both(observation: Any, privileged: Any) -> Float[Array, "*batch k"]:
@@ -301,25 +311,27 @@ def _stepped(
 ) -> tuple[Any, Experience]:
     """Steps of an environment on the host, one by one."""
     rows = []
-    for each in noise:
-        seen = np.concatenate([state.observation, state.privileged], axis=-1, dtype=np.float32)
-        action = np.asarray(policy(state.observation, each))
+    for noise_of_step in noise:
+        observation = np.concatenate(
+            [state.observation, state.privileged], axis=-1, dtype=np.float32
+        )
+        action = np.asarray(policy(state.observation, noise_of_step))
         state = environment.step(state, action)
-        then = np.concatenate(
+        next_observation = np.concatenate(
             [state.final_observation, state.final_privileged], axis=-1, dtype=np.float32
         )
         rows.append(
             Experience(
-                seen,
+                observation,
                 action,
                 np.asarray(state.reward, np.float32),
                 dict(state.terms),
                 np.asarray(state.terminated),
                 np.asarray(state.truncated),
-                then,
+                next_observation,
             )
         )
-    return state, jax.tree.map(lambda *each: np.stack(each), *rows)
+    return state, jax.tree.map(lambda *noise_of_step: np.stack(noise_of_step), *rows)
 
 
 def _of_parts(
@@ -327,20 +339,26 @@ def _of_parts(
 ) -> tuple[Any, Experience]:
     """Steps of several environments on the host. None waits for another one, so that all processors are busy."""
     calls = [
-        functools.partial(_stepped, part, policy, *given)
-        for part, *given in zip(mixture.parts, state.engine, mixture.split(noise, 1), strict=True)
+        functools.partial(_stepped, part, policy, *part_inputs)
+        for part, *part_inputs in zip(
+            mixture.parts, state.engine, mixture.split(noise, 1), strict=True
+        )
     ]
-    states, found = zip(*mixture.at_once(calls), strict=True)
+    states, parts_of_experience = zip(*mixture.at_once(calls), strict=True)
 
     def told(i: int, values: Float[Values, "t n k"]) -> Float[Values, "t n k"]:
         observation, privileged = np.split(values, [mixture.observation_size], axis=-1)
         return np.concatenate([observation, mixture.told(i, privileged)], axis=-1)
 
     parts = [
-        each._replace(seen=told(i, each.seen), then=told(i, each.then))
-        for i, each in enumerate(found)
+        part_experience._replace(
+            seen=told(i, part_experience.seen), then=told(i, part_experience.then)
+        )
+        for i, part_experience in enumerate(parts_of_experience)
     ]
-    return mixture.joined(states), jax.tree.map(lambda *each: np.concatenate(each, axis=1), *parts)
+    return mixture.joined(states), jax.tree.map(
+        lambda *part_experience: np.concatenate(part_experience, axis=1), *parts
+    )
 
 
 def _act(actor: Actor, statistics: Statistics, observation: Any, noise: Array) -> Array:
@@ -402,9 +420,9 @@ class Learned:
     iteration: Int[Array, ""]
     steps: Int[Array, ""]
 
-    def after(self, seen: Float[Array, "*batch k"], steps: Any, **changed: Any) -> Learned:
+    def after(self, observations: Float[Array, "*batch k"], steps: Any, **changed: Any) -> Learned:
         """One iteration later: what was seen in so many steps, and what has changed."""
-        statistics = self.statistics.extended(seen)
+        statistics = self.statistics.extended(observations)
         iteration, steps = self.iteration + 1, self.steps + steps
         return dataclasses.replace(
             self, iteration=iteration, steps=steps, statistics=statistics, **changed

@@ -12,8 +12,8 @@ try:
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 except ModuleNotFoundError as error:
-    told = f"{error.name} is not installed: pip install gymnasium, or nermo-mjx with its extra gymnasium."
-    raise ModuleNotFoundError(told, name=error.name) from None
+    message = f"{error.name} is not installed: pip install gymnasium, or nermo-mjx with its extra gymnasium."
+    raise ModuleNotFoundError(message, name=error.name) from None
 
 from nermo_mjx.learn.environment import SENTENCES, Environment, State
 from nermo_mjx.robot.quantity import ParameterError
@@ -48,9 +48,9 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             )
         self.num_envs = self.environment.worlds
         bound = np.full(self.environment.observation_size, np.inf, np.float32)
-        one = np.ones(self.environment.action_size, np.float32)
+        ones = np.ones(self.environment.action_size, np.float32)
         self.single_observation_space = gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
-        self.single_action_space = gymnasium.spaces.Box(-one, one, dtype=np.float32)
+        self.single_action_space = gymnasium.spaces.Box(-ones, ones, dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._state: State | None = None
@@ -75,20 +75,25 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ParameterError(
                 f"options has {', '.join(options)}: none are known, and all worlds are reset."
             )
-        given: Any = seed.tolist() if isinstance(seed, np.ndarray) else seed
-        seeds = list(given) if isinstance(given, (list, tuple)) else [given]
-        for each in seeds:
-            if each is not None and (
-                not isinstance(each, (int, np.integer)) or not 0 <= each < 1 << 64
+        seeds_given: Any = seed.tolist() if isinstance(seed, np.ndarray) else seed
+        seeds = list(seeds_given) if isinstance(seeds_given, (list, tuple)) else [seeds_given]
+        for world_seed in seeds:
+            if world_seed is not None and (
+                not isinstance(world_seed, (int, np.integer)) or not 0 <= world_seed < 1 << 64
             ):
                 raise ParameterError(
-                    f"seed is {each!r}: allowed is a whole number from 0 to 2^64 - 1."
+                    f"seed is {world_seed!r}: allowed is a whole number from 0 to 2^64 - 1."
                 )
-        first = next((each for each in seeds if each is not None), None)
+        first = next((world_seed for world_seed in seeds if world_seed is not None), None)
         super().reset(seed=None if first is None else int(first))
         # The generator of Gymnasium says which episodes come, so that a seed makes all that follow repeatable.
-        keys = [int(self.np_random.integers(1 << 31)) if each is None else each for each in seeds]
-        self._state = self.environment.reset(keys if isinstance(given, (list, tuple)) else keys[0])
+        keys = [
+            int(self.np_random.integers(1 << 31)) if world_seed is None else world_seed
+            for world_seed in seeds
+        ]
+        self._state = self.environment.reset(
+            keys if isinstance(seeds_given, (list, tuple)) else keys[0]
+        )
         return np.asarray(self._state.observation), {"privileged": self._state.privileged}
 
     def step(
@@ -99,26 +104,26 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise gymnasium.error.ResetNeeded("step was called before reset.")
         state = self._state = self.environment.step(self._state, actions)
         infos: dict[str, Any] = {"privileged": state.privileged, **state.terms}
-        ended = state.terminated | state.truncated
-        if ended.any():
-            told = {
+        is_ended = state.terminated | state.truncated
+        if is_ended.any():
+            info = {
                 **state.episode,
                 **state.terms,
                 "status": np.array(SENTENCES)[np.asarray(state.status)],
             }
             final = {
-                name: np.where(ended, column, np.zeros_like(column))
-                for name, column in told.items()
+                name: np.where(is_ended, column, np.zeros_like(column))
+                for name, column in info.items()
             }
-            final |= {f"_{name}": ended for name in told}
+            final |= {f"_{name}": is_ended for name in info}
             rows = np.empty(self.num_envs, object)
-            for world in np.flatnonzero(ended):
+            for world in np.flatnonzero(is_ended):
                 rows[world] = state.final_observation[world]
             infos |= {
                 "final_obs": rows,
-                "_final_obs": ended,
+                "_final_obs": is_ended,
                 "final_info": final,
-                "_final_info": ended,
+                "_final_info": is_ended,
             }
         reward = np.asarray(state.reward, np.float64)
         return (

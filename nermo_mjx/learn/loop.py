@@ -78,13 +78,13 @@ class EpisodeLoop:
     """Implements `physics.engine.DrivenLoop`: the run loop of a robot under a task."""
 
     def __init__(
-        self, robot: Robot, controller: Acting, task: Task, drawn: tuple[str, ...]
+        self, robot: Robot, controller: Acting, task: Task, sampled_names: tuple[str, ...]
     ) -> None:
         """
         Args:
             robot, controller: what walks, and what is acted on.
             task: what is observed and rewarded, and when an episode ends.
-            drawn: names of what differs between episodes.
+            sampled_names: names of what differs between episodes.
 
         Raises:
             ParameterError: a group of observations or a term of the reward that there is not, or an ending that needs a
@@ -113,18 +113,18 @@ class EpisodeLoop:
         self.has_phase, self.has_path = (form is not None for form in jax.eval_shape(first, data))
         if task.corridor is not None and not self.has_path:
             raise ParameterError("corridor is given, and the pilot follows no path: leave it out.")
-        named = {*task.set, *task.randomize, *task.sampled}
+        names = {*task.set, *task.randomize, *task.sampled}
         _, delay = task.randomize.get(
             "sensing.delay", (0.0, float(task.set.get("sensing.delay", 0.0)))
         )
         self.observer = Observer(
-            groups=tuple(each for each in task.observe if not is_own(each)),
+            groups=tuple(group for group in task.observe if not is_own(group)),
             commands=task.commanded,
             actions=controller.kind.names,
             phase=self.has_phase,
             path=self.has_path,
             delayed=math.ceil(delay / self.dt - 1e-6),
-            noisy=any(name.startswith("sensing.") and name.endswith("_noise") for name in named),
+            noisy=any(name.startswith("sensing.") and name.endswith("_noise") for name in names),
             dt=self.dt,
             own=tuple(own_readings(robot.config, task.observe).items()),
         )
@@ -133,7 +133,7 @@ class EpisodeLoop:
                 numbers_at_rest(term.subject, term.of, self._moment_at_rest())
         self.observation_names = self.observer.names
         self.privileged_names = observing.privileged_names(
-            self.observer.names, drawn, self.has_path
+            self.observer.names, sampled_names, self.has_path
         )
 
     @property
@@ -170,13 +170,13 @@ class EpisodeLoop:
             "action": jnp.clip(self.input(params), -1.0, 1.0),
             "last_action": state.action,
         }
-        kept = {name: getattr(state, name) for name in first}
-        chosen = jax.tree.map(functools.partial(jnp.where, begins), first, kept)
+        current = {name: getattr(state, name) for name in first}
+        fields = jax.tree.map(functools.partial(jnp.where, begins), first, current)
         memory = self.observer.remembered(
             state.memory, self.observer.readings(sensors, self._ground(params))
         )
-        after = EpisodeState(loop=loop, speed=speed, memory=memory, **chosen)
-        return with_dtypes_of(state, after), ctrl
+        following = EpisodeState(loop=loop, speed=speed, memory=memory, **fields)
+        return with_dtypes_of(state, following), ctrl
 
     def observe(
         self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]
@@ -198,8 +198,8 @@ class EpisodeLoop:
             failed=failed,
             arrived=status == _code(Outcome.arrived),
         )
-        begun = state.loop.tick > 0
-        values = {term.name: jnp.where(begun, term.of(moment), 0.0) for term in self.terms}
+        has_begun = state.loop.tick > 0
+        values = {term.name: jnp.where(has_begun, term.of(moment), 0.0) for term in self.terms}
         # A world that diverged gives none; it is restarted.
         values = {
             name: jnp.where(now.lost & (name != "failed"), 0.0, value)
@@ -210,7 +210,7 @@ class EpisodeLoop:
         )
         control, geometry = params.loop.control, geometry_of(params.loop.control.control)
         path = self.controller.path(control, state.loop.control, sensors.position)
-        told = self.observer.informed(
+        informed = self.observer.informed(
             params.given.command, state.loop.control.control, path, state.action, geometry
         )
         key = (
@@ -220,19 +220,19 @@ class EpisodeLoop:
         )
         ground = self._ground(params)
         observation = self.observer.observe(
-            params.given.sensing, state.memory, sensors, told, key, ground
+            params.given.sensing, state.memory, sensors, informed, key, ground
         )
         exact = jnp.concatenate(
-            [self.observer.readings(sensors, ground), self.observer.told(told, sensors)]
+            [self.observer.readings(sensors, ground), self.observer.told(informed, sensors)]
         )
-        left = (params.ticks - state.loop.tick) / self.task.ticks(self.dt)
-        known = observing.privileged(
-            exact, sensors, ground, now.readings[2], left, params.drawn, self.has_path
+        remaining = (params.ticks - state.loop.tick) / self.task.ticks(self.dt)
+        privileged_values = observing.privileged(
+            exact, sensors, ground, now.readings[2], remaining, params.drawn, self.has_path
         )
         cut = (status == _code(Outcome.timed_out)) | (status == _code(Outcome.arrived))
         return Observed(
             observation=observation.astype(jnp.float32),
-            privileged=known.astype(jnp.float32),
+            privileged=privileged_values.astype(jnp.float32),
             reward=reward,
             terms=values,
             terminated=failed,

@@ -95,13 +95,13 @@ def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> 
     name does in Isaac Lab and mjlab, which count down from the robot instead. Obstacles are no ground.
     """
     x, y, _ = sensors.position
-    left, ahead = directions(attitude(sensors.orientation)[2] if yaw is None else yaw)
+    left_direction, ahead = directions(attitude(sensors.orientation)[2] if yaw is None else yaw)
     points = jnp.asarray(SCANNED)
-    seen = ground(
-        x + points[:, 0] * left[0] + points[:, 1] * ahead[0],
-        y + points[:, 0] * left[1] + points[:, 1] * ahead[1],
+    heights = ground(
+        x + points[:, 0] * left_direction[0] + points[:, 1] * ahead[0],
+        y + points[:, 0] * left_direction[1] + points[:, 1] * ahead[1],
     )
-    return jnp.clip(seen - ground(x, y), -0.05, 0.05)
+    return jnp.clip(heights - ground(x, y), -0.05, 0.05)
 
 
 def directions(yaw: Scalar) -> tuple[Array, Array]:
@@ -209,11 +209,11 @@ class Observer:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "groups", tuple(FORMER.get(name, name) for name in self.groups))
-        known = (*SENSED, *TOLD)
+        allowed = (*SENSED, *TOLD)
         for name in self.groups:
-            if name not in known:
+            if name not in allowed:
                 raise ParameterError(
-                    f"observe has {name!r}: allowed is {', '.join(known)}, or {NAMED}."
+                    f"observe has {name!r}: allowed is {', '.join(allowed)}, or {NAMED}."
                 )
 
     @property
@@ -229,7 +229,7 @@ class Observer:
     @property
     def names(self) -> tuple[str, ...]:
         """Of every number of an observation, such as `gyro_x`."""
-        told = {
+        told_labels = {
             "phase": ("cos", "sin") if self.phase else (),
             "command": self.commands,
             "path": ("error", "heading") if self.path else (),
@@ -238,7 +238,7 @@ class Observer:
         }
         labels = {name: _names(name, group) for name, group in self.sensed.items()}
         labels |= {
-            name: tuple(f"{name}.{label}" for label in told[name])
+            name: tuple(f"{name}.{label}" for label in told_labels[name])
             for name in TOLD
             if name in self.groups
         }
@@ -290,11 +290,9 @@ class Observer:
         if self.delayed:
             newest_first = jnp.concatenate([readings[None], memory])
             ticks = jnp.clip(jnp.asarray(sensing.delay) / self.dt, 0.0, self.delayed)
-            before = jnp.clip(jnp.floor(ticks).astype(jnp.int32), 0, self.delayed - 1)
-            share = ticks - before
-            readings = newest_first[before] + share * (
-                newest_first[before + 1] - newest_first[before]
-            )
+            index = jnp.clip(jnp.floor(ticks).astype(jnp.int32), 0, self.delayed - 1)
+            share = ticks - index
+            readings = newest_first[index] + share * (newest_first[index + 1] - newest_first[index])
         if self.noisy:
             spread = []
             for name, group in self.sensed.items():
@@ -325,17 +323,19 @@ class Observer:
                 [told.path.error / 0.1, heading(told.path, sensors, told.geometry)]
             )
             parts["curvature"] = jnp.reshape(told.path.curvature * 0.5, 1)
-        chosen = [parts[name] for name in TOLD if name in self.groups and name in parts]
-        return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
+        selected = [parts[name] for name in TOLD if name in self.groups and name in parts]
+        return jnp.concatenate(selected) if selected else jnp.zeros(0)
 
 
 def _names(name: str, group: Sensed) -> tuple[str, ...]:
     """Of every number of a group of readings."""
-    own = tuple(f"{name}_{label}" if label else name for label in group.labels)
-    return own or tuple(reading_names(name, ACTED))
+    labels = tuple(f"{name}_{label}" if label else name for label in group.labels)
+    return labels or tuple(reading_names(name, ACTED))
 
 
-def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) -> tuple[str, ...]:
+def privileged_names(
+    observed: Sequence[str], sampled_names: Sequence[str], path: bool
+) -> tuple[str, ...]:
     """Of every number that `privileged` gives."""
     return (
         *(f"exact.{name}" for name in observed),
@@ -348,7 +348,7 @@ def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) 
         *reading_names("height_scan"),
         *(() if path else ("yaw",)),
         "time_left",
-        *(f"drawn.{name}" for name in drawn),
+        *(f"drawn.{name}" for name in sampled_names),
     )
 
 
@@ -358,7 +358,7 @@ def privileged(
     ground: Ground,
     yaw: Scalar,
     time_left: Scalar,
-    drawn: Vector,
+    sampled: Vector,
     path: bool,
 ) -> Vector:
     """What the critic knows: the observation without delay and noise (`exact`), motion, ground, and body.
@@ -367,9 +367,9 @@ def privileged(
     what was drawn for it, in [-1, 1], and `path` is whether the observation says where the robot heads.
     """
     x, y, z = sensors.position
-    left, ahead = directions(yaw)
+    left_direction, ahead = directions(yaw)
     velocity = sensors.linear_velocity
-    ours = jnp.stack([velocity[:2] @ left, velocity[:2] @ ahead, velocity[2]])
+    ours = jnp.stack([velocity[:2] @ left_direction, velocity[:2] @ ahead, velocity[2]])
     beneath = ground(x, y)
     feet = sensors.foot_position[:, 2] - ground(
         sensors.foot_position[:, 0], sensors.foot_position[:, 1]
@@ -388,6 +388,6 @@ def privileged(
             height_scan(sensors, ground, yaw) / SENSED["height_scan"].scale,
             *course,
             jnp.reshape(time_left, 1),
-            drawn,
+            sampled,
         ]
     )

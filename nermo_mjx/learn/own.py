@@ -25,35 +25,35 @@ from nermo_mjx.runtime import start_jax
 Sampler = Callable[[Any, Any], Mapping[str, Any]]
 
 
-def is_own(given: Any) -> bool:
+def is_own(value: Any) -> bool:
     """Whether an entry of a task is of one's own: an object, or a text with a colon.
 
     >>> is_own("my.py:spine_rate"), is_own("progress")
     (True, False)
     """
-    return not isinstance(given, str) or ":" in given
+    return not isinstance(value, str) or ":" in value
 
 
-def own_object(field: str, given: Any) -> Any:
+def own_object(field: str, value: Any) -> Any:
     """What a text names, or the object itself; raises `ParameterError`."""
-    return load_object(named_object(f"{field} has", given)) if isinstance(given, str) else given
+    return load_object(named_object(f"{field} has", value)) if isinstance(value, str) else value
 
 
-def own_name(given: Any) -> str:
+def own_name(value: Any) -> str:
     """Of an entry of one's own: that of the object in its file, or of the function."""
-    if isinstance(given, str):
-        return given.rpartition(":")[2]
+    if isinstance(value, str):
+        return value.rpartition(":")[2]
     return getattr(
-        given.read if isinstance(given, Sensed) else given, "__name__", type(given).__name__
+        value.read if isinstance(value, Sensed) else value, "__name__", type(value).__name__
     )
 
 
-def own_function(field: str, given: Any) -> Callable[..., Any]:
+def own_function(field: str, value: Any) -> Callable[..., Any]:
     """A function of one's own; raises `ParameterError` if it is none."""
-    function = own_object(field, given)
+    function = own_object(field, value)
     if not callable(function) or isinstance(function, type):
         raise ParameterError(
-            f"{field} has {given!r}, which is {described(function)}: expected a function."
+            f"{field} has {value!r}, which is {described(function)}: expected a function."
         )
     return function
 
@@ -64,18 +64,18 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
     Raises:
         ParameterError: one fails, gives no finite numbers, or has a name that is taken.
     """
-    found: dict[str, Sensed] = {}
-    for given in filter(is_own, observe):
-        name = own_name(given)
-        if name in (*SENSED, *TOLD, *found):
+    readings: dict[str, Sensed] = {}
+    for reference in filter(is_own, observe):
+        name = own_name(reference)
+        if name in (*SENSED, *TOLD, *readings):
             raise ParameterError(
-                f"observe has {given!r}, but {name} is observed already: give it another name."
+                f"observe has {reference!r}, but {name} is observed already: give it another name."
             )
-        group = own_object("observe", given)
+        group = own_object("observe", reference)
         if not isinstance(group, Sensed):
-            group = Sensed(own_function("observe", given))
-        found[name] = _readings(config, name, group)
-    return found
+            group = Sensed(own_function("observe", reference))
+        readings[name] = _readings(config, name, group)
+    return readings
 
 
 @functools.lru_cache(maxsize=32)
@@ -103,28 +103,28 @@ def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
 
 
 def own_terminations(
-    config: RobotConfig, given: Iterable[Any]
+    config: RobotConfig, references: Iterable[Any]
 ) -> dict[str, Callable[[Sensors], Any]]:
     """The terminations of a task by name, functions of the sensors that are true where an episode fails.
 
     Raises:
         ParameterError: one fails, gives anything but one truth, or there are two of one name.
     """
-    found: dict[str, Callable[[Sensors], Any]] = {}
-    for each in given:
-        name, function = own_name(each), own_function("terminations", each)
+    conditions: dict[str, Callable[[Sensors], Any]] = {}
+    for reference in references:
+        name, function = own_name(reference), own_function("terminations", reference)
         subject = f"terminations has {function_place(name, function)}"
         value = numbers_at_rest(subject, function, at_rest(config))
         if value.dtype != bool:
             raise ParameterError(
                 f"{subject}, which gives {described(value)}: expected a truth, such as z < 0.02."
             )
-        if name in found:
+        if name in conditions:
             raise ParameterError(
                 f"terminations has two of the name {name}: give one of them another."
             )
-        found[name] = function
-    return found
+        conditions[name] = function
+    return conditions
 
 
 #: How many draws of a sampler are checked, at the beginning of a training and after it.
@@ -132,19 +132,19 @@ _TRIED = 64
 
 
 @functools.lru_cache(maxsize=32)
-def _drawn(given: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
+def _drawn(reference: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
     """Where a sampler stands, and values that it draws, by parameter (2 * _TRIED,)."""
-    function = own_function("commands", given)
-    subject = f"commands has {function_place(own_name(given), function)}"
+    function = own_function("commands", reference)
+    subject = f"commands has {function_place(own_name(reference), function)}"
     start_jax()
     keys = jnp.tile(jax.random.split(jax.random.key(0), _TRIED), 2)
     with user_code(f"{subject}, which fails"):
-        found = jax.jit(jax.vmap(function))(keys, jnp.repeat(jnp.array([0.0, jnp.inf]), _TRIED))
-    if not isinstance(found, dict) or not found:
+        samples = jax.jit(jax.vmap(function))(keys, jnp.repeat(jnp.array([0.0, jnp.inf]), _TRIED))
+    if not isinstance(samples, dict) or not samples:
         raise ParameterError(
-            f"{subject}, which gives {described(found)}: expected values by parameters' names."
+            f"{subject}, which gives {described(samples)}: expected values by parameters' names."
         )
-    for name, values in found.items():
+    for name, values in samples.items():
         if not isinstance(name, str) or getattr(values, "ndim", 0) != 1:
             raise ParameterError(f"{subject}, which gives no single number for {name!r}.")
         wrong = np.asarray(values)[~np.isfinite(values)]
@@ -153,17 +153,19 @@ def _drawn(given: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
                 f"{subject}, which gives {wrong[0]:g} for {name} at steps of 0 or, as in an evaluation, infinity: "
                 "guard it, as by jnp.clip."
             )
-    return subject, {name: np.asarray(values, float) for name, values in found.items()}
+    return subject, {name: np.asarray(values, float) for name, values in samples.items()}
 
 
-def drawn_by(given: Any) -> tuple[str, dict[str, np.ndarray]]:
+def drawn_by(commands: Any) -> tuple[str, dict[str, np.ndarray]]:
     """The beginning of messages about a sampler, and values that it draws, by the names of parameters.
 
     Raises:
         ParameterError: it fails, or gives anything but finite numbers.
     """
-    content = named_object("commands has", given).content() if isinstance(given, str) else None
-    return _drawn(given, content)
+    content = (
+        named_object("commands has", commands).content() if isinstance(commands, str) else None
+    )
+    return _drawn(commands, content)
 
 
 def code_place(observe: Iterable[Any]) -> str:
@@ -172,14 +174,14 @@ def code_place(observe: Iterable[Any]) -> str:
     Raises:
         ParameterError: they are in several, which a policy cannot name.
     """
-    named = [
-        named_object("observe has", each)
-        for each in observe
-        if isinstance(each, str) and is_own(each)
+    references = [
+        named_object("observe has", name)
+        for name in observe
+        if isinstance(name, str) and is_own(name)
     ]
-    places = list(dict.fromkeys(each.place for each in named))
+    places = list(dict.fromkeys(name.place for name in references))
     if len(places) > 1:
-        files = " and ".join(Path(each).name for each in places)
+        files = " and ".join(Path(name).name for name in places)
         raise ParameterError(
             f"observe has functions of {files}: put them in one file, which a policy needs beside it."
         )

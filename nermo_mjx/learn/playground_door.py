@@ -18,8 +18,8 @@ try:
     from ml_collections import ConfigDict
     from mujoco_playground import MjxEnv, State, dm_control_suite
 except ModuleNotFoundError as error:
-    told = f"{error.name} is not installed: pip install playground, or nermo-mjx with its extra playground."
-    raise ModuleNotFoundError(told, name=error.name) from None
+    message = f"{error.name} is not installed: pip install playground, or nermo-mjx with its extra playground."
+    raise ModuleNotFoundError(message, name=error.name) from None
 
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.learn.environment import Environment, MjxWorlds, World, picked
@@ -91,20 +91,21 @@ class NermoMjxEnv(MjxEnv):
         if config.impl != "jax":
             raise ParameterError(f"impl is {config.impl!r}: allowed is 'jax'.")
         control = setup.make_controller().dt
-        held = config.ctrl_dt / control
-        if round(held) < 1 or abs(held - round(held)) > 1e-6:
+        control_ratio = config.ctrl_dt / control
+        if round(control_ratio) < 1 or abs(control_ratio - round(control_ratio)) > 1e-6:
             raise ParameterError(
                 f"ctrl_dt is {config.ctrl_dt:g}: allowed is a multiple of {control:g} s."
             )
         if config.sim_dt != setup.timestep:
             setup = dataclasses.replace(setup, timestep=config.sim_dt)
-        own = {_name(term): term for term in task.rewards}
+        own_terms = {_name(term): term for term in task.rewards}
         task = dataclasses.replace(
             task,
-            decimation=round(held),
+            decimation=round(control_ratio),
             episode_length=config.episode_length * config.ctrl_dt,
             rewards={
-                own.get(name, name): weight for name, weight in config.reward_config.scales.items()
+                own_terms.get(name, name): weight
+                for name, weight in config.reward_config.scales.items()
             },
         )
         self._ctrl_dt, self._sim_dt = float(self._config.ctrl_dt), float(self._config.sim_dt)
@@ -133,7 +134,7 @@ class NermoMjxEnv(MjxEnv):
         return world._replace(carry=picked(ran & (data.time == 0.0), start, world.carry))
 
     def _state(self, world: World, time: jax.Array, info: dict[str, Any]) -> State:
-        seen, carry = self._worlds.seen(world), world.carry
+        observed, carry = self._worlds.seen(world), world.carry
         data = self._worlds.engine.data.replace(
             time=time,
             qpos=carry.physics.qpos,
@@ -142,14 +143,14 @@ class NermoMjxEnv(MjxEnv):
             qacc_warmstart=carry.physics.qacc_warmstart,
             sensordata=carry.sensordata[-1],
         )
-        done = seen.terminated | (seen.status == _ARRIVED)
-        metrics = {f"reward/{name}": value for name, value in seen.terms.items()}
-        metrics |= {f"episode/{name}": value for name, value in seen.episode.items()}
+        is_done = observed.terminated | (observed.status == _ARRIVED)
+        metrics = {f"reward/{name}": value for name, value in observed.terms.items()}
+        metrics |= {f"episode/{name}": value for name, value in observed.episode.items()}
         return State(
             data=data,
-            obs={"state": seen.observation, "privileged_state": seen.privileged},
-            reward=seen.reward,
-            done=done.astype(seen.reward.dtype),
+            obs={"state": observed.observation, "privileged_state": observed.privileged},
+            reward=observed.reward,
+            done=is_done.astype(observed.reward.dtype),
             metrics=metrics,
             info={**info, "world": world},
         )

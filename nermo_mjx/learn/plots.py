@@ -104,25 +104,27 @@ def rewards_figure(training: Training, curves: Curves) -> Figure:
 
 def evaluation_figure(training: Training, table: pa.Table) -> Figure:
     """Success and speed on bodies that the policy has not seen, scene by scene, beside the controller alone."""
-    found = summary_of(table)
-    count = table.num_rows // (2 * len(found))
+    summary = summary_of(table)
+    count = table.num_rows // (2 * len(summary))
     note = f"{_what(training)}; {count:,} bodies and starts on each scene, none seen in training; whiskers: quartiles"
     figure = page("Evaluation", 7.2, 3.4, note)
     axes = figure.subplots(1, 2)
-    for i, (who, colour) in enumerate(((POLICY, LINE), (ALONE, MUTED))):
-        label = "policy" if who == POLICY else "controller alone"
-        place = np.arange(len(found)) + (i - 0.5) * 0.36
+    for i, (walker, colour) in enumerate(((POLICY, LINE), (ALONE, MUTED))):
+        label = "policy" if walker == POLICY else "controller alone"
+        positions = np.arange(len(summary)) + (i - 0.5) * 0.36
         axes[0].bar(
-            place,
-            [100.0 * about[who]["success"] for about in found.values()],
+            positions,
+            [100.0 * statistics[walker]["success"] for statistics in summary.values()],
             0.34,
             color=colour,
             label=label,
         )
-        low, middle, high = 1e3 * np.array([_quartiles(table, scene, who) for scene in found]).T
-        axes[1].bar(place, middle, 0.34, color=colour)
+        low, middle, high = (
+            1e3 * np.array([_quartiles(table, scene, walker) for scene in summary]).T
+        )
+        axes[1].bar(positions, middle, 0.34, color=colour)
         axes[1].errorbar(
-            place,
+            positions,
             middle,
             [middle - low, high - middle],
             fmt="none",
@@ -131,7 +133,7 @@ def evaluation_figure(training: Training, table: pa.Table) -> Figure:
             capsize=2,
         )
     for ax, label in zip(axes, ("walks that succeeded [%]", "speed, median [mm/s]"), strict=True):
-        ax.set_xticks(np.arange(len(found)), list(found))
+        ax.set_xticks(np.arange(len(summary)), list(summary))
         ax.set_ylabel(label)
         horizontal_grid(ax)
     axes[0].set_ylim(0, 103)

@@ -145,15 +145,15 @@ class Policy:
             raise ParameterError(
                 "controller is a custom one: a policy file can only store a published one."
             )
-        given = {
+        normalized = {
             name: 0.5 * (low + high)
             for name, (low, high) in task.randomize.items()
             if name in GIVEN
         }
         if task.commands is not None:
-            given |= {
-                name: float(np.median(of))
-                for name, of in drawn_by(task.commands)[1].items()
+            normalized |= {
+                name: float(np.median(sample))
+                for name, sample in drawn_by(task.commands)[1].items()
                 if name in GIVEN
             }
         code = code_place(task.observe)
@@ -164,9 +164,11 @@ class Policy:
                 **(about or {}),
                 "own": {"file": Path(code).name, "digest": source.digest(), "groups": groups},
             }
-        known = dict(quantities(setup.world({}).control))
+        declarations = dict(quantities(setup.world({}).control))
         fixed = {
-            name: float(value) for name, value in task.set.items() if name in known or name in GIVEN
+            name: float(value)
+            for name, value in task.set.items()
+            if name in declarations or name in GIVEN
         }
         return cls(
             learned.actor,
@@ -175,7 +177,7 @@ class Policy:
             environment.loop.observer,
             task.decimation,
             {name: getattr(setup, name) for name in BASE},
-            fixed | given,
+            fixed | normalized,
             {**(about or {}), "judged": (about or {}).get("judged", judged_in(setup))},
         )
 
@@ -229,10 +231,10 @@ class Policy:
         network = self.actor, self.statistics
         if not (self.observer.commands or self.observer.delayed or self.observer.noisy):
             return PolicyParameters(control=control, network=network)
-        given = replace_quantities(
+        control_given = replace_quantities(
             Given(), {name: value for name, value in self.fixed.items() if name in GIVEN}
         )
-        return PolicyParameters(control=control, given=given, network=network)
+        return PolicyParameters(control=control, given=control_given, network=network)
 
     def init(self, params: PolicyParameters, sensors: Sensors, phase: Scalar) -> PolicyState:
         nothing = jnp.zeros(len(self.kind.names))
@@ -248,18 +250,20 @@ class Policy:
     def update(
         self, params: PolicyParameters, state: PolicyState, sensors: Sensors
     ) -> tuple[PolicyState, ServoAngles]:
-        observer, given, control = self.observer, params.given or Given(), params.control
+        observer, command_given, control = self.observer, params.given or Given(), params.control
         path = self.path(params, state, sensors.position) if observer.path else None
-        told = observer.informed(
-            given.command, state.acted.control, path, state.action, geometry_of(control)
+        informed = observer.informed(
+            command_given.command, state.acted.control, path, state.action, geometry_of(control)
         )
         # The same noise in every world: runs from one start are equal.
         key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None
-        observation = observer.observe(given.sensing, state.memory, sensors, told, key, self.ground)
+        observation = observer.observe(
+            command_given.sensing, state.memory, sensors, informed, key, self.ground
+        )
         due = state.tick % self.decimation == 0
         action = jnp.where(due, self.choose(params, state, observation), state.action)
         if observer.commands:
-            control = commanded(self.acting.base, observer.commands, control, given.command)
+            control = commanded(self.acting.base, observer.commands, control, command_given.command)
         acted, servo = self.acting.update(Acted(control, action), state.acted, sensors)
         memory = observer.remembered(state.memory, observer.readings(sensors, self.ground))
         return with_dtypes_of(state, PolicyState(state.tick + 1, acted, memory, action)), servo
@@ -299,7 +303,9 @@ class Policy:
             "action": named_section(self.kind, ACTIONS),
             "actions": list(self.kind.names),
             "observation": list(self.observer.names),
-            "observer": {name: each for name, each in vars(self.observer).items() if name != "own"},
+            "observer": {
+                name: value for name, value in vars(self.observer).items() if name != "own"
+            },
             "decimation": self.decimation,
             "step_seconds": self.dt * self.decimation,
             "base": dict(self.base),
@@ -314,14 +320,14 @@ class Policy:
         Raises:
             ParameterError: it observes functions that no file can name.
         """
-        kept = self.about.get("own", {"groups": []})["groups"]
+        groups = self.about.get("own", {"groups": []})["groups"]
         for name, _ in self.observer.own:
-            if name not in kept:
+            if name not in groups:
                 raise ParameterError(
                     f"observe has {name}: name it as {NAMED}, as a policy's file can."
                 )
-        about = {"kind": KIND, "form": FORM, "layers": len(self.actor.layers), **self.facts()}
-        arrays: dict[str, Any] = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
+        metadata = {"kind": KIND, "form": FORM, "layers": len(self.actor.layers), **self.facts()}
+        arrays: dict[str, Any] = {"about": np.frombuffer(json.dumps(metadata).encode(), np.uint8)}
         for i, (weights, bias) in enumerate(self.actor.layers):
             arrays |= {f"weights.{i}": np.asarray(weights), f"bias.{i}": np.asarray(bias)}
         arrays |= {
@@ -373,20 +379,20 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
         raise ParameterError(
             f"{subject}, which holds no policy of `nermo-mjx train`: {reason}."
         ) from None
-    own = policy.about.get("own")
-    if own is None and code:
+    custom_code = policy.about.get("own")
+    if custom_code is None and code:
         raise ParameterError(f"{subject}, which observes nothing of one's own: leave {code!r} out.")
-    if own is None:
+    if custom_code is None:
         return policy
-    what = f"which observes {', '.join(own['groups'])} of {own['file']}"
+    observed = f"which observes {', '.join(custom_code['groups'])} of {custom_code['file']}"
     if not code:
         raise ParameterError(
-            f"{subject}, {what}, code that is run only where you name it: {path}:{own['file']}."
+            f"{subject}, {observed}, code that is run only where you name it: {path}:{custom_code['file']}."
         )
-    if (found := Source.named("controller is", code, NAMED).digest()) != own["digest"]:
+    if (digest := Source.named("controller is", code, NAMED).digest()) != custom_code["digest"]:
         raise ParameterError(
-            f"{subject}, {what} with the digest {own['digest']}; that of {code} is {found}: give the file with which "
-            "it was trained."
+            f"{subject}, {observed} with the digest {custom_code['digest']}; that of {code} is {digest}:"
+            " give the file with which it was trained."
         )
     return _with_code(policy, code)
 
@@ -394,9 +400,9 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
 @functools.lru_cache(maxsize=8)
 def _with_code(policy: Policy, code: str) -> Policy:
     """A policy with the functions that it observes."""
-    named = [f"{code}:{name}" for name in policy.about["own"]["groups"]]
-    own = tuple(own_readings(policy.setup.load().config, named).items())
-    observer = dataclasses.replace(policy.observer, own=own)
+    references = [f"{code}:{name}" for name in policy.about["own"]["groups"]]
+    readings = tuple(own_readings(policy.setup.load().config, references).items())
+    observer = dataclasses.replace(policy.observer, own=readings)
     if len(observer.names) != len(policy.statistics.mean):
         raise ParameterError(
             f"controller is a policy of {len(policy.statistics.mean)} observations: {code} gives others."
@@ -452,17 +458,28 @@ def _policy(content: bytes) -> Policy:
     arrays = arrays_of(content, "the file")
     if arrays.get("about", np.zeros(1)).dtype != np.uint8:
         raise FileError("it has no 'about'")
-    about: _About = read_as(arrays.pop("about").tobytes(), _About, "about")
-    for name in about.base:
+    metadata: _About = read_as(arrays.pop("about").tobytes(), _About, "about")
+    for name in metadata.base:
         choice("base", name, BASE)
-    if about.observer.delayed < 0 or about.observer.delayed * about.observer.dt > 2 * LONGEST_DELAY:
-        raise FileError(f"its readings are late by {about.observer.delayed} ticks")
-    seen, actions = len(about.observation), len(about.action.names)
-    sizes: list[Any] = [seen, *(f"hidden {i}" for i in range(1, about.layers)), actions]
+    if (
+        metadata.observer.delayed < 0
+        or metadata.observer.delayed * metadata.observer.dt > 2 * LONGEST_DELAY
+    ):
+        raise FileError(f"its readings are late by {metadata.observer.delayed} ticks")
+    observation_count, actions = len(metadata.observation), len(metadata.action.names)
+    sizes: list[Any] = [
+        observation_count,
+        *(f"hidden {i}" for i in range(1, metadata.layers)),
+        actions,
+    ]
     shapes: dict[str, tuple[str, tuple[Any, ...]]] = {}
     for i, (below, above) in enumerate(itertools.pairwise(sizes)):
         shapes |= {f"weights.{i}": ("f", (below, above)), f"bias.{i}": ("f", (above,))}
-    shapes |= {"log_std": ("f", (actions,)), "mean": ("f", (seen,)), "variance": ("f", (seen,))}
+    shapes |= {
+        "log_std": ("f", (actions,)),
+        "mean": ("f", (observation_count,)),
+        "variance": ("f", (observation_count,)),
+    }
     check_arrays(arrays, shapes, "the file")
     for name in shapes:
         if not np.isfinite(arrays[name]).all() or (
@@ -473,18 +490,18 @@ def _policy(content: bytes) -> Policy:
     numbers = {name: jnp.asarray(arrays[name]) for name in shapes}
     policy = Policy(
         Actor(
-            tuple((numbers[f"weights.{i}"], numbers[f"bias.{i}"]) for i in range(about.layers)),
+            tuple((numbers[f"weights.{i}"], numbers[f"bias.{i}"]) for i in range(metadata.layers)),
             numbers["log_std"],
         ),
         Statistics(jnp.ones(()), numbers["mean"], numbers["variance"]),
-        about.action,
-        about.observer,
-        about.decimation,
-        about.base,
-        {FORMER.get(name, name): value for name, value in about.fixed.items()},
-        about.model_dump(include={"trained", "judged", "versions", "own"}, exclude_none=True),
+        metadata.action,
+        metadata.observer,
+        metadata.decimation,
+        metadata.base,
+        {FORMER.get(name, name): value for name, value in metadata.fixed.items()},
+        metadata.model_dump(include={"trained", "judged", "versions", "own"}, exclude_none=True),
     )
-    if about.own is None and policy.observer.names != tuple(map(today, about.observation)):
+    if metadata.own is None and policy.observer.names != tuple(map(today, metadata.observation)):
         raise ParameterError("this version observes other numbers under these names")
     # What it acts on is made now, so that nothing is wrong with it later.
     check_quantities(policy.parameters)
@@ -527,8 +544,8 @@ def export(policy: Policy) -> bytes:
     nodes.append(helper.make_node("Identity", [last], ["action"]))
     arrays = {name: np.asarray(value, np.float32) for name, value in constants.items()}
     stored = [
-        helper.make_tensor(name, TensorProto.FLOAT, each.shape, each.tobytes(), raw=True)
-        for name, each in arrays.items()
+        helper.make_tensor(name, TensorProto.FLOAT, array.shape, array.tobytes(), raw=True)
+        for name, array in arrays.items()
     ]
     sizes = {"observation": len(policy.observer.names), "action": len(policy.kind.names)}
     ends = [

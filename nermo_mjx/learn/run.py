@@ -86,45 +86,45 @@ class BestPolicy:
 
     def __init__(
         self,
-        held: RunDirectory,
+        directory: RunDirectory,
         walks: Callable[[Policy], Mapping[str, float]],
         warn: Callable[[str], None],
         code: str = "",
     ) -> None:
         """`walks` gives the share of a policy's successes on each scene; `warn` is told if the policy is gone; `code`
         is what policies need beside them."""
-        self._held, self._walks, self._warn, self._code = held, walks, warn, code
-        table = parquet_table(content_of(held.out / VALIDATION) or b"")
+        self._held, self._walks, self._warn, self._code = directory, walks, warn, code
+        table = parquet_table(content_of(directory.out / VALIDATION) or b"")
         rows = [] if table is None else table.to_pylist()
         self._tried = [_Tried(row.pop("steps"), row) for row in rows]
 
     def of(self, policy: Policy) -> Policy:
         """The best of all policies tried, this one included; of equals the earliest."""
-        steps, kept, chosen = int(policy.about["trained"]["steps"]), None, None
+        steps, stored, best_steps = int(policy.about["trained"]["steps"]), None, None
         with contextlib.suppress(ParameterError):  # there is no file, or none that can be read
-            kept = load_policy(Path(self._held.out) / POLICY_FILE, self._code)
-            chosen = kept.about.get("trained", {}).get("steps")
-        best = next((each for each in self._tried if each.steps == chosen), None)
-        if self._tried and best is None and chosen != steps:
+            stored = load_policy(Path(self._held.out) / POLICY_FILE, self._code)
+            best_steps = stored.about.get("trained", {}).get("steps")
+        best = next((tried for tried in self._tried if tried.steps == best_steps), None)
+        if self._tried and best is None and best_steps != steps:
             self._warn(
                 f"{self._held.out / POLICY_FILE} is not the policy that was chosen: the choice begins anew."
             )
             self._tried = []
-        if steps not in [each.steps for each in self._tried]:
-            found = _Tried(steps, dict(self._walks(policy)))
-            if best is None or found.rank > best.rank:
+        if steps not in [tried.steps for tried in self._tried]:
+            candidate = _Tried(steps, dict(self._walks(policy)))
+            if best is None or candidate.rank > best.rank:
                 self._held.write(POLICY_FILE, policy.content())
-                kept = policy
-            self._tried.append(found)
-            rows = [{"steps": each.steps, **each.scenes} for each in self._tried]
+                stored = policy
+            self._tried.append(candidate)
+            rows = [{"steps": tried.steps, **tried.scenes} for tried in self._tried]
             self._held.write(VALIDATION, parquet_bytes(pa.Table.from_pylist(rows)))
-        return kept or policy
+        return stored or policy
 
     def enough(self, until: Until | None, steps: int) -> bool:
         """Whether a policy of these steps or fewer is as good as a training asks for."""
         return until is not None and any(
-            each.steps <= steps and min(each.scenes.values()) >= until.success
-            for each in self._tried
+            tried.steps <= steps and min(tried.scenes.values()) >= until.success
+            for tried in self._tried
         )
 
 
@@ -135,9 +135,9 @@ def successes(evaluator: PolicyEvaluator, policy: Policy) -> dict[str, float]:
     table = evaluator(policy, draws=Draws(training.validation, _KEY), walkers=(POLICY,))
     if training.until is not None:
         fast = pc.fill_null(pc.greater_equal(table["speed"], training.until.speed), False)
-        at = table.column_names.index("success")
-        table = table.set_column(at, "success", pc.and_(table["success"], fast))
-    return {scene: about[POLICY]["success"] for scene, about in summary_of(table).items()}
+        column = table.column_names.index("success")
+        table = table.set_column(column, "success", pc.and_(table["success"], fast))
+    return {scene: statistics[POLICY]["success"] for scene, statistics in summary_of(table).items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -309,18 +309,18 @@ class _Learning:
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
                 wall, cpu = time.perf_counter(), time.process_time()
-                learned, state, experience, about = iterate(learned, state)
+                learned, state, experience, loss_values = iterate(learned, state)
                 numbers = {"steps": float(learned.steps), **scores.tally(experience)}
                 numbers |= {
                     "environment_cpu": math.nan,
-                    **{name: float(value) for name, value in about.items()},
+                    **{name: float(value) for name, value in loss_values.items()},
                 }
-                rest = time.process_time() - cpu - np.nan_to_num(numbers["environment_cpu"])
-                numbers |= {"wall_seconds": time.perf_counter() - wall, "learner_cpu": rest}
+                other_cpu = time.process_time() - cpu - np.nan_to_num(numbers["environment_cpu"])
+                numbers |= {"wall_seconds": time.perf_counter() - wall, "learner_cpu": other_cpu}
                 curves = curves.extended(numbers, self.code)
                 self.interruption.check()
                 if self.board is not None:
-                    values = {key: each for key, each in numbers.items() if key != "steps"}
+                    values = {key: number for key, number in numbers.items() if key != "steps"}
                     self.board.log(int(numbers["steps"]), values)
                 self._tell(int(numbers["steps"]), numbers)
             with self.interruption.shielded():
@@ -347,16 +347,16 @@ class _Learning:
         policy = self._policy(learned)
         if policy is None or self.choice is None:
             return policy
-        kept = self.choice.of(policy)  # of an earlier session, maybe, with another evaluation
-        return dataclasses.replace(kept, about={**kept.about, "judged": self._judged})
+        best = self.choice.of(policy)  # of an earlier session, maybe, with another evaluation
+        return dataclasses.replace(best, about={**best.about, "judged": self._judged})
 
     def _policy(self, learned: Learned) -> Policy | None:
         """What was learned, as a controller; None in an environment that is not of a robot."""
         if (robot := self._robot) is None:
             return None
         trained = {"steps": int(learned.steps), "training": self.directory.training.digest()}
-        about = {"trained": trained, "judged": self._judged}
-        return Policy.of(robot, learned, about)
+        metadata = {"trained": trained, "judged": self._judged}
+        return Policy.of(robot, learned, metadata)
 
     @property
     def _judged(self) -> dict[str, Any]:
@@ -388,13 +388,16 @@ def _evaluated(
     directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch
 ) -> pa.Table:
     """The evaluation of this policy, which is made once."""
-    known, training = (
+    cached, training = (
         parquet_table(content_of(directory.out / EVALUATION) or b""),
         directory.training,
     )
     policy_key = f"{training.digest()} {training.evaluation} {training.run} {policy.about['trained']['steps']}"
-    if known is not None and (known.schema.metadata or {}).get(b"evaluated") == policy_key.encode():
-        return known
+    if (
+        cached is not None
+        and (cached.schema.metadata or {}).get(b"evaluated") == policy_key.encode()
+    ):
+        return cached
     table = evaluator(policy, lambda share: watch.progress(Progress(share, what="evaluation")))
     table = table.replace_schema_metadata(
         {**(table.schema.metadata or {}), b"evaluated": policy_key.encode()}
@@ -412,7 +415,7 @@ def _summary(
 ) -> dict[str, Any]:
     """The content of summary.json; without an evaluation, success is the share of episodes that lasted."""
     scenes = {} if table is None else summary_of(table)
-    found = [about["policy"]["success"] for about in scenes.values()]
+    success_rates = [statistics["policy"]["success"] for statistics in scenes.values()]
     effort = {
         name: float(np.nansum(curves.column(name)))
         for name in ("environment_cpu", "learner_cpu", "wall_seconds")
@@ -422,7 +425,7 @@ def _summary(
         "policy_steps": int(learned.steps)
         if policy is None
         else int(policy.about["trained"]["steps"]),
-        "success": min(found) if found else curves.last("lasted"),
+        "success": min(success_rates) if success_rates else curves.last("lasted"),
         "return": curves.last("return"),
         "episodes": int(curves.column("episodes").sum()),
         "simulated_seconds": float(int(learned.steps) * training.step_seconds),
@@ -448,7 +451,7 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
     """
     name, wall = training_engine(engine), math.nan
     steps = training.iterations * training.steps_per_iteration
-    said = "its pace is not known before its program is compiled, which takes minutes, once per machine"
+    note = "its pace is not known before its program is compiled, which takes minutes, once per machine"
     worlds, notes = training.environment(name), []
     if not worlds.pure:
         iterate = training.algorithm.iteration(worlds)
@@ -461,10 +464,10 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
             learned, state, *_ = iterate(learned, state)
         float(learned.steps)
         rate = _TIMED * training.steps_per_iteration / (time.perf_counter() - began)
-        wall, said = steps / rate, f"{rate:,.0f} control steps/s, measured now"
+        wall, note = steps / rate, f"{rate:,.0f} control steps/s, measured now"
         notes.append(f"Compiling takes {began - compiles:.0f} s on top.")
-    seen = worlds.observation_size + worlds.privileged_size
-    units = [seen, *training.algorithm.hidden]
+    input_size = worlds.observation_size + worlds.privileged_size
+    units = [input_size, *training.algorithm.hidden]
     weights = 2 * sum(a * b for a, b in itertools.pairwise(units))
     # Networks, the initial critic, and two moments of Adam, in float32; and the history.
     disk = KEPT * 16 * weights + 40 * 8 * training.iterations
@@ -479,4 +482,4 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
         "steps_per_iteration": training.steps_per_iteration,
         "steps": steps,
     }
-    return Forecast(name, counts, steps * worlds.step_seconds, wall, said, disk, notes=tuple(notes))
+    return Forecast(name, counts, steps * worlds.step_seconds, wall, note, disk, notes=tuple(notes))

@@ -93,42 +93,50 @@ def read_scenes(
         SpecError: a choice that is refused there, or a scene that stands there twice.
         ParameterError: a value that is refused there.
     """
-    found: list[SceneTask] = []
-    for i, each in enumerate(fields):
-        at = ("scenes", i)
-        if each.scene in [other.written["scene"] for other in found]:
-            doc.fail((*at, "scene"), f"is {each.scene!r} for a second time: leave one out.")
-        choices: dict[str, Any] = {"scene": scene_beside(doc, each.scene)}
-        values, written = dict(each.set), dict[str, Any](scene=each.scene)
-        if each.pilot is not None:
-            pilot, options = each.pilot.chosen
-            given = pilot_options(doc.data["scenes"][i]["pilot"], pilot, options)
-            if "distance" in given:
+    scene_tasks: list[SceneTask] = []
+    for i, scene_fields in enumerate(fields):
+        path = ("scenes", i)
+        if scene_fields.scene in [scene_task.written["scene"] for scene_task in scene_tasks]:
+            doc.fail(
+                (*path, "scene"), f"is {scene_fields.scene!r} for a second time: leave one out."
+            )
+        choices: dict[str, Any] = {"scene": scene_beside(doc, scene_fields.scene)}
+        values, written_fields = dict(scene_fields.set), dict[str, Any](scene=scene_fields.scene)
+        if scene_fields.pilot is not None:
+            pilot, options = scene_fields.pilot.chosen
+            pilot_choice = pilot_options(doc.data["scenes"][i]["pilot"], pilot, options)
+            if "distance" in pilot_choice:
                 doc.fail(
-                    (*at, "pilot", pilot, "distance"),
+                    (*path, "pilot", pilot, "distance"),
                     "has no effect on a scene of several: leave it out.",
                 )
             points = tuple(map(tuple, options.points)) if pilot == "waypoints" else None
             choices |= {"pilot": pilot, "waypoints": points}
-            values |= {f"pilot.{key}": value for key, value in given.items() if key != "points"}
-            written["pilot"] = {pilot: given} if given else pilot
+            values |= {
+                f"pilot.{key}": value for key, value in pilot_choice.items() if key != "points"
+            }
+            written_fields["pilot"] = {pilot: pilot_choice} if pilot_choice else pilot
         try:
-            there = dataclasses.replace(setup, **choices)
+            scene_setup = dataclasses.replace(setup, **choices)
         except ParameterError as error:
-            doc.fail(at, f"is refused: {error}")
-        drawn = {name: ends for name, ends in task.randomize.items() if name not in values}
-        own = dataclasses.replace(
+            doc.fail(path, f"is refused: {error}")
+        ranges = {name: ends for name, ends in task.randomize.items() if name not in values}
+        scene_only = dataclasses.replace(
             task,
             set={**task.set, **values},
-            randomize=drawn | each.randomize,
-            corridor=each.corridor or task.corridor,
+            randomize=ranges | scene_fields.randomize,
+            corridor=scene_fields.corridor or task.corridor,
         )
-        chosen = {
-            name: value for name, value in each if value != SceneFields.model_fields[name].default
+        pilot_choices = {
+            name: value
+            for name, value in scene_fields
+            if value != SceneFields.model_fields[name].default
         }
-        written |= plain_data({name: value for name, value in chosen.items() if name != "pilot"})
-        found.append(SceneTask(there, own, written, each.share))
-    return tuple(found)
+        written_fields |= plain_data(
+            {name: value for name, value in pilot_choices.items() if name != "pilot"}
+        )
+        scene_tasks.append(SceneTask(scene_setup, scene_only, written_fields, scene_fields.share))
+    return tuple(scene_tasks)
 
 
 #: Fields that do not change what an iteration computes: a training may be resumed with others.
@@ -291,18 +299,20 @@ class Training(WalkSpec, Described):
             return Environment(
                 self.setup, engine=engine, worlds=self.worlds, task=self.task, staggered=True
             )
-        parts = [(each.setup, each.task) for each in self.scenes]
-        shares = [each.share for each in self.scenes]
+        parts = [(scene.setup, scene.task) for scene in self.scenes]
+        shares = [scene.share for scene in self.scenes]
         return Mixture(parts, engine=engine, worlds=self.worlds, shares=shares, staggered=True)
 
     def evaluated(self) -> list[tuple[Setup, Task]]:
         """Setup and task of each scene of the evaluation; what is set there is not drawn."""
-        here = [(each.setup, each.task) for each in self.scenes] or [(self.setup, self.task)]
-        known = {str(setup.scene): (setup, task) for setup, task in here}
+        pairs_here = [(scene_task.setup, scene_task.task) for scene_task in self.scenes] or [
+            (self.setup, self.task)
+        ]
+        pairs_by_scene = {str(setup.scene): (setup, task) for setup, task in pairs_here}
         pairs = [
-            known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
+            pairs_by_scene.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
             for scene in self.evaluation.scenes
-        ] or here
+        ] or pairs_here
         if (physics := self.evaluation.physics) is not None:
             step = PRESETS[physics].timestep
             pairs = [
@@ -323,7 +333,7 @@ class Training(WalkSpec, Described):
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         data = self.walk_fields(folder)
-        task = self.task.with_own(lambda where: written_code(where, folder))
+        task = self.task.with_own(lambda reference: written_code(reference, folder))
         data["task"] = written(task) | {"action": named_section(task.action, ACTIONS)}
         data["task"]["rewards"] = {
             str(name): float(weight) for name, weight in task.rewards.items()
@@ -337,7 +347,7 @@ class Training(WalkSpec, Described):
             name: [float(low), float(high)] for name, (low, high) in self.task.randomize.items()
         }
         if self.scenes:
-            data["scenes"] = [dict(each.written) for each in self.scenes]
+            data["scenes"] = [dict(scene.written) for scene in self.scenes]
             del data["scene"]
         data["algorithm"] = named_section(self.algorithm, ALGORITHMS)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
@@ -353,11 +363,11 @@ class Training(WalkSpec, Described):
     def decisive(self) -> dict[str, Any]:
         """The fields that may not change: a controller counts by what it is."""
         data = {key: value for key, value in self.resolved().items() if key not in FREE}
-        own = written(self.task.with_own(_code_identity))
+        task_fields = written(self.task.with_own(_code_identity))
         data["task"] |= {
-            name: own[name]
+            name: task_fields[name]
             for name in ("observe", "rewards", "terminations", "commands")
-            if own.get(name)
+            if task_fields.get(name)
         }
         return data | code_identity(self.setup)
 
@@ -371,14 +381,16 @@ class Training(WalkSpec, Described):
             )
 
         setup = with_code_copied(self.setup, folder, write)
-        scenes = tuple(each._replace(task=copied(each.task)) for each in self.scenes)
+        scenes = tuple(scene._replace(task=copied(scene.task)) for scene in self.scenes)
         return dataclasses.replace(self, setup=setup, task=copied(self.task), scenes=scenes)
 
     def identity(self) -> dict[str, Any]:
         """All that decides an iteration: the `fields`, and `defaults` of what they do not name."""
         return {
             "fields": self.decisive(),
-            "defaults": {name: each.default for name, each in self.parameters.items()},
+            "defaults": {
+                name: declaration.default for name, declaration in self.parameters.items()
+            },
         }
 
     def digest(self) -> str:
@@ -388,9 +400,9 @@ class Training(WalkSpec, Described):
 
 def changed(training: Training, **values: Any) -> Training:
     """The training with other steps, worlds, seed or plots; raises `SpecError`."""
-    other = dataclasses.replace(training, **values)
-    other.check_division()
-    return other
+    candidate = dataclasses.replace(training, **values)
+    candidate.check_division()
+    return candidate
 
 
 def _read(doc: Document) -> Training:
@@ -508,19 +520,19 @@ def _read(doc: Document) -> Training:
 
 def _evaluated(setup: Setup, task: Task, evaluation: EvaluationSpec) -> Task:
     """The task of an evaluation: with its values and ranges where the setup has them, and no draws that it has not."""
-    known = terrain_values(str(setup.scene)), task_parameters(setup)
+    declared = terrain_values(str(setup.scene)), task_parameters(setup)
 
-    def there(given: Mapping[str, Any]) -> dict[str, Any]:
+    def there(values: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            name: each
-            for name, each in given.items()
-            if name in known[not name.startswith("terrain.")]
+            name: value
+            for name, value in values.items()
+            if name in declared[not name.startswith("terrain.")]
         }
 
     values, ranges = there(evaluation.set), there({**task.randomize, **evaluation.randomize})
-    drawn = {name: ends for name, ends in ranges.items() if name not in values}
-    fixed = {name: value for name, value in task.set.items() if name not in drawn}
-    return dataclasses.replace(task, set={**fixed, **values}, randomize=drawn)
+    remaining_ranges = {name: ends for name, ends in ranges.items() if name not in values}
+    fixed = {name: value for name, value in task.set.items() if name not in remaining_ranges}
+    return dataclasses.replace(task, set={**fixed, **values}, randomize=remaining_ranges)
 
 
 def _code_identity(where: str) -> str:
@@ -545,6 +557,6 @@ def _refusals(doc: Document, *path: str | int) -> Iterator[None]:
         raise
     except ParameterError as error:
         field, _, message = str(error).partition(" ")
-        known = [(*path, *field.split(".", 1)), (*path, field), path]
-        at = next((each for each in known if each in doc.lines), path)
-        doc.fail(at, message, ".".join(map(str, (*path, field))))
+        candidates = [(*path, *field.split(".", 1)), (*path, field), path]
+        location = next((candidate for candidate in candidates if candidate in doc.lines), path)
+        doc.fail(location, message, ".".join(map(str, (*path, field))))

@@ -11,8 +11,8 @@ import numpy as np
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
-    told = f"{error.name} is not installed: pip install stable-baselines3 gymnasium."
-    raise ModuleNotFoundError(told, name=error.name) from None
+    message = f"{error.name} is not installed: pip install stable-baselines3 gymnasium."
+    raise ModuleNotFoundError(message, name=error.name) from None
 
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
@@ -61,12 +61,12 @@ class NermoVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """One control step of all worlds."""
-        observation, reward, terminated, truncated, told = self.door.step(self._actions)
+        observation, reward, terminated, truncated, info = self.door.step(self._actions)
         self._returns += reward
         self._lengths += 1
-        ended = terminated | truncated
+        is_ended = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for world in np.flatnonzero(ended):
+        for world in np.flatnonzero(is_ended):
             episode = {
                 "r": float(self._returns[world]),
                 "l": int(self._lengths[world]),
@@ -74,16 +74,16 @@ class NermoVecEnv(VecEnv):
             }
             final = {
                 name: column[world]
-                for name, column in told["final_info"].items()
+                for name, column in info["final_info"].items()
                 if not name.startswith("_")
             }
             infos[world] = final | {
-                "terminal_observation": told["final_obs"][world],
+                "terminal_observation": info["final_obs"][world],
                 "episode": episode,
                 "TimeLimit.truncated": bool(truncated[world] and not terminated[world]),
             }
-        self._returns[ended], self._lengths[ended] = 0.0, 0
-        return observation, reward.astype(np.float32), ended, infos
+        self._returns[is_ended], self._lengths[is_ended] = 0.0, 0
+        return observation, reward.astype(np.float32), is_ended, infos
 
     def close(self) -> None:
         """There is nothing to close."""

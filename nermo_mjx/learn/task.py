@@ -116,16 +116,16 @@ class Term:
             ParameterError: the function fails, cannot be compiled, or gives something else than one number.
         """
         with user_code(f"{self.subject}, which fails"):
-            given = self.value(moment)
+            value = self.value(moment)
         if (
-            not isinstance(given, (int, float, jax.Array))
-            or jnp.shape(given)
-            or jnp.iscomplexobj(given)
+            not isinstance(value, (int, float, jax.Array))
+            or jnp.shape(value)
+            or jnp.iscomplexobj(value)
         ):
             raise ParameterError(
-                f"{self.subject}, which gives {described(given)}: expected one number."
+                f"{self.subject}, which gives {described(value)}: expected one number."
             )
-        return jnp.asarray(given)
+        return jnp.asarray(value)
 
     @property
     def subject(self) -> str:
@@ -251,14 +251,14 @@ def chosen_terms(
         ParameterError: there is no such term, it needs a command that is not among the task's `commands`, or its weight
             is no number.
     """
-    found: dict[Term, float] = {}
-    for given, weight in weights.items():
-        term = _own_term(given) if is_own(given) else TERMS.get(str(given))
+    terms: dict[Term, float] = {}
+    for reference, weight in weights.items():
+        term = _own_term(reference) if is_own(reference) else TERMS.get(str(reference))
         if term is None:
-            near = nearest(str(given), list(TERMS))
+            near = nearest(str(reference), list(TERMS))
             hint = f"did you mean {near!r}? " if near else ""
             raise ParameterError(
-                f"rewards has {given!r}: {hint}allowed is one of {', '.join(TERMS)}, or {NAMED}."
+                f"rewards has {reference!r}: {hint}allowed is one of {', '.join(TERMS)}, or {NAMED}."
             )
         name = term.name
         if term.needs is not None and term.needs not in commands:
@@ -267,21 +267,21 @@ def chosen_terms(
             )
         if not isinstance(weight, (int, float)) or not jnp.isfinite(weight):
             raise ParameterError(f"rewards.{name} is {weight!r}: expected a number.")
-        found[term] = float(weight)
-    if len({term.name for term in found}) < len(found):
+        terms[term] = float(weight)
+    if len({term.name for term in terms}) < len(terms):
         raise ParameterError("rewards has two terms of one name: give one of them another.")
-    return found
+    return terms
 
 
-def _own_term(given: Any) -> Term:
+def _own_term(reference: Any) -> Term:
     """A term of one's own; a function has no unit."""
-    found = own_object("rewards", given)
-    if not isinstance(found, Term) and not callable(found):
+    function = own_object("rewards", reference)
+    if not isinstance(function, Term) and not callable(function):
         raise ParameterError(
-            f"rewards has {given!r}, which is {described(found)}: expected a Term, or a function."
+            f"rewards has {reference!r}, which is {described(function)}: expected a Term, or a function."
         )
-    name, doc = own_name(given), (inspect.getdoc(found) or "").partition("\n")[0].rstrip(".")
-    return found if isinstance(found, Term) else Term(name, "1", doc or name, found)
+    name, doc = own_name(reference), (inspect.getdoc(function) or "").partition("\n")[0].rstrip(".")
+    return function if isinstance(function, Term) else Term(name, "1", doc or name, function)
 
 
 class Outcome(enum.Enum):
@@ -338,27 +338,27 @@ class _Rewards(Checked):
             _terms, handler.generate_schema(dict[str, Finite])
         )
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
+    def schema(self, base: JsonSchema) -> JsonSchema:
         properties = {
             name: {"type": "number", "description": f"{term.doc} [{term.unit}]"}
             for name, term in TERMS.items()
         }
-        own = {":": {"type": "number", "description": f"a term of one's own: {NAMED}"}}
+        base = {":": {"type": "number", "description": f"a term of one's own: {NAMED}"}}
         return {
             "type": "object",
             "properties": properties,
-            "patternProperties": own,
+            "patternProperties": base,
             "additionalProperties": False,
         }
 
 
-def _terms(given: Any) -> Any:
-    for name in given if isinstance(given, dict) else ():
+def _terms(value: Any) -> Any:
+    for name in value if isinstance(value, dict) else ():
         if name not in TERMS and ":" not in str(name):
             raise Refused(
                 f"is no term of the reward; allowed are {', '.join(TERMS)}, or {NAMED}.", name
             )
-    return given or dict(REWARDS)
+    return value or dict(REWARDS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -408,15 +408,15 @@ class Task(Spec):
     """distance from the path at which an episode fails [m]; by default it fails at none"""
 
     @classmethod
-    def _known(cls, given: Any) -> Any:
+    def _known(cls, fields: Any) -> Any:
         if (
-            isinstance(given, dict) and "duration" in given and "episode_length" not in given
+            isinstance(fields, dict) and "duration" in fields and "episode_length" not in fields
         ):  # its former name
-            given = {
+            fields = {
                 "episode_length" if key == "duration" else key: value
-                for key, value in given.items()
+                for key, value in fields.items()
             }
-        return super()._known(given)
+        return super()._known(fields)
 
     def __post_init__(self) -> None:
         if not isinstance(self.action, ActionKind):
@@ -435,13 +435,13 @@ class Task(Spec):
             if value is not None and not 0.0 < value < np.inf:
                 raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
         object.__setattr__(self, "terminations", tuple(self.terminations))
-        observe = (each if is_own(each) else FORMER.get(each, each) for each in self.observe)
+        observe = (group if is_own(group) else FORMER.get(group, group) for group in self.observe)
         object.__setattr__(self, "observe", tuple(observe))
         for section in ("set", "randomize"):
-            named = {
+            declared = {
                 FORMER.get(name, name): value for name, value in getattr(self, section).items()
             }
-            object.__setattr__(self, section, named)
+            object.__setattr__(self, section, declared)
         if isinstance(self.bodies, bool):
             object.__setattr__(self, "bodies", identified.IDENTIFIED if self.bodies else "")
 
@@ -465,8 +465,8 @@ class Task(Spec):
     def with_own(self, change: Callable[[Any], Any]) -> Task:
         """The task with each entry of one's own replaced by what `change` makes of it."""
 
-        def one(given: Any) -> Any:
-            return change(given) if given is not None and is_own(given) else given
+        def one(reference: Any) -> Any:
+            return change(reference) if reference is not None and is_own(reference) else reference
 
         return dataclasses.replace(
             self,
@@ -498,13 +498,13 @@ class Task(Spec):
             raise ParameterError(
                 "schedule is of a walk, not of a training: vary what a policy should cope with."
             )
-        known = task_parameters(setup)
+        allowed = task_parameters(setup)
         body = set(identified.bodies(self.bodies).values) if self.bodies else set()
         for section in ("set", "randomize"):
             for name in getattr(self, section):
-                if name not in known:
+                if name not in allowed:
                     raise ParameterError(
-                        f"{section} has {name!r}, which is no parameter{did_you_mean(name, known)}"
+                        f"{section} has {name!r}, which is no parameter{did_you_mean(name, allowed)}"
                     )
                 if name.startswith("terrain.") and name not in terrain_values(str(setup.scene)):
                     raise ParameterError(
@@ -527,9 +527,9 @@ class Task(Spec):
                 raise ParameterError(
                     f"randomize.{name} is ({low:g}, {high:g}): the low end is not below the high one."
                 )
-            known[name].check(f"randomize.{name}", [low, high])
+            allowed[name].check(f"randomize.{name}", [low, high])
         for name, value in self.set.items():
-            known[name].check(f"set.{name}", value)
+            allowed[name].check(f"set.{name}", value)
         self.check_commands(setup)
         setup.check(
             setup.world({name: value for name, value in self.set.items() if name not in ADDED})
@@ -543,19 +543,19 @@ class Task(Spec):
         """
         if self.commands is None or not RUNS_CODE.get():
             return
-        known, (subject, drawn) = task_parameters(setup), drawn_by(self.commands)
-        for name, values in drawn.items():
-            if name not in known or (
+        allowed, (subject, sampled) = task_parameters(setup), drawn_by(self.commands)
+        for name, values in sampled.items():
+            if name not in allowed or (
                 name.startswith("terrain.") and name not in terrain_values(str(setup.scene))
             ):
                 raise ParameterError(
-                    f"{subject}, which draws {name!r}: no parameter here{did_you_mean(name, known)}"
+                    f"{subject}, which draws {name!r}: no parameter here{did_you_mean(name, allowed)}"
                 )
             if self.bodies and name in identified.bodies(self.bodies).values:
                 raise ParameterError(
                     f"{subject}, which draws {name!r}, which the identified bodies bring."
                 )
-            known[name].check(f"{subject}, where {name}", values)
+            allowed[name].check(f"{subject}, where {name}", values)
 
 
 #: Parameters of a policy's episodes that runs do not have; its file has them, too.
@@ -636,22 +636,26 @@ class Episodes:
         values |= self.task.sample(jax.random.fold_in(draw, 1), steps)
         if self.task.bodies:
             ensemble = identified.bodies(self.task.bodies)
-            one = jax.random.choice(body, len(ensemble), p=jnp.asarray(ensemble.weights, float))
+            instance = jax.random.choice(
+                body, len(ensemble), p=jnp.asarray(ensemble.weights, float)
+            )
             members = {name: jnp.asarray(column, float) for name, column in ensemble.values.items()}
-            values |= {name: column[one] for name, column in members.items()}
+            values |= {name: column[instance] for name, column in members.items()}
             spread = [
-                (column[one] - column.mean()) / (3.0 * column.std() + 1e-12)
+                (column[instance] - column.mean()) / (3.0 * column.std() + 1e-12)
                 for column in members.values()
             ]
             shares = jnp.concatenate([shares, jnp.clip(jnp.stack(spread), -1.0, 1.0)])
-        given = replace_quantities(
+        sampled = replace_quantities(
             Given(), {name: value for name, value in values.items() if name in GIVEN}
         )
         world = self.setup.world(
             {name: value for name, value in values.items() if name not in ADDED}
         )
-        told = commanded(self.controller.base, self.task.commanded, world.control, given.command)
-        control = jax.tree.map(_real, Acted(told, self.controller.parameters.action))
+        command_values = commanded(
+            self.controller.base, self.task.commanded, world.control, sampled.command
+        )
+        control = jax.tree.map(_real, Acted(command_values, self.controller.parameters.action))
         window = Window(begin=0.0, end=1e6, distance=1e6)
         world = dataclasses.replace(world, control=control)
         loop = loop_parameters(self.robot, world, window, values)
@@ -665,13 +669,15 @@ class Episodes:
         ticks, part = self.task.ticks(self.controller.dt), self.task.decimation
         short = part * jax.random.randint(jax.random.fold_in(seed, 1), (), 1, ticks // part + 1)
         length = jnp.where(cut_short, short, ticks)
-        parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number, length))
+        parameters = jax.tree.map(_real, EpisodeParameters(loop, sampled, shares, number, length))
         return parameters, jax.tree.map(_real, world.model), first
 
 
 def pushes_of(values: Mapping[str, Any], seed: Any) -> Pushes | None:
     """The pushes of a world with these values, by name; None if none of `PUSHES` is among them."""
-    force, interval = (values.get(name, about.default) for name, about in PUSHES.items())
+    force, interval = (
+        values.get(name, declaration.default) for name, declaration in PUSHES.items()
+    )
     return Pushes(force, interval, seed) if PUSHES.keys() & values.keys() else None
 
 
