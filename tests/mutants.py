@@ -172,14 +172,14 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "box_inside": Mutant(
         "dynamics/collision.py",
-        "jnp.where(within, into,",
-        "jnp.where(within, -into,",
+        "jnp.where(is_inside, into,",
+        "jnp.where(is_inside, -into,",
         "A sphere whose centre is in a box is pulled further in.",
     ),
     "newton_early": Mutant(
         "dynamics/solver.py",
-        "found.small & (found.stays | solution.small)",
-        "found.small",
+        "newton_step.small & (newton_step.stays | solution.small)",
+        "newton_step.small",
         "The solver stops after a small step across the border of a contact's zone.",
     ),
     "cone_curvature": Mutant(
@@ -266,8 +266,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # specs
     "merge_wins": Mutant(
         "specs/reading.py",
-        "return {**merged, **own}",
-        "return {**own, **merged}",
+        "return {**merged, **entries}",
+        "return {**entries, **merged}",
         "A merged YAML mapping overrides the fields of the mapping that merges it.",
     ),
     "line_of_field": Mutant(
@@ -335,14 +335,14 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "spread_of_parts": Mutant(
         "learn/experience.py",
-        "+ variance * count + apart**2 * self.count * count / total",
-        "+ variance * count",
+        "            + difference**2 * self.count * count / total\n",
+        "",
         "The running variance ignores the difference between the means of two batches.",
     ),
     "delay_sign": Mutant(
         "learn/observing.py",
-        "newest_first[before + 1] - newest_first[before]\n",
-        "newest_first[before] - newest_first[before + 1]\n",
+        "(newest_first[index + 1] - newest_first[index])",
+        "(newest_first[index] - newest_first[index + 1])",
         "Delayed observations are extrapolated instead of interpolated.",
     ),
     "clip_without_minimum": Mutant(
@@ -391,15 +391,15 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "own_clock": Mutant(
         "hardware/log.py",
-        'return first + own.get("offset", 0.0) + own.get("scale", 1.0) * (stamps - first)',
-        'return own.get("offset", 0.0) + own.get("scale", 1.0) * stamps',
+        '+ time_fields.get("scale", 1.0) * (stamps - first)',
+        '+ time_fields.get("scale", 1.0) * stamps - first',
         "The scale of a clock also moves its first time stamp.",
     ),
     # live
     "no_limit_on_wire": Mutant(
         "live/wire.py",
-        "degrees = np.clip(wanted, self._low, self._high)",
-        "degrees = wanted",
+        "degrees = np.clip(servo_angles, self._low, self._high)",
+        "degrees = servo_angles",
         "The real robot gets commands beyond the limits of its servos.",
     ),
     "repeated_stamp": Mutant(
@@ -456,7 +456,7 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # the package itself
     "lengths_agree": Mutant(
         "files.py",
-        "known.setdefault(want, have) if isinstance(want, str) else want\n",
+        "sizes.setdefault(want, have) if isinstance(want, str) else want\n",
         "have if isinstance(want, str) else want\n",
         "Arrays of different lengths are read as one recording.",
     ),

@@ -65,7 +65,7 @@ class GradientCheck:
     @property
     def errors(self) -> list[float]:
         """Error of the gradient against the differences of each width, see `distance`."""
-        return [distance(self.group, self.gradient, each) for each in self.differences]
+        return [distance(self.group, self.gradient, difference) for difference in self.differences]
 
     @property
     def chosen(self) -> int:
@@ -88,10 +88,10 @@ class GradientCheck:
     @property
     def _apart(self) -> list[float]:
         pairs = zip(self.differences[:-1], self.differences[1:], strict=True)
-        return [distance(self.group, one, other) for one, other in pairs]
+        return [distance(self.group, left, right) for left, right in pairs]
 
 
-def distance(group: np.ndarray, found: np.ndarray, expected: np.ndarray) -> float:
+def distance(group: np.ndarray, gradient: np.ndarray, expected: np.ndarray) -> float:
     """|found - expected| / |expected| in the group where it is largest; inf if one of them is not finite.
 
     >>> group = np.array([0, 0, 1])
@@ -102,14 +102,16 @@ def distance(group: np.ndarray, found: np.ndarray, expected: np.ndarray) -> floa
         group: of each entry; all entries of a group have the same unit.
         found, expected: the vectors.
     """
-    if not (np.isfinite(found).all() and np.isfinite(expected).all()):
+    if not (np.isfinite(gradient).all() and np.isfinite(expected).all()):
         return float("inf")
-    least = FLOOR * np.linalg.norm(expected)
+    floor = FLOOR * np.linalg.norm(expected)
     shares = [0.0]
-    for each in np.unique(group):
-        among = group == each
-        scale = max(np.linalg.norm(expected[among]), least)
-        shares.append(float(np.linalg.norm((found - expected)[among]) / scale) if scale else 0.0)
+    for index in np.unique(group):
+        in_group = group == index
+        scale = max(np.linalg.norm(expected[in_group]), floor)
+        shares.append(
+            float(np.linalg.norm((gradient - expected)[in_group]) / scale) if scale else 0.0
+        )
     return max(shares)
 
 
@@ -178,7 +180,7 @@ def trial(
         blank = blank.replace(
             mocap_pos=jnp.asarray(start.mocap_pos), mocap_quat=jnp.asarray(start.mocap_quat)
         )
-    state = [jnp.asarray(each, float) for each in (start.qpos, start.qvel, start.act, start.ctrl)]
+    state = [jnp.asarray(leaf, float) for leaf in (start.qpos, start.qvel, start.act, start.ctrl)]
     width = jnp.zeros(0).dtype
     zero = Point(*(jnp.zeros(size, width) for size in (model.nv, model.nv, model.na, model.nu, 2)))
 
@@ -230,13 +232,14 @@ def compare_gradient(
         value: `run.value`, compiled.
     """
     flat, point_of = jax.flatten_util.ravel_pytree(run.zero)
-    group, moved = entries(run.zero)
+    group, directions = entries(run.zero)
 
     def at(entry: np.integer, change: float) -> float:
         return float(value(point_of(flat.at[entry].set(change)))[0])
 
     differences = [
-        [(at(each, width) - at(each, -width)) / (2.0 * width) for each in moved] for width in WIDTHS
+        [(at(direction, width) - at(direction, -width)) / (2.0 * width) for direction in directions]
+        for width in WIDTHS
     ]
     return GradientCheck(
         group, moved_entries(slopes), np.array(differences), np.asarray(value(run.zero)[1])
@@ -246,19 +249,19 @@ def compare_gradient(
 def entries(point: Point) -> tuple[np.ndarray, np.ndarray]:
     """The entries of a point that are moved: each one's field, and its index among all entries."""
     fields, places, first = [], [], 0
-    for field, size in enumerate(each.size for each in point):
-        chosen = (
+    for field, size in enumerate(leaf.size for leaf in point):
+        selected = (
             np.unique(np.linspace(0, size - 1, min(size, MOST)).round().astype(int))
             if size
             else np.zeros(0, int)
         )
-        fields.append(np.full(len(chosen), field))
-        places.append(first + chosen)
+        fields.append(np.full(len(selected), field))
+        places.append(first + selected)
         first += size
     return np.concatenate(fields), np.concatenate(places)
 
 
 def moved_entries(slopes: Point) -> Float[np.ndarray, " n"]:
     """Those entries of a gradient."""
-    flat = np.concatenate([np.ravel(each) for each in slopes])
+    flat = np.concatenate([np.ravel(slope) for slope in slopes])
     return flat[entries(slopes)[1]]

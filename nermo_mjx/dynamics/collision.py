@@ -39,8 +39,8 @@ def _collider(count: int) -> Callable[[Callable[[GeomInfo, GeomInfo], Contacts]]
     def wrap(function: Callable[[GeomInfo, GeomInfo], Contacts]) -> Any:
         def collide(model: Any, data: Any, _: Any, geom: Any) -> Contacts:
             pair = [
-                GeomInfo(data.geom_xpos[each], data.geom_xmat[each], model.geom_size[each])
-                for each in geom.T
+                GeomInfo(data.geom_xpos[field], data.geom_xmat[field], model.geom_size[field])
+                for field in geom.T
             ]
             dist, pos, frame = jax.vmap(function)(*pair)
             return dist.reshape(-1), pos.reshape(-1, 3), frame.reshape(-1, 3, 3)
@@ -60,121 +60,135 @@ def _unit(vector: Vector, otherwise: Vector | None = None) -> Vector:
 
 
 def _spheres(
-    one: GeomInfo, other: GeomInfo, at: Vector, to: Vector, radius: Scalar, other_radius: Scalar
+    first: GeomInfo,
+    second: GeomInfo,
+    first_point: Vector,
+    second_point: Vector,
+    radius: Scalar,
+    other_radius: Scalar,
 ) -> tuple[Scalar, Vector, Vector]:
     """Distance, position and normal of spheres in two geoms; where they coincide, the normal is across both axes."""
-    normal = _unit(to - at, _unit(spatial.cross(one.mat[:, 2], other.mat[:, 2])))
-    dist = spatial.length(to - at) - radius - other_radius
-    return dist, at + normal * (radius + 0.5 * dist), normal
-
-
-@_collider(1)
-def sphere_sphere(one: GeomInfo, other: GeomInfo) -> Contacts:
-    dist, pos, normal = _spheres(one, other, one.pos, other.pos, one.size[0], other.size[0])
-    return dist, pos, math.make_frame(normal)
-
-
-@_collider(1)
-def sphere_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
-    axis = other.mat[:, 2]
-    nearest = other.pos + axis * jnp.clip(
-        axis @ (one.pos - other.pos), -other.size[1], other.size[1]
+    normal = _unit(
+        second_point - first_point, _unit(spatial.cross(first.mat[:, 2], second.mat[:, 2]))
     )
-    dist, pos, normal = _spheres(one, other, one.pos, nearest, one.size[0], other.size[0])
+    dist = spatial.length(second_point - first_point) - radius - other_radius
+    return dist, first_point + normal * (radius + 0.5 * dist), normal
+
+
+@_collider(1)
+def sphere_sphere(first: GeomInfo, second: GeomInfo) -> Contacts:
+    dist, pos, normal = _spheres(
+        first, second, first.pos, second.pos, first.size[0], second.size[0]
+    )
     return dist, pos, math.make_frame(normal)
 
 
 @_collider(1)
-def sphere_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
+def sphere_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
+    axis = second.mat[:, 2]
+    nearest = second.pos + axis * jnp.clip(
+        axis @ (first.pos - second.pos), -second.size[1], second.size[1]
+    )
+    dist, pos, normal = _spheres(first, second, first.pos, nearest, first.size[0], second.size[0])
+    return dist, pos, math.make_frame(normal)
+
+
+@_collider(1)
+def sphere_cylinder(first: GeomInfo, second: GeomInfo) -> Contacts:
     """Against the side, an end or the rim of the cylinder."""
-    axis, (radius, half) = other.mat[:, 2], other.size[:2]
-    height = axis @ (one.pos - other.pos)
-    across = one.pos - other.pos - axis * height
+    axis, (radius, half) = second.mat[:, 2], second.size[:2]
+    height = axis @ (first.pos - second.pos)
+    across = first.pos - second.pos - axis * height
     outside = spatial.length(across)
     side, end = jnp.abs(height) < half, outside < radius
     nearer_end = half - jnp.abs(height) < radius - outside
     side, end = side & ~(end & nearer_end), end & ~(side & ~nearer_end)
     up = jnp.where(height > 0.0, axis, -axis)
-    rim = other.pos + up * half + _unit(across) * radius
-    to, wide = jnp.where(side, other.pos + axis * height, rim), jnp.where(side, radius, 0.0)
-    found = _spheres(one, other, one.pos, to, one.size[0], wide)
-    above = jnp.abs(height) - half - one.size[0]
-    flat = above, one.pos - up * (one.size[0] + 0.5 * above), -up
+    rim = second.pos + up * half + _unit(across) * radius
+    to, wide = jnp.where(side, second.pos + axis * height, rim), jnp.where(side, radius, 0.0)
+    contacts = _spheres(first, second, first.pos, to, first.size[0], wide)
+    above = jnp.abs(height) - half - first.size[0]
+    flat = above, first.pos - up * (first.size[0] + 0.5 * above), -up
     dist, pos, normal = (
-        jnp.where(end, ours, theirs) for ours, theirs in zip(flat, found, strict=True)
+        jnp.where(end, ours, theirs) for ours, theirs in zip(flat, contacts, strict=True)
     )
     return dist, pos, math.make_frame(normal)
 
 
 @_collider(1)
-def sphere_box(one: GeomInfo, other: GeomInfo) -> Contacts:
+def sphere_box(first: GeomInfo, second: GeomInfo) -> Contacts:
     """Against the nearest point of the box, or its nearest face where the centre is within."""
-    centre = other.mat.T @ (one.pos - other.pos)
-    nearest = jnp.clip(centre, -other.size, other.size)
-    away = spatial.length(nearest - centre)
-    within = away <= mjMINVAL
-    faces = jnp.stack([other.size + centre, other.size - centre], 1).ravel()
+    centre = second.mat.T @ (first.pos - second.pos)
+    nearest = jnp.clip(centre, -second.size, second.size)
+    distance = spatial.length(nearest - centre)
+    is_inside = distance <= mjMINVAL
+    faces = jnp.stack([second.size + centre, second.size - centre], 1).ravel()
     face = jnp.argmin(jnp.abs(faces))
     into = jnp.asarray(np.stack([np.eye(3), -np.eye(3)], 1).reshape(6, 3), centre.dtype)[face]
-    dist = jnp.where(within, -jnp.abs(faces[face]), away) - one.size[0]
-    normal = jnp.where(within, into, _unit(nearest - centre))
-    pos = centre + normal * (one.size[0] + 0.5 * dist)
-    return dist, other.pos + other.mat @ pos, math.make_frame(other.mat @ normal)
+    dist = jnp.where(is_inside, -jnp.abs(faces[face]), distance) - first.size[0]
+    normal = jnp.where(is_inside, into, _unit(nearest - centre))
+    pos = centre + normal * (first.size[0] + 0.5 * dist)
+    return dist, second.pos + second.mat @ pos, math.make_frame(second.mat @ normal)
 
 
 @_collider(2)
-def capsule_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
+def capsule_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
     """At the closest points of the axes; of axes parallel to 1e-4 rad at both ends of where they are side by side."""
-    axis, across = one.mat[:, 2], other.mat[:, 2]
-    half, other_half = one.size[1], other.size[1]
-    apart = other.pos - one.pos
-    cosine, at, to = axis @ across, axis @ apart, across @ apart
+    axis, across = first.mat[:, 2], second.mat[:, 2]
+    half, other_half = first.size[1], second.size[1]
+    offset = second.pos - first.pos
+    cosine, first_projection, second_projection = axis @ across, axis @ offset, across @ offset
     sine = 1.0 - cosine * cosine
     parallel = sine < 1e-8
     free = jnp.where(parallel, 1.0, sine)
-    x, y = (at - cosine * to) / free, (cosine * at - to) / free
-    y = jnp.where(jnp.abs(x) > half, jnp.sign(x) * half * cosine - to, y)
-    x = jnp.where(jnp.abs(y) > other_half, jnp.sign(y) * other_half * cosine + at, x)
+    x, y = (
+        (first_projection - cosine * second_projection) / free,
+        (cosine * first_projection - second_projection) / free,
+    )
+    y = jnp.where(jnp.abs(x) > half, jnp.sign(x) * half * cosine - second_projection, y)
+    x = jnp.where(jnp.abs(y) > other_half, jnp.sign(y) * other_half * cosine + first_projection, x)
     reach = other_half * jnp.abs(cosine)
-    ends = jnp.stack([jnp.maximum(at - reach, -half), jnp.minimum(at + reach, half)])
+    ends = jnp.stack(
+        [jnp.maximum(first_projection - reach, -half), jnp.minimum(first_projection + reach, half)]
+    )
     x = jnp.clip(jnp.where(parallel, ends, x), -half, half)
-    y = jnp.clip(jnp.where(parallel, x * cosine - to, y), -other_half, other_half)
-    points = one.pos + x[:, None] * axis, other.pos + y[:, None] * across
+    y = jnp.clip(jnp.where(parallel, x * cosine - second_projection, y), -other_half, other_half)
+    points = first.pos + x[:, None] * axis, second.pos + y[:, None] * across
     dist, pos, normal = jax.vmap(
-        lambda p, q: _spheres(one, other, p, q, one.size[0], other.size[0])
+        lambda p, q: _spheres(first, second, p, q, first.size[0], second.size[0])
     )(*points)
     dist = jnp.stack([dist[0], jnp.where(parallel, dist[1], FAR)])
     return dist, pos, jax.vmap(math.make_frame)(normal)
 
 
 @_collider(2)
-def plane_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
+def plane_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
     """At both ends, with the friction's axes along the capsule."""
-    normal, axis = one.mat[:, 2], other.mat[:, 2]
+    normal, axis = first.mat[:, 2], second.mat[:, 2]
     along = _unit(axis - normal * (normal @ axis))
-    ends = other.pos + np.array([[1.0], [-1.0]]) * axis * other.size[1]
-    dist = (ends - one.pos) @ normal - other.size[0]
-    pos = ends - normal * (other.size[0] + 0.5 * dist[:, None])
+    ends = second.pos + np.array([[1.0], [-1.0]]) * axis * second.size[1]
+    dist = (ends - first.pos) @ normal - second.size[0]
+    pos = ends - normal * (second.size[0] + 0.5 * dist[:, None])
     frame = jnp.stack([normal, along, spatial.cross(normal, along)])
     return dist, pos, jnp.stack([frame, frame])
 
 
 @_collider(4)
-def plane_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
+def plane_cylinder(first: GeomInfo, second: GeomInfo) -> Contacts:
     """At the lowest points of both rims, and at two that make a triangle with the first.
 
     Where the axis is along the normal the triangle points along the cylinder's x; it has no derivative by the tilt,
     with which C's turns at once.
     """
-    normal, axis = one.mat[:, 2], other.mat[:, 2]
+    normal, axis = first.mat[:, 2], second.mat[:, 2]
     down = axis * jnp.where(normal @ axis > 0.0, -1.0, 1.0)
-    lowest = other.size[0] * _unit(down * (normal @ down) - normal, other.mat[:, 0])
-    end = other.size[1] * down
-    aside = _unit(spatial.cross(lowest, end)) * other.size[0] * 0.75**0.5
-    points = other.pos + jnp.stack(
+    lowest = second.size[0] * _unit(down * (normal @ down) - normal, second.mat[:, 0])
+    end = second.size[1] * down
+    aside = _unit(spatial.cross(lowest, end)) * second.size[0] * 0.75**0.5
+    points = second.pos + jnp.stack(
         [end + lowest, lowest - end, end - 0.5 * lowest + aside, end - 0.5 * lowest - aside]
     )
-    dist = (points - one.pos) @ normal
+    dist = (points - first.pos) @ normal
     return (
         dist,
         points - 0.5 * dist[:, None] * normal,
@@ -183,14 +197,14 @@ def plane_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
 
 
 @_collider(4)
-def plane_box(one: GeomInfo, other: GeomInfo) -> Contacts:
+def plane_box(first: GeomInfo, second: GeomInfo) -> Contacts:
     """At the four lowest corners, where these are not above the centre."""
-    normal = one.mat[:, 2]
-    corners = (np.array(_CORNERS) * other.size) @ other.mat.T
+    normal = first.mat[:, 2]
+    corners = (np.array(_CORNERS) * second.size) @ second.mat.T
     lowest = jnp.argsort(jax.lax.stop_gradient(corners @ normal))[:4]
     corners, below = corners[lowest], (corners @ normal)[lowest]
-    dist = jnp.where(below <= 0.0, (other.pos - one.pos) @ normal + below, FAR)
-    pos = other.pos + corners - 0.5 * dist[:, None] * normal
+    dist = jnp.where(below <= 0.0, (second.pos - first.pos) @ normal + below, FAR)
+    pos = second.pos + corners - 0.5 * dist[:, None] * normal
     return dist, pos, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
 
 
@@ -218,15 +232,17 @@ def _round(
         return n @ between - sum(height for height, _ in supports(n, shapes)) - radius
 
     def newton(n: Vector, t: Scalar, damped: bool) -> tuple[Vector, Scalar]:
-        apart, shapes, segment = fixed
-        found = supports(n, shapes)
+        offset, shapes, segment = fixed
+        support_points = supports(n, shapes)
         flat = jnp.eye(3, dtype=n.dtype) - jnp.outer(n, n)
         bend = (
             flat
-            @ sum((q - jnp.outer(g, g)) / h for q, (h, g) in zip(shapes, found, strict=True))
+            @ sum(
+                (q - jnp.outer(g, g)) / h for q, (h, g) in zip(shapes, support_points, strict=True)
+            )
             @ flat
         )
-        pull = apart - t * segment - sum(g for _, g in found)
+        pull = offset - t * segment - sum(g for _, g in support_points)
         lift = n @ pull
         if damped:  # where it is not concave: the lesser of both curvatures
             size, square = jnp.trace(bend), jnp.sum(bend * bend)
@@ -234,13 +250,13 @@ def _round(
                 lift, -0.45 * (size - jnp.sqrt(jnp.maximum(2.0 * square - size * size, 0.0)))
             )
         inverse = jnp.linalg.inv(bend + lift * flat + jnp.outer(n, n))
-        across, moved = flat @ segment, inverse @ flat @ pull
+        across, normal_change = flat @ segment, inverse @ flat @ pull
         soft = jnp.maximum(across @ inverse @ across, mjMINVAL)
-        place = jnp.clip(t + segment @ (n + moved) / soft, -1.0, 1.0)
-        change = moved - inverse @ across * (place - t)
+        segment_position = jnp.clip(t + segment @ (n + normal_change) / soft, -1.0, 1.0)
+        change = normal_change - inverse @ across * (segment_position - t)
         if damped:
             change *= jnp.minimum(1.0, 0.5 / jnp.maximum(spatial.length(change), mjMINVAL))
-        return _unit(n + change), place
+        return _unit(n + change), segment_position
 
     fixed = jax.lax.stop_gradient((apart, shapes, segment))
     axes = jnp.concatenate([one.mat.T, other.mat.T])
@@ -248,7 +264,9 @@ def _round(
     middle = jnp.clip(fixed[0] @ fixed[2] / jnp.maximum(fixed[2] @ fixed[2], mjMINVAL), -1.0, 1.0)
 
     def converged(n: Vector) -> tuple[Vector, Scalar]:
-        return jax.lax.fori_loop(0, ROUNDS, lambda _, at: newton(at[0], at[1], True), (n, middle))
+        return jax.lax.fori_loop(
+            0, ROUNDS, lambda _, current: newton(current[0], current[1], True), (n, middle)
+        )
 
     found = jax.vmap(converged)(starts)
     best = jnp.argmax(jax.vmap(lambda n: distance(n, apart) - jnp.abs(n @ segment))(found[0]))
@@ -256,12 +274,12 @@ def _round(
     n, t = newton(n, t, False)
     slides = (jnp.abs(t) < 1.0) & (fixed[2] @ fixed[2] > mjMINVAL**2)
 
-    def off(at: Array) -> Array:
+    def off(unknowns: Array) -> Array:
         """Zero at the solution: the pull across n, the length of n less 1, and the slope along the segment."""
-        way, place = _unit(at[:3]), at[3]
-        pull = apart - place * segment - sum(g for _, g in supports(way, shapes))
-        across = pull - (way @ pull) * way + at[:3] - way
-        return jnp.append(across, jnp.where(slides, way @ segment, place - t))
+        direction, position = _unit(unknowns[:3]), unknowns[3]
+        pull = apart - position * segment - sum(g for _, g in supports(direction, shapes))
+        across = pull - (direction @ pull) * direction + unknowns[:3] - direction
+        return jnp.append(across, jnp.where(slides, direction @ segment, position - t))
 
     def tangent(linear: Callable[[Array], Array], right: Array) -> Array:
         solution: Array = jnp.linalg.solve(jax.vmap(linear)(jnp.eye(4, dtype=right.dtype)).T, right)
@@ -281,19 +299,19 @@ def _quadric(geom: GeomInfo) -> Matrix:
 
 
 @_collider(1)
-def capsule_ellipsoid(one: GeomInfo, other: GeomInfo) -> Contacts:
-    return _round(one, other, [_quadric(other)], one.mat[:, 2] * one.size[1], one.size[0])
+def capsule_ellipsoid(first: GeomInfo, second: GeomInfo) -> Contacts:
+    return _round(first, second, [_quadric(second)], first.mat[:, 2] * first.size[1], first.size[0])
 
 
 @_collider(1)
-def sphere_ellipsoid(one: GeomInfo, other: GeomInfo) -> Contacts:
-    return _round(one, other, [_quadric(other)], jnp.zeros_like(one.pos), one.size[0])
+def sphere_ellipsoid(first: GeomInfo, second: GeomInfo) -> Contacts:
+    return _round(first, second, [_quadric(second)], jnp.zeros_like(first.pos), first.size[0])
 
 
 @_collider(1)
-def ellipsoid_ellipsoid(one: GeomInfo, other: GeomInfo) -> Contacts:
-    none = jnp.zeros_like(one.pos)
-    return _round(one, other, [_quadric(one), _quadric(other)], none, none[0])
+def ellipsoid_ellipsoid(first: GeomInfo, second: GeomInfo) -> Contacts:
+    no_segment = jnp.zeros_like(first.pos)
+    return _round(first, second, [_quadric(first), _quadric(second)], no_segment, no_segment[0])
 
 
 def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
@@ -307,8 +325,8 @@ def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
 
 #: Pairs of kinds of geoms whose contacts are those of this module.
 OURS: Final = {
-    (mjx.GeomType[one], mjx.GeomType[other]): function
-    for one, other, function in (
+    (mjx.GeomType[first], mjx.GeomType[second]): function
+    for first, second, function in (
         ("PLANE", "CAPSULE", plane_capsule),
         ("PLANE", "BOX", plane_box),
         ("PLANE", "CYLINDER", plane_cylinder),

@@ -83,7 +83,7 @@ class Constants:
     ) -> dict[str, Float[Array, ...]]:
         """The fields of `DERIVED_FIELDS`, shaped as in `mujoco.MjModel`; masses [kg], principal moments [kg m^2]."""
         linear, angular, principal, tendon, moment = (
-            jnp.asarray(each, float) for each in jacobians
+            jnp.asarray(matrix, float) for matrix in jacobians
         )
         bodies = (
             jnp.einsum("b,bki,bkj->ij", body_mass, linear, linear)
@@ -102,8 +102,8 @@ class Constants:
         dof = jnp.asarray(self._group, float) @ jnp.diag(inverse)
         if self._slides.any():
             sliding = 1.0 / jnp.where(self._slides, body_mass, 1.0)
-            alone = jnp.stack([sliding, jnp.zeros_like(sliding)], axis=-1)
-            body = jnp.where(self._slides[:, None], alone, body)
+            translation_only = jnp.stack([sliding, jnp.zeros_like(sliding)], axis=-1)
+            body = jnp.where(self._slides[:, None], translation_only, body)
             dof = jnp.where(self._slides_of_dof, sliding[self._body_of_dof], dof)
         return {
             "body_subtreemass": jnp.asarray(self._below, float) @ body_mass,
@@ -176,7 +176,7 @@ class PlaceConstants:
         from nermo_mjx.dynamics.mjx_copy import adapted, make_data
 
         model = self._model.tree_replace(
-            {name: each for name, each in fields.items() if name.startswith(_PLACES)}
+            {name: value for name, value in fields.items() if name.startswith(_PLACES)}
         )
         data = make_data(self._model)
         data = data.replace(qpos=jnp.asarray(self._model.qpos0, data.qpos.dtype))
@@ -199,10 +199,10 @@ def _of_actuators(
 ) -> tuple[Float[np.ndarray, " njnt"], Float[np.ndarray, " ntendon"]]:
     """The armature that actuators give each joint and tendon: theirs, times the square of the gear."""
     joints, tendons = np.zeros(model.njnt), np.zeros(model.ntendon)
-    given = model.actuator_armature * model.actuator_gear[:, 0] ** 2
-    for kinds, of in ((_ON_JOINTS, joints), ((mujoco.mjtTrn.mjTRN_TENDON,), tendons)):
-        chosen = np.isin(model.actuator_trntype, kinds)
-        np.add.at(of, model.actuator_trnid[chosen, 0], given[chosen])
+    reflected_inertia = model.actuator_armature * model.actuator_gear[:, 0] ** 2
+    for kinds, element_index in ((_ON_JOINTS, joints), ((mujoco.mjtTrn.mjTRN_TENDON,), tendons)):
+        is_of_kind = np.isin(model.actuator_trntype, kinds)
+        np.add.at(element_index, model.actuator_trnid[is_of_kind, 0], reflected_inertia[is_of_kind])
     return joints, tendons
 
 

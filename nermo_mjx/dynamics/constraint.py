@@ -27,10 +27,10 @@ ROUNDING: Final = 4.0
 
 
 def gradient(
-    layout: Layout, problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None
+    layout: Layout, problem: ConstraintProblem, qacc: Dofs, known_residual: Efc | None = None
 ) -> Dofs:
     """g(a), zero at the solution; `known` is a more exact value of the residual."""
-    force = forces(layout, problem, residual(problem, qacc, known))
+    force = forces(layout, problem, residual(problem, qacc, known_residual))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
 
@@ -44,26 +44,26 @@ def rounding(
 
 
 def hessian(
-    layout: Layout, problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None
+    layout: Layout, problem: ConstraintProblem, qacc: Dofs, known_residual: Efc | None = None
 ) -> Float[Array, "nv nv"]:
     """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric; `known` as in `gradient`."""
-    jacobian, at = problem.jacobian, residual(problem, qacc, known)
-    springs, _ = _simple(layout, problem, at)
-    end = _first_cone(layout, at)
+    jacobian, residuals = problem.jacobian, residual(problem, qacc, known_residual)
+    springs, _ = _simple(layout, problem, residuals)
+    end = _first_cone(layout, residuals)
     parts = [jnp.where(springs, problem.stiffness, 0.0)[:end, None] * jacobian[:end]]
-    for first, dim, apart, stiffness, scale in _contacts(layout, problem, at):
-        slopes = jax.vmap(_cone_slope)(apart, stiffness, scale)
-        rows = jacobian[first : first + apart.size].reshape(-1, dim, jacobian.shape[1])
+    for first, dim, contact_residual, stiffness, scale in _contacts(layout, problem, residuals):
+        slopes = jax.vmap(_cone_slope)(contact_residual, stiffness, scale)
+        rows = jacobian[first : first + contact_residual.size].reshape(-1, dim, jacobian.shape[1])
         # Sums of products instead of a matrix product, which XLA would turn into a library call for each contact.
         weighted = sum(slopes[:, :, k, None] * rows[:, None, k] for k in range(dim))
-        parts.append(jnp.reshape(weighted, (apart.size, jacobian.shape[1])))
+        parts.append(jnp.reshape(weighted, (contact_residual.size, jacobian.shape[1])))
     return problem.inertia + jacobian.T @ jnp.concatenate(parts)
 
 
-def residual(problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None) -> Efc:
+def residual(problem: ConstraintProblem, qacc: Dofs, known_residual: Efc | None = None) -> Efc:
     """r = J a - aref, or a more exact value of it, with the same derivatives."""
     plain = problem.jacobian @ qacc - problem.aref
-    return plain if known is None else _known(known, plain)
+    return plain if known_residual is None else _known(known_residual, plain)
 
 
 def exact_residual(problem: ConstraintProblem, qacc: Dofs) -> Efc:
@@ -186,7 +186,7 @@ class _Zone(NamedTuple):
 def _zone(residual: Float[Array, " dim"], scale: Float[Array, " dim"]) -> _Zone:
     mu, u = scale[0], scale * residual
     # Added one by one: a sum over an axis would be a separate kernel launch on a GPU.
-    n, square = u[0], sum(each * each for each in u[1:])
+    n, square = u[0], sum(component * component for component in u[1:])
     moves = square > 0.0
     t = jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
     length = jnp.where(moves, t, 1.0)

@@ -57,7 +57,7 @@ POSES: Final = 200
 FLAGS: Final = {"mjENBL_SLEEP": "sleep", "mjENBL_IPC": "ipc"}
 #: Fields of kinds that MJX has not all of: the elements, and the name of the kinds.
 _KINDS: Final = (
-    *(("actuator", f"{each.lower()}type", each) for each in ("Bias", "Dyn", "Gain", "Trn")),
+    *(("actuator", f"{suffix.lower()}type", suffix) for suffix in ("Bias", "Dyn", "Gain", "Trn")),
     ("eq", "type", "Eq"),
     ("sensor", "type", "Sensor"),
 )
@@ -87,18 +87,18 @@ def refused(model: mujoco.MjModel) -> Iterator[str]:
     for index in range(model.nflex):
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, index) or index
         yield f"flex {name!r} is soft: MJX has no flexes, remove it"
-    of_elements = [(kind, f"{kind}_{field}", each) for kind, field, each in _KINDS]
-    for kind, field, each in of_elements + [("", name, name.title()) for name in _OPTIONS]:
-        known, every = getattr(types, f"{each}Type"), getattr(mujoco, f"mjt{each}")
+    of_elements = [(kind, f"{kind}_{field}", enum_name) for kind, field, enum_name in _KINDS]
+    for kind, field, enum_name in of_elements + [("", name, name.title()) for name in _OPTIONS]:
+        supported, every = getattr(types, f"{enum_name}Type"), getattr(mujoco, f"mjt{enum_name}")
         for index, value in enumerate(
             getattr(model, field) if kind else [getattr(model.opt, field)]
         ):
-            if value not in set(known):
-                allowed = ", ".join(other.name.lower() for other in known)
-                what = (
+            if value not in set(supported):
+                allowed = ", ".join(member.name.lower() for member in supported)
+                subject = (
                     f"{field.partition('_')[2]} of {named(model, kind, index)}" if kind else field
                 )
-                yield f"{what} is {_word(every(value))}, which MJX lacks: allowed are {allowed}"
+                yield f"{subject} is {_word(every(value))}, which MJX lacks: allowed are {allowed}"
     for flag in mujoco.mjtEnableBit.__members__.values():
         if (
             model.opt.enableflags & int(flag)
@@ -110,23 +110,25 @@ def refused(model: mujoco.MjModel) -> Iterator[str]:
     if fluid and model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         yield "integrator is implicitfast, in a fluid: take Euler or RK4, or set density, viscosity and wind to 0"
     for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT):
-        for of in (model.sensor_objtype[sensor], model.sensor_reftype[sensor]):
-            if (by := _word(mujoco.mjtObj(of))) in ("site", "body", "xbody"):
+        for object_type in (model.sensor_objtype[sensor], model.sensor_reftype[sensor]):
+            if (by := _word(mujoco.mjtObj(object_type))) in ("site", "body", "xbody"):
                 yield f"{named(model, 'sensor', sensor)} matches contacts by {by}, which MJX cannot: allowed are geoms"
         if model.sensor_intprm[sensor, 1] == 3:
             yield f"{named(model, 'sensor', sensor)} has the reduction netforce: allowed are none, mindist, maxforce"
     for first, second, pair in collision_driver.geom_pairs(model):
         kinds = [mujoco.mjtGeom(kind) for kind in model.geom_type[[first, second]]]
         margin = model.pair_margin[pair] if pair >= 0 else model.geom_margin[[first, second]].max()
-        said = ""
+        reason = ""
         if not collision_driver.has_collision_fn(*kinds):
-            said = f"are {' and '.join(map(_word, kinds))}, which MJX cannot collide: exclude them"
+            reason = (
+                f"are {' and '.join(map(_word, kinds))}, which MJX cannot collide: exclude them"
+            )
         elif margin and {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD} & set(kinds):
-            said = "have a margin, which MJX lacks for meshes and height fields: set it to 0"
-        if said:
-            yield f"{named(model, 'geom', first)} and {named(model, 'geom', second)} {said}, or see fitted"
-    for one in frictionless(model):
-        yield f"{named(model, *one)} has condim 1 with elliptic cones, which MJX lacks: take condim 3, or see fitted"
+            reason = "have a margin, which MJX lacks for meshes and height fields: set it to 0"
+        if reason:
+            yield f"{named(model, 'geom', first)} and {named(model, 'geom', second)} {reason}, or see fitted"
+    for element in frictionless(model):
+        yield f"{named(model, *element)} has condim 1 with elliptic cones, which MJX lacks: take condim 3, or see fitted"
 
 
 def _word(kind: Any) -> str:
@@ -138,7 +140,7 @@ def frictionless(model: mujoco.MjModel) -> list[tuple[str, int]]:
     """The geoms, or explicit pairs, that decide on contacts of dimension 1 with elliptic cones."""
     from mujoco.mjx._src import collision_driver
 
-    found: list[tuple[str, int]] = []
+    elements: list[tuple[str, int]] = []
     for first, second, pair in collision_driver.geom_pairs(model) if model.opt.cone else ():
         highest = model.geom_priority[[first, second]].max()
         deciding = [
@@ -146,19 +148,19 @@ def frictionless(model: mujoco.MjModel) -> list[tuple[str, int]]:
         ]
         deciding = [("pair", int(pair))] if pair >= 0 else deciding
         if all(
-            (model.pair_dim if kind == "pair" else model.geom_condim)[each] == 1
-            for kind, each in deciding
+            (model.pair_dim if kind == "pair" else model.geom_condim)[feature] == 1
+            for kind, feature in deciding
         ):
-            found += deciding
-    return list(dict.fromkeys(found))
+            elements += deciding
+    return list(dict.fromkeys(elements))
 
 
 def _missing(model: mujoco.MjModel) -> Iterator[str]:
-    for said, fields in FEATURES.items():
+    for reason, fields in FEATURES.items():
         for kind, field in fields:
             values = getattr(model, field, ())  # MuJoCo 3 has no springs that yield
             for index in np.flatnonzero([np.any(value) for value in values]):
-                yield f"{named(model, kind, index)} {said}"
+                yield f"{named(model, kind, index)} {reason}"
     for kind, field in PLUGINS:
         for index in np.flatnonzero(getattr(model, field) >= 0):
             yield f"{named(model, kind, index)} is run by a plugin: MJX has none"
@@ -183,8 +185,8 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
             and spread > 1e-6 * wrap.radius
         ):
             names = (
-                named(model, *each)
-                for each in (("tendon", wrap.tendon), ("site", wrap.site), ("geom", wrap.geom))
+                named(model, *element)
+                for element in (("tendon", wrap.tendon), ("site", wrap.site), ("geom", wrap.geom))
             )
             yield "{} has the side {}, now inside {}, now outside, as joints turn: put it on the same body".format(
                 *names
@@ -193,8 +195,8 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
         yield f"noslip_iterations is {model.opt.noslip_iterations}: set it to 0"
     if np.any(model.sensor_type == mujoco.mjtSensor.mjSENS_RANGEFINDER):
         for index in np.flatnonzero(np.isin(model.geom_type, UNSEEN)):
-            seen = "allowed are shapes other than cylinder, hfield, sdf"
-            yield f"{named(model, 'geom', index)} is not seen by rangefinders: {seen}"
+            note = "allowed are shapes other than cylinder, hfield, sdf"
+            yield f"{named(model, 'geom', index)} is not seen by rangefinders: {note}"
 
 
 def approximated(model: mujoco.MjModel) -> list[str]:
@@ -213,24 +215,26 @@ def approximated(model: mujoco.MjModel) -> list[str]:
     met: dict[tuple[str, ...], list[Any]] = {}
     for first, second, _ in collision_driver.geom_pairs(model):
         kinds = tuple(
-            mujoco.mjtGeom(model.geom_type[each]).name.removeprefix("mjGEOM_")
-            for each in (first, second)
+            mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_")
+            for geom in (first, second)
         )
         if kinds in APPROXIMATE:
             met.setdefault(kinds, []).append((first, second))
-    said = []
+    messages = []
     for kinds, pairs in met.items():
-        geoms = " and ".join(named(model, "geom", each) for each in pairs[0])
-        more = f", as are {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
-        said.append(f"{geoms} are {' and '.join(kinds).lower()}{more}: {APPROXIMATE[kinds]}.")
+        geoms = " and ".join(named(model, "geom", geom) for geom in pairs[0])
+        remaining_note = f", as are {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        messages.append(
+            f"{geoms} are {' and '.join(kinds).lower()}{remaining_note}: {APPROXIMATE[kinds]}."
+        )
     if mujoco.__version__ >= "4":
-        said += [
+        messages += [
             f"{named(model, 'tendon', wrap.tendon)} has a side site: MuJoCo 4 leads it past its geom by another rule "
             "than MuJoCo 3, which MJX and the step follow; compare ten_length."
             for wrap in side_sites(model)
             if wrap.most >= wrap.radius
         ]
-    return said
+    return messages
 
 
 class SideSite(NamedTuple):
@@ -276,7 +280,7 @@ def side_sites(model: mujoco.MjModel) -> list[SideSite]:
         np.min(distances, 0),
         np.max(distances, 0),
     )
-    return [SideSite(*(each.item() for each in row)) for row in zip(wraps, *columns, strict=True)]
+    return [SideSite(*(cell.item() for cell in row)) for row in zip(wraps, *columns, strict=True)]
 
 
 def named(model: mujoco.MjModel, kind: str, index: Any) -> str:

@@ -128,8 +128,8 @@ def _forward(model: Model, data: mjx.Data) -> Solved:
     data = mjx.sensor_pos(model, position(model, Solved.of(data)))
     data = mjx.sensor_vel(model, velocity(model, data))
     data = acceleration(model, actuation(model, data))
-    found: Solved = mjx.sensor_acc(model, solve(model, data))
-    return found
+    solved: Solved = mjx.sensor_acc(model, solve(model, data))
+    return solved
 
 
 # ---
@@ -155,10 +155,12 @@ def position(model: Model, data: mjx.Data) -> mjx.Data:
 def make_constraint(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.make_constraint`, of a `prepared` model, which may have more rows than the data was made for."""
     data = adapted.constraint.make_constraint(model, data)
-    made = rows.inner(data)
-    more = len(made.efc_J) - made.nefc
-    if more and made.ncon and len(made.efc_J):  # the contacts' rows follow all others
-        data = data.tree_replace({"_impl.contact.efc_address": made.contact.efc_address + more})
+    data_jax = rows.inner(data)
+    row_count = len(data_jax.efc_J) - data_jax.nefc
+    if row_count and data_jax.ncon and len(data_jax.efc_J):  # the contacts' rows follow all others
+        data = data.tree_replace(
+            {"_impl.contact.efc_address": data_jax.contact.efc_address + row_count}
+        )
     return data
 
 
@@ -189,7 +191,7 @@ def acceleration(model: Model, data: mjx.Data) -> mjx.Data:
 def _checked(model: mjx.Model, data: mjx.Data) -> Model:
     """The model as the stages take it. Rejects, at trace time, what is not simulated or would fail deep inside MJX."""
     data_makers = "nermo_mjx.dynamics.make_data or put_data"
-    for given, kind, maker in (
+    for argument, kind, maker in (
         (
             model,
             Model,
@@ -197,17 +199,17 @@ def _checked(model: mjx.Model, data: mjx.Data) -> Model:
         ),
         (data, mjx.Data, data_makers),
     ):
-        if not isinstance(given, kind):
-            made = f"{type(given).__module__.partition('.')[0]}.{type(given).__name__}"
+        if not isinstance(argument, kind):
+            type_name = f"{type(argument).__module__.partition('.')[0]}.{type(argument).__name__}"
             raise ValueError(
-                f"{kind.__name__.lower()} is of {made}: allowed is a result of {maker}."
+                f"{kind.__name__.lower()} is of {type_name}: allowed is a result of {maker}."
             )
     if data.impl != mjx.Impl.JAX:
         raise ValueError(
             f"impl of the data is {data.impl.value!r}: allowed is 'jax', the others have no derivatives."
         )
     if model.opt.integrator not in INTEGRATORS:
-        allowed = ", ".join(each.name for each in INTEGRATORS)
+        allowed = ", ".join(integrator.name for integrator in INTEGRATORS)
         raise ValueError(
             f"integrator is {model.opt.integrator.name}: allowed is one of {allowed}, which MJX has."
         )
@@ -246,15 +248,18 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
     fixed, start = jax.lax.stop_gradient(
         (problem, data.qacc_warmstart if starts_warm else data.qacc_smooth)
     )
-    found = solver.minimum(layout, fixed, start)
-    last = _newton(layout, checkpoint_name(found.qacc, KEPT), fixed)
+    solution = solver.minimum(layout, fixed, start)
+    last = _newton(layout, checkpoint_name(solution.qacc, KEPT), fixed)
     qacc = _solution(last.qacc, last.residual, problem, static=layout)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc, last.residual))
-    own = jnp.diag(fixed.inertia)
-    size = jnp.maximum(jnp.abs(last.qacc), jnp.abs(fixed.smooth) / own)
+    inertia_diagonal = jnp.diag(fixed.inertia)
+    size = jnp.maximum(jnp.abs(last.qacc), jnp.abs(fixed.smooth) / inertia_diagonal)
     # Weighed by the inertia, and by the largest entry, which is that of a light body.
     parts = jnp.stack(
-        [own @ last.step**2 / (own @ size**2), (jnp.abs(last.step).max() / size.max()) ** 2]
+        [
+            inertia_diagonal @ last.step**2 / (inertia_diagonal @ size**2),
+            (jnp.abs(last.step).max() / size.max()) ** 2,
+        ]
     )
     share = jnp.where(size.max() > 0.0, jnp.sqrt(parts.max()), 0.0)
     settled = share < jnp.finfo(share.dtype).eps ** 0.5
@@ -264,7 +269,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
             "qfrc_constraint": problem.jacobian.T @ force,
             "residual": share,
             "_impl.efc_force": force,
-            "_impl.solver_niter": jnp.where(settled, found.needed, solver.ROUNDS + 1),
+            "_impl.solver_niter": jnp.where(settled, solution.needed, solver.ROUNDS + 1),
         }
     )
     return solved
@@ -273,9 +278,11 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
 @full_precision
 def _change(layout: Layout, qacc: Dofs, arguments: Any, changes: Any) -> Array:
     """How the solution follows the problem, by the implicit function theorem; the residual is a value alone."""
-    (known, problem), (_, change) = arguments, changes
-    _, slope = jax.jvp(lambda p: constraint.gradient(layout, p, qacc, known), (problem,), (change,))
-    return -solve_definite(constraint.hessian(layout, problem, qacc, known), slope)
+    (acceleration, problem), (_, change) = arguments, changes
+    _, slope = jax.jvp(
+        lambda p: constraint.gradient(layout, p, qacc, acceleration), (problem,), (change,)
+    )
+    return -solve_definite(constraint.hessian(layout, problem, qacc, acceleration), slope)
 
 
 #: (qacc, residual there, problem) -> qacc, with the derivative of the problem's solution.
@@ -296,10 +303,10 @@ def _newton(layout: Layout, qacc: Dofs, problem: ConstraintProblem) -> _Last:
     Rounding of `qacc` may put a row that is on the border of two zones into the softer one, from where the full step
     is thousands of times longer than the error.
     """
-    known = constraint.exact_residual(problem, qacc)
-    last = solver.newton(layout, problem, jax.tree.map(jnp.abs, problem), qacc, known, (0.0, 1.0))
+    exact = constraint.exact_residual(problem, qacc)
+    last = solver.newton(layout, problem, jax.tree.map(jnp.abs, problem), qacc, exact, (0.0, 1.0))
     return _Last(
         last.step,
         jnp.where(last.full, qacc + last.step, qacc),
-        jnp.where(last.full, known + last.along, known),
+        jnp.where(last.full, exact + last.along, exact),
     )

@@ -28,8 +28,8 @@ def passive(model: Model, data: mjx.Data) -> mjx.Data:
         model.replace(tendon_stiffness=jnp.zeros_like(model.tendon_stiffness)) if springs else model
     )
     data = adapted.passive.passive(without, data)
-    both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
-    if model.opt.disableflags & both == both:
+    flags = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
+    if model.opt.disableflags & flags == flags:
         return data
     force = data.qfrc_passive
     if not is_zero(model.jnt_stiffnesspoly):
@@ -65,10 +65,10 @@ def drag_slope(model: Model, data: mjx.Data) -> Float[Array, "nv nv"]:
     moves = jnp.asarray(tree_of(model).moves, data.qvel.dtype)
 
     def force(qvel: Dofs) -> Dofs:
-        found: Dofs = adapted.passive._fluid(
+        drag: Dofs = adapted.passive._fluid(
             model, data.replace(cvel=moves @ (data.cdof * qvel[:, None]))
         )
-        return found
+        return drag
 
     return jax.jacfwd(force)(data.qvel)
 
@@ -83,18 +83,21 @@ def _joint_springs(model: Model, qpos: Float[Array, " nq"]) -> Dofs:
     for joint, (kind, first) in enumerate(
         zip(np.asarray(model.jnt_type), model.jnt_qposadr, strict=True)
     ):
-        at, rest = qpos[first:], model.qpos_spring[first:]
+        position, rest_position = qpos[first:], model.qpos_spring[first:]
         if kind in (mjx.JointType.SLIDE, mjx.JointType.HINGE):
-            parts = [((at - rest)[:1], (at - rest)[0])]
+            parts = [((position - rest_position)[:1], (position - rest_position)[0])]
         else:
             free = kind == mjx.JointType.FREE
-            turn = spatial.turn_between(rest[3 * free : 3 * free + 4], at[3 * free : 3 * free + 4])
+            turn = spatial.turn_between(
+                rest_position[3 * free : 3 * free + 4], position[3 * free : 3 * free + 4]
+            )
             parts = [
-                (each, spatial.length(each))
-                for each in ([(at - rest)[:3]] if free else []) + [turn]
+                (displacement, spatial.length(displacement))
+                for displacement in ([(position - rest_position)[:3]] if free else []) + [turn]
             ]
         forces += [
-            -away * _share(model.jnt_stiffnesspoly[joint, None], x[None]) for away, x in parts
+            -spring_displacement * _share(model.jnt_stiffnesspoly[joint, None], x[None])
+            for spring_displacement, x in parts
         ]
     return jnp.concatenate(forces)
 
@@ -108,23 +111,25 @@ def actuation(model: Model, data: mjx.Data) -> mjx.Data:
             tendon_actfrclimited=np.zeros_like(model.tendon_actfrclimited),
             actuator_forcelimited=np.zeros_like(model.actuator_forcelimited),
         )
-    after = adapted.forward.fwd_actuation(unlimited, data)
+    actuated = adapted.forward.fwd_actuation(unlimited, data)
     if np.any(model.actuator_actearly):
-        early = data.replace(act=_activation(model, data.replace(act_dot=after.act_dot)))
-        after = adapted.forward.fwd_actuation(unlimited, early).replace(
-            act=data.act, act_dot=after.act_dot
+        earlier = data.replace(act=_activation(model, data.replace(act_dot=actuated.act_dot)))
+        actuated = adapted.forward.fwd_actuation(unlimited, earlier).replace(
+            act=data.act, act_dot=actuated.act_dot
         )
     if unlimited is model or not model.nu or model.opt.disableflags & mjx.DisableBit.ACTUATION:
-        return after
-    force = _within_tendons(model, after.actuator_force)
+        return actuated
+    force = _within_tendons(model, actuated.actuator_force)
     low, high = model.actuator_forcerange.T
     force = jnp.where(model.actuator_forcelimited, jnp.clip(force, low, high), force)
     total = rows.inner(data).actuator_moment.T @ force
     if model.flg_gravcomp:
         total += data.qfrc_gravcomp * model.jnt_actgravcomp[model.dof_jntid]
-    least, most = model.jnt_actfrcrange[model.dof_jntid].T
-    total = jnp.where(model.jnt_actfrclimited[model.dof_jntid], jnp.clip(total, least, most), total)
-    return after.replace(actuator_force=force, qfrc_actuator=total)
+    lower, upper = model.jnt_actfrcrange[model.dof_jntid].T
+    total = jnp.where(
+        model.jnt_actfrclimited[model.dof_jntid], jnp.clip(total, lower, upper), total
+    )
+    return actuated.replace(actuator_force=force, qfrc_actuator=total)
 
 
 def _activation(model: Model, data: mjx.Data) -> Float[Array, " na"]:
@@ -159,15 +164,15 @@ def force_slopes(model: Model, data: mjx.Data) -> Float[Array, " nu"]:
     if muscles.size:
         length, rate = data.actuator_length[muscles], rows.inner(data).actuator_velocity[muscles]
         fixed = jnp.asarray(model.actuator_lengthrange), model.actuator_acc0, model.actuator_gainprm
-        ranges, strength, prm = (each[muscles] for each in fixed)
+        ranges, strength, prm = (constant[muscles] for constant in fixed)
         by_rate = jax.vmap(jax.grad(adapted.support.muscle_gain, argnums=1))
         slope = slope.at[muscles].set(by_rate(length, rate, ranges, strength, prm))
-    moved = data.ctrl
+    controls = data.ctrl
     if model.na:
         stateful = np.asarray(model.actuator_actadr) >= 0
         last = np.where(stateful, model.actuator_actadr + model.actuator_actnum - 1, 0)
-        moved = jnp.where(stateful, _activation(model, data)[last], moved)
-    slope = slope * moved + jnp.where(
+        controls = jnp.where(stateful, _activation(model, data)[last], controls)
+    slope = slope * controls + jnp.where(
         biases == mjx.BiasType.AFFINE, model.actuator_biasprm[:, 2], 0.0
     )
     low, high = model.actuator_forcerange.T

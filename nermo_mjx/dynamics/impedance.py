@@ -37,13 +37,13 @@ def stiffness_damping_impedance(
     if not model.opt.disableflags & mjx.DisableBit.REFSAFE:
         time = jnp.maximum(time, 2 * model.opt.timestep)
     low, high, mid = (
-        jnp.clip(each, mjMINIMP, mjMAXIMP) for each in (solimp[0], solimp[1], solimp[3])
+        jnp.clip(bound, mjMINIMP, mjMAXIMP) for bound in (solimp[0], solimp[1], solimp[3])
     )
     power = jnp.maximum(1, solimp[4])
-    given, damped = solref[0] <= 0, solref[1] <= 0
-    time, ratio = jnp.where(given, 1.0, time), jnp.where(damped, 1.0, ratio)
+    is_direct, damped = solref[0] <= 0, solref[1] <= 0
+    time, ratio = jnp.where(is_direct, 1.0, time), jnp.where(damped, 1.0, ratio)
     k = jnp.where(
-        given, -solref[0] / (high * high), 1 / (high * high * time * time * ratio * ratio)
+        is_direct, -solref[0] / (high * high), 1 / (high * high * time * time * ratio * ratio)
     )
     b = jnp.where(damped, -solref[1] / high, 2 / (high * time))
     x = jnp.abs(distance) / jnp.maximum(mjMINVAL, solimp[2])
@@ -60,19 +60,19 @@ def with_rates(model: Model, data: mjx.Data) -> mjx.Data:
     """Data with J' v subtracted from the reference accelerations; after the position stage and `com_vel`."""
     kinds = np.asarray(model.eq_type)
     connects, welds = (
-        np.flatnonzero(kinds == each) for each in (mjx.EqType.CONNECT, mjx.EqType.WELD)
+        np.flatnonzero(kinds == kind) for kind in (mjx.EqType.CONNECT, mjx.EqType.WELD)
     )
     off = mjx.DisableBit.CONSTRAINT | mjx.DisableBit.EQUALITY
     if not (connects.size or welds.size) or model.opt.disableflags & off:
         return data
     motion = tree_of(model).moves.astype(data.qvel.dtype) @ (data.cdof_dot * data.qvel[:, None])
     rates = []
-    for chosen in (connects, welds):
-        if chosen.size:
-            parts = [_points(model, data, motion, chosen)]
-            if chosen is welds:
-                parts.append(_turns(model, data, motion, chosen))
-            active = data.eq_active[chosen].astype(motion.dtype)[:, None]
+    for rows_of_kind in (connects, welds):
+        if rows_of_kind.size:
+            parts = [_points(model, data, motion, rows_of_kind)]
+            if rows_of_kind is welds:
+                parts.append(_turns(model, data, motion, rows_of_kind))
+            active = data.eq_active[rows_of_kind].astype(motion.dtype)[:, None]
             rates.append((jnp.concatenate(parts, 1) * active).ravel())
     rate = jnp.concatenate(rates)
     data = data.tree_replace(
@@ -82,11 +82,14 @@ def with_rates(model: Model, data: mjx.Data) -> mjx.Data:
 
 
 def _bodies(
-    model: Model, chosen: np.ndarray
+    model: Model, equalities: np.ndarray
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
     """The objects and the bodies of equalities, and which of them are about sites."""
-    objects = [np.asarray(each)[chosen] for each in (model.eq_obj1id, model.eq_obj2id)]
-    sites = np.asarray(model.eq_objtype)[chosen] == mjx.ObjType.SITE
+    objects = [
+        np.asarray(objects_of_end)[equalities]
+        for objects_of_end in (model.eq_obj1id, model.eq_obj2id)
+    ]
+    sites = np.asarray(model.eq_objtype)[equalities] == mjx.ObjType.SITE
     of_site = np.asarray(model.site_bodyid)
     return (
         objects,
@@ -95,51 +98,57 @@ def _bodies(
     )
 
 
-def _points(model: Model, data: mjx.Data, motion: Array, chosen: np.ndarray) -> Float[Array, "n 3"]:
+def _points(
+    model: Model, data: mjx.Data, motion: Array, equalities: np.ndarray
+) -> Float[Array, "n 3"]:
     """Acceleration of the first anchors relative to the second."""
-    objects, bodies, sites = _bodies(model, chosen)
-    anchors = model.eq_data[chosen, 0:3], model.eq_data[chosen, 3:6]
-    if model.eq_type[chosen[0]] == mjx.EqType.WELD:  # in the other order
+    objects, bodies, sites = _bodies(model, equalities)
+    anchors = model.eq_data[equalities, 0:3], model.eq_data[equalities, 3:6]
+    if model.eq_type[equalities[0]] == mjx.EqType.WELD:  # in the other order
         anchors = anchors[::-1]
-    found = []
-    for thing, body, anchor in zip(objects, bodies, anchors, strict=True):
+    points = []
+    for object_ids, body, anchor in zip(objects, bodies, anchors, strict=True):
         point = data.xpos[body] + jnp.sum(data.xmat[body] * anchor[:, None], -1)
         if sites.any():
-            point = jnp.where(sites[:, None], data.site_xpos[np.where(sites, thing, 0)], point)
+            point = jnp.where(sites[:, None], data.site_xpos[np.where(sites, object_ids, 0)], point)
         arm = point - data.subtree_com[np.asarray(model.body_rootid)[body]]
         turn, shift = data.cvel[body, :3], data.cvel[body, 3:]
-        moved = spatial.cross(turn, shift + spatial.cross(turn, arm))
-        found.append(motion[body, 3:] + spatial.cross(motion[body, :3], arm) + moved)
-    return found[0] - found[1]
+        acceleration = spatial.cross(turn, shift + spatial.cross(turn, arm))
+        points.append(motion[body, 3:] + spatial.cross(motion[body, :3], arm) + acceleration)
+    return points[0] - points[1]
 
 
-def _turns(model: Model, data: mjx.Data, motion: Array, chosen: np.ndarray) -> Float[Array, "n 3"]:
+def _turns(
+    model: Model, data: mjx.Data, motion: Array, equalities: np.ndarray
+) -> Float[Array, "n 3"]:
     """The rate of the rotational rows: half the vector part of conj(q_2) (0, w_1 - w_2) q_1, by the product rule."""
-    objects, (first, second), sites = _bodies(model, chosen)
-    one, other = data.xquat[first], data.xquat[second]
-    one = spatial.product(one, model.eq_data[chosen, 6:10])
+    objects, (first, second), sites = _bodies(model, equalities)
+    first_quat, second_quat = data.xquat[first], data.xquat[second]
+    first_quat = spatial.product(first_quat, model.eq_data[equalities, 6:10])
     if sites.any():
         placed = [
-            spatial.product(data.xquat[body], model.site_quat[np.where(sites, thing, 0)])
-            for thing, body in zip(objects, (first, second), strict=True)
+            spatial.product(data.xquat[body], model.site_quat[np.where(sites, object_ids, 0)])
+            for object_ids, body in zip(objects, (first, second), strict=True)
         ]
-        one, other = (
-            jnp.where(sites[:, None], at, q) for at, q in zip(placed, (one, other), strict=True)
+        first_quat, second_quat = (
+            jnp.where(sites[:, None], placed_quat, q)
+            for placed_quat, q in zip(placed, (first_quat, second_quat), strict=True)
         )
     turns, accelerations = (
-        [each[body, :3] for body in (first, second)] for each in (data.cvel, motion)
+        [field[body, :3] for body in (first, second)] for field in (data.cvel, motion)
     )
 
     def pure(vector: Array) -> Array:
         return jnp.concatenate([jnp.zeros_like(vector[:, :1]), vector], 1)
 
-    def row(one: Array, other: Array, turn: Array) -> Array:
-        conjugate = other * np.array([1.0, -1.0, -1.0, -1.0]).astype(other.dtype)
-        return 0.5 * spatial.product(spatial.product(conjugate, pure(turn)), one)[:, 1:]
+    def row(first_quat: Array, second_quat: Array, turn: Array) -> Array:
+        conjugate = second_quat * np.array([1.0, -1.0, -1.0, -1.0]).astype(second_quat.dtype)
+        return 0.5 * spatial.product(spatial.product(conjugate, pure(turn)), first_quat)[:, 1:]
 
     rates = [
-        0.5 * spatial.product(pure(turn), q) for turn, q in zip(turns, (one, other), strict=True)
+        0.5 * spatial.product(pure(turn), q)
+        for turn, q in zip(turns, (first_quat, second_quat), strict=True)
     ]
-    at = one, other, turns[0] - turns[1]
-    found = jax.jvp(row, at, (*rates, accelerations[0] - accelerations[1]))[1]
-    return found * model.eq_data[chosen, 10:11]
+    at = first_quat, second_quat, turns[0] - turns[1]
+    rates_of_rows = jax.jvp(row, at, (*rates, accelerations[0] - accelerations[1]))[1]
+    return rates_of_rows * model.eq_data[equalities, 10:11]

@@ -65,9 +65,11 @@ def _damped_acceleration(model: mjx.Model, data: mjx.Data) -> Dofs:
     if model.opt.disableflags & mjx.DisableBit.EULERDAMP:
         qacc: Array = data.qacc
         return qacc
-    held = model.opt.timestep * damping(model.dof_damping, model.dof_dampingpoly, data.qvel)
+    damping_step = model.opt.timestep * damping(model.dof_damping, model.dof_dampingpoly, data.qvel)
     # Not from the forces: those of a stiff contact magnify the acceleration's rounding.
-    return data.qacc - solve_definite(mjx.full_m(model, data) + jnp.diag(held), held * data.qacc)
+    return data.qacc - solve_definite(
+        mjx.full_m(model, data) + jnp.diag(damping_step), damping_step * data.qacc
+    )
 
 
 def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
@@ -78,15 +80,15 @@ def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     slope = -jnp.diag(damping(model.dof_damping, model.dof_dampingpoly, data.qvel))
     if model.ntendon:
         arms = rows.inner(data).ten_J
-        held = damping(
+        damping_values = damping(
             model.tendon_damping, model.tendon_dampingpoly, rows.inner(data).ten_velocity
         )
-        slope -= arms.T @ (held[:, None] * arms)
+        slope -= arms.T @ (damping_values[:, None] * arms)
     if model.nu and not model.opt.disableflags & mjx.DisableBit.ACTUATION:
         moment = rows.inner(data).actuator_moment
         slope += moment.T @ (force_slopes(model, data)[:, None] * moment)
-    both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
-    if model.opt._impl.has_fluid_params and model.opt.disableflags & both != both:
+    flags = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
+    if model.opt._impl.has_fluid_params and model.opt.disableflags & flags != flags:
         slope += drag_slope(model, data)
     inertia, slope = (
         mjx.full_m(model, data),
@@ -94,15 +96,17 @@ def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     )
     qacc = data.qacc + solve_definite(inertia - slope, slope @ data.qacc)
     for body, first in _lone_bodies(model):
-        of = slice(first, first + 6)
+        dof_slice = slice(first, first + 6)
         turned = jax.jacfwd(lambda turn, body=body: _lone_bias(model, data, body, turn))(
             data.qvel[first + 3 : first + 6]
         )
-        more = slope[of, of] - model.opt.timestep * jnp.concatenate(
+        block = slope[dof_slice, dof_slice] - model.opt.timestep * jnp.concatenate(
             [jnp.zeros((6, 3), turned.dtype), turned], 1
         )
-        change = jnp.linalg.solve(inertia[of, of] - more, more @ data.qacc[of])
-        qacc = qacc.at[of].set(data.qacc[of] + change)
+        change = jnp.linalg.solve(
+            inertia[dof_slice, dof_slice] - block, block @ data.qacc[dof_slice]
+        )
+        qacc = qacc.at[dof_slice].set(data.qacc[dof_slice] + change)
     return qacc
 
 
@@ -122,11 +126,11 @@ def _lone_bias(
     model: Model, data: mjx.Data, body: int, turn: Float[Array, " 3"]
 ) -> Float[Array, " 6"]:
     """Bias force of a free body at an angular velocity in its frame, without gravity."""
-    axes, own = data.ximat[body], data.xmat[body]
-    rate, offset = own @ turn, data.xipos[body] - data.xpos[body]
+    axes, orientation = data.ximat[body], data.xmat[body]
+    rate, offset = orientation @ turn, data.xipos[body] - data.xpos[body]
     force = model.body_mass[body] * spatial.cross(rate, spatial.cross(rate, offset))
     torque = spatial.cross(rate, axes @ (model.body_inertia[body] * (axes.T @ rate)))
-    return jnp.concatenate([force, own.T @ (spatial.cross(offset, force) + torque)])
+    return jnp.concatenate([force, orientation.T @ (spatial.cross(offset, force) + torque)])
 
 
 def _runge_kutta(model: mjx.Model, start: Solved, forward: Forward) -> Solved:
@@ -140,9 +144,9 @@ def _runge_kutta(model: mjx.Model, start: Solved, forward: Forward) -> Solved:
             act=start.act + activation,
             time=start.time + node * dt,
         )
-        after = forward(model, data)
-        found = (data.qvel, after.qacc, after.act_dot)
-        return found, (found, (after.residual, rows.inner(after).solver_niter))
+        evaluated = forward(model, data)
+        derivatives = (data.qvel, evaluated.qacc, evaluated.act_dot)
+        return derivatives, (derivatives, (evaluated.residual, rows.inner(evaluated).solver_niter))
 
     first = (start.qvel, start.qacc, start.act_dot)
     # A scan, so that forward dynamics is compiled once for all three stages.
@@ -151,15 +155,16 @@ def _runge_kutta(model: mjx.Model, start: Solved, forward: Forward) -> Solved:
     )
     weight = jnp.asarray(_RK4_WEIGHTS[1:], start.qpos.dtype)
     velocity, acceleration, activation = (
-        _RK4_WEIGHTS[0] * one + weight @ rest for one, rest in zip(first, others, strict=True)
+        _RK4_WEIGHTS[0] * first_value + weight @ other_values
+        for first_value, other_values in zip(first, others, strict=True)
     )
     # Activation and time advance as in an Euler step.
-    after = mjx.euler(model, start.replace(act_dot=activation))
-    after = after.replace(residual=jnp.maximum(start.residual, residuals.max()))
-    after = after.tree_replace(
+    advanced = mjx.euler(model, start.replace(act_dot=activation))
+    advanced = advanced.replace(residual=jnp.maximum(start.residual, residuals.max()))
+    advanced = advanced.tree_replace(
         {"_impl.solver_niter": jnp.maximum(rows.inner(start).solver_niter, rounds.max())}
     )
-    return after.replace(
+    return advanced.replace(
         qpos=positions(model, start.qpos, dt * velocity), qvel=start.qvel + dt * acceleration
     )
 

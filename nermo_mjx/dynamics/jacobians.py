@@ -89,8 +89,8 @@ def circle(
     foot = ends[:2] - (straight @ ends[:2]) / jnp.maximum(straight @ straight, mjMINVAL) * straight
     grazes = jnp.abs(foot @ foot - radius * radius) < 1e-12 * radius * radius
     free |= ~jnp.squeeze(jnp.asarray(has_side, bool)) & grazes
-    kept, ring = _or_else(free, _ROUND, ends, radius)
-    length, points = wrap(kept, side, has_side, ring)
+    safe_ends, ring = _or_else(free, _ROUND, ends, radius)
+    length, points = wrap(safe_ends, side, has_side, ring)
     return jnp.where(free, -1.0, length), jnp.where(free, 0.0, points)
 
 
@@ -115,21 +115,31 @@ def wrap_inside(
     )
     free = near | crosses | (radius < mjMINVAL) | (cosine < -1.0 + mjMINVAL)
     parallel = cosine > 1.0 - mjMINVAL
-    kept, ring = _or_else(free | parallel, _THROUGH, ends, radius)
-    one, other = _length(kept[:2]), _length(kept[2:])
-    angle = jnp.arctan2(jnp.abs(kept[0] * kept[3] - kept[1] * kept[2]), kept[:2] @ kept[2:])
+    safe_ends, ring = _or_else(free | parallel, _THROUGH, ends, radius)
+    first_distance, second_distance = _length(safe_ends[:2]), _length(safe_ends[2:])
+    angle = jnp.arctan2(
+        jnp.abs(safe_ends[0] * safe_ends[3] - safe_ends[1] * safe_ends[2]),
+        safe_ends[:2] @ safe_ends[2:],
+    )
 
-    z, lost = _root(ring / one, ring / other, angle, rounds, tolerance, first)
+    z, is_lost = _root(
+        ring / first_distance, ring / second_distance, angle, rounds, tolerance, first
+    )
     # MJX's fallback is the middle of the ends, on the circle.
     middle = radius * between / jnp.maximum(_length(between), mjMINVAL)
-    begins = kept[0] * kept[3] - kept[1] * kept[2] > 0.0
-    from_, away = jnp.where(begins, kept[:2], kept[2:]), jnp.where(begins, one, other)
-    turn = jnp.arcsin(z) - jnp.arcsin(ring / away * z)
+    begins = safe_ends[0] * safe_ends[3] - safe_ends[1] * safe_ends[2] > 0.0
+    from_, distance = (
+        jnp.where(begins, safe_ends[:2], safe_ends[2:]),
+        jnp.where(begins, first_distance, second_distance),
+    )
+    turn = jnp.arcsin(z) - jnp.arcsin(ring / distance * z)
     cos, sin = jnp.cos(turn), jnp.sin(turn)
     touched = (
-        ring / away * jnp.stack([cos * from_[0] - sin * from_[1], sin * from_[0] + cos * from_[1]])
+        ring
+        / distance
+        * jnp.stack([cos * from_[0] - sin * from_[1], sin * from_[0] + cos * from_[1]])
     )
-    point = jnp.where(free, 0.0, jnp.where(parallel | lost, middle, touched))
+    point = jnp.where(free, 0.0, jnp.where(parallel | is_lost, middle, touched))
     # The length of a single point is not exactly zero: MJX takes the root of its square.
     return jnp.where(free, -1.0, mjMINVAL)[None], jnp.tile(point, 2)
 
@@ -149,15 +159,15 @@ def _root(
             f / jnp.sqrt(jnp.maximum(1.0 - (f * z) ** 2, mjMINVAL)) for f in fixed[:2]
         ) - 2.0 / jnp.sqrt(jnp.maximum(1.0 - z * z, mjMINVAL))
 
-    def next_round(_: Count, at: tuple[Array, Array]) -> tuple[Array, Array]:
-        z, lost = at
+    def next_round(_: Count, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        z, is_lost = carry
         value, rise = _apart(z, *fixed), slope(z)
-        moved = jnp.where(
+        next_z = jnp.where(
             jnp.abs(value) <= tolerance, z, z - value / jnp.where(rise == 0.0, mjMINVAL, rise)
         )
-        lost |= (rise > -mjMINVAL) | (moved > z)
-        moved = jnp.clip(moved, 0.0, first)
-        return moved, lost | (_apart(moved, *fixed) > tolerance)
+        is_lost |= (rise > -mjMINVAL) | (next_z > z)
+        next_z = jnp.clip(next_z, 0.0, first)
+        return next_z, is_lost | (_apart(next_z, *fixed) > tolerance)
 
     start = jnp.asarray(first, angle.dtype)
     z, lost = jax.lax.fori_loop(0, rounds, next_round, (start, _apart(start, *fixed) > 0.0))
@@ -175,17 +185,17 @@ def _length(vector: Point) -> Scalar:
 
 
 def _or_else(
-    replace: Truth, ends: tuple[float, ...], given: Ends, radius: Scalar
+    replace: Truth, ends: tuple[float, ...], values: Ends, radius: Scalar
 ) -> tuple[Ends, Scalar]:
     """The given ends, or valid ends around a circle of radius 1."""
-    return jnp.where(replace, jnp.asarray(ends, given.dtype), given), jnp.where(
+    return jnp.where(replace, jnp.asarray(ends, values.dtype), values), jnp.where(
         replace, 1.0, radius
     )
 
 
-def arc_length(one: Point, other: Point, index: Count, radius: Scalar) -> Scalar:
+def arc_length(start: Point, end: Point, index: Count, radius: Scalar) -> Scalar:
     """As MJX's `_length_circle`: length of the arc from one point to the other, in the direction given by `index`."""
-    cross = one[1] * other[0] - one[0] * other[1]
-    angle = jnp.arctan2(jnp.abs(cross), one @ other)
+    cross = start[1] * end[0] - start[0] * end[1]
+    angle = jnp.arctan2(jnp.abs(cross), start @ end)
     far = ((cross > 0.0) & (index != 0)) | ((cross < 0.0) & (index == 0))
     return radius * jnp.where(far, 2.0 * jnp.pi - angle, angle)

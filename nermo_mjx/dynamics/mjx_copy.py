@@ -30,7 +30,7 @@ _COPIES: Final = {f"mujoco.mjx._src.{name}": SimpleNamespace() for name in _COPI
 def _copied(value: Any) -> Any:
     """A value of one of these modules; modules and functions become copies, which call each other."""
     if isinstance(value, dict):
-        return {key: _copied(each) for key, each in value.items()}
+        return {key: _copied(item) for key, item in value.items()}
     if isinstance(value, ModuleType):
         return _COPIES.get(value.__name__, value)
     if not isinstance(value, FunctionType) or value.__globals__["__name__"] not in _COPIES:
@@ -85,23 +85,23 @@ def put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model:
     Raises:
         NotImplementedError: MJX does not support a part of the model; the message names this part and a remedy.
     """
-    for what in refused(model):
-        raise NotImplementedError(f"{what}.")
+    for message in refused(model):
+        raise NotImplementedError(f"{message}.")
     ours = mjx.put_model(model, device, "jax")
-    more = {
+    extra_fields = {
         name: getattr(model, name)
         for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")
     }
     wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
-    within = np.zeros(model.nwrap, bool)
+    is_inside = np.zeros(model.nwrap, bool)
     for side in side_sites(model):
-        within[side.wrap] = side.most < side.radius
-    said = {
+        is_inside[side.wrap] = side.most < side.radius
+    reasons = {
         "not_simulated": tuple(not_simulated(model)),
         "approximated": tuple(approximated(model)),
     }
-    given = vars(ours) | {"_impl": ours._impl.replace(is_wrap_inside=within[wraps])}
-    return Model(**given, **jax.device_put(more, device), **said)
+    fields = vars(ours) | {"_impl": ours._impl.replace(is_wrap_inside=is_inside[wraps])}
+    return Model(**fields, **jax.device_put(extra_fields, device), **reasons)
 
 
 def make_data(model: mjx.Model | mujoco.MjModel, device: jax.Device | None = None) -> mjx.Data:
@@ -121,8 +121,8 @@ def make_data(model: mjx.Model | mujoco.MjModel, device: jax.Device | None = Non
     Raises:
         NotImplementedError: MJX does not support the contacts of the model.
     """
-    made: mjx.Data = adapted.io.make_data(model, device, "jax")
-    return made
+    data_jax: mjx.Data = adapted.io.make_data(model, device, "jax")
+    return data_jax
 
 
 def put_data(
@@ -144,5 +144,5 @@ def put_data(
     Raises:
         ValueError: MuJoCo has more contacts than MJX computes for this model.
     """
-    made: mjx.Data = adapted.io.put_data(model, data, device, "jax")
-    return made
+    data_jax: mjx.Data = adapted.io.put_data(model, data, device, "jax")
+    return data_jax

@@ -54,22 +54,24 @@ def own_derivative(name: str, tangent: Callable[..., Array]) -> Callable[..., Ar
         for _ in range(axes):
             change = jax.vmap(change)
         return value, change(
-            value, primals[1:], [ad.instantiate_zeros(each) for each in tangents[1:]]
+            value,
+            primals[1:],
+            [ad.instantiate_zeros(input_tangent) for input_tangent in tangents[1:]],
         )
 
     def batched(
         arguments: Any, axes_of: Any, *, static: Hashable, tree: Any, axes: int
     ) -> tuple[Array, int]:
         size = next(
-            each.shape[axis]
-            for each, axis in zip(arguments, axes_of, strict=True)
+            argument.shape[axis]
+            for argument, axis in zip(arguments, axes_of, strict=True)
             if axis is not None
         )
         first = [
-            jnp.broadcast_to(each, (size, *each.shape))
+            jnp.broadcast_to(argument, (size, *argument.shape))
             if axis is None
-            else jnp.moveaxis(each, axis, 0)
-            for each, axis in zip(arguments, axes_of, strict=True)
+            else jnp.moveaxis(argument, axis, 0)
+            for argument, axis in zip(arguments, axes_of, strict=True)
         ]
         return primitive.bind(*first, static=static, tree=tree, axes=axes + 1), 0
 

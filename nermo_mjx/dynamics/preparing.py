@@ -78,16 +78,21 @@ def _of_actuators(model: Model) -> dict[str, Any]:
     joints = (target == np.arange(model.njnt)[:, None]) & np.isin(kinds, _ON_JOINTS)
     tendons = (target == np.arange(model.ntendon)[:, None]) & (kinds == mjx.TrnType.TENDON)
     changes = {}
-    for name, more in (
+    for name, extra_inertia in (
         ("armature", model.actuator_armature),
         ("damping", model.actuator_damping),
         ("dampingpoly", model.actuator_dampingpoly),
     ):
-        if not is_zero(more):
-            scaled = (model.actuator_gear[:, 0] ** 2 * more.T).T
-            for of, owners in ((f"dof_{name}", joints[joint_of]), (f"tendon_{name}", tendons)):
+        if not is_zero(extra_inertia):
+            scaled = (model.actuator_gear[:, 0] ** 2 * extra_inertia.T).T
+            for owner_field, owners in (
+                (f"dof_{name}", joints[joint_of]),
+                (f"tendon_{name}", tendons),
+            ):
                 if owners.any():
-                    changes[of] = getattr(model, of) + owners.astype(scaled.dtype) @ scaled
+                    changes[owner_field] = (
+                        getattr(model, owner_field) + owners.astype(scaled.dtype) @ scaled
+                    )
     return changes
 
 
@@ -181,22 +186,22 @@ def fitted(model: mujoco.MjModel) -> tuple[mujoco.MjModel, list[str]]:
 
 def _pairs(model: mujoco.MjModel) -> list[tuple[int, int, int]]:
     """Geoms that may collide, and the number of their explicit pair or -1."""
-    found: Any = collision_driver.geom_pairs(model)
-    return [(int(first), int(second), int(pair)) for first, second, pair in found]
+    pairs: Any = collision_driver.geom_pairs(model)
+    return [(int(first), int(second), int(pair)) for first, second, pair in pairs]
 
 
 def _shapes(model: mujoco.MjModel) -> list[str]:
     """Cylinders and ellipsoids become capsules where they meet what MJX cannot collide them with."""
     changes = []
     for pair in _pairs(model):
-        for geom, other in (pair[:2], pair[1::-1]):
-            kinds = [mujoco.mjtGeom(kind) for kind in sorted(model.geom_type[[geom, other]])]
+        for geom, other_geom in (pair[:2], pair[1::-1]):
+            kinds = [mujoco.mjtGeom(kind) for kind in sorted(model.geom_type[[geom, other_geom]])]
             kind = mujoco.mjtGeom(model.geom_type[geom])
             if kind in (_CYLINDER, _ELLIPSOID) and not collision_driver.has_collision_fn(*kinds):
                 was = kind.name.removeprefix("mjGEOM_").lower()
                 changes.append(
                     f"{named(model, 'geom', geom)} is a capsule, no {was}: MJX cannot collide it with "
-                    f"{named(model, 'geom', other)}."
+                    f"{named(model, 'geom', other_geom)}."
                 )
                 _become_capsule(model, geom)
     return changes

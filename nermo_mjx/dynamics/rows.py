@@ -68,12 +68,12 @@ def read_problem(model: mjx.Model, data: mjx.Data) -> tuple[Layout, ConstraintPr
     """The constraint problem of data after the position, velocity, actuation and acceleration stages."""
     rows = inner(data)
     contact, dims = _in_row_order(rows.contact)
-    chosen = dims[(dims > 1) & (model.opt.cone == mjx.ConeType.ELLIPTIC)]
+    cone_dims = dims[(dims > 1) & (model.opt.cone == mjx.ConeType.ELLIPTIC)]
     cones = tuple(
         (int(dim), int(count))
-        for dim, count in zip(*np.unique(chosen, return_counts=True), strict=True)
+        for dim, count in zip(*np.unique(cone_dims, return_counts=True), strict=True)
     )
-    friction = contact.friction[len(dims) - len(chosen) :]
+    friction = contact.friction[len(dims) - len(cone_dims) :]
     mu = friction[:, :1] / jnp.sqrt(model.opt.impratio)
     return Layout(*_counts(model), cones), ConstraintProblem(
         inertia=mjx.full_m(model, data),
@@ -90,9 +90,12 @@ def as_made(model: mjx.Model, prepared: mjx.Model, data: Solved) -> mjx.Data:
     """Data as it was made for a model: without the rows of dry friction that only the prepared model has."""
     has, had = (
         np.concatenate(
-            [np.asarray(of._impl.dof_hasfrictionloss), np.asarray(of._impl.tendon_hasfrictionloss)]
+            [
+                np.asarray(source._impl.dof_hasfrictionloss),
+                np.asarray(source._impl.tendon_hasfrictionloss),
+            ]
         )
-        for of in (prepared, model)
+        for source in (prepared, model)
     )
     equality, dry = _counts(prepared)
     stays = np.ones(len(inner(data).efc_J), bool)

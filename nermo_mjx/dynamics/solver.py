@@ -79,29 +79,32 @@ def minimum(layout: Layout, problem: ConstraintProblem, start: Dofs) -> Solution
     first = Solution(start, no, no, jnp.zeros((), jnp.int32))
 
     def next_round(solution: Solution) -> Solution:
-        found = newton(layout, problem, sizes, solution.qacc)
-        qacc = solution.qacc + found.share * found.step
-        moved = Solution(
-            qacc, found.small & (found.stays | solution.small), found.small, solution.rounds + 1
+        newton_step = newton(layout, problem, sizes, solution.qacc)
+        qacc = solution.qacc + newton_step.share * newton_step.step
+        next_solution = Solution(
+            qacc,
+            newton_step.small & (newton_step.stays | solution.small),
+            newton_step.small,
+            solution.rounds + 1,
         )
         return jax.tree.map(
-            lambda old, new: jnp.where(solution.converged, old, new), solution, moved
+            lambda old, new: jnp.where(solution.converged, old, new), solution, next_solution
         )
 
     def to_the_end(solution: Solution) -> Solution:
-        return jax.lax.fori_loop(0, FIXED, lambda _, each: next_round(each), solution)
+        return jax.lax.fori_loop(0, FIXED, lambda _, current: next_round(current), solution)
 
     def until_all_have_converged(solution: Solution) -> Solution:
         return jax.lax.while_loop(
-            lambda each: ~each.converged & (each.rounds < ROUNDS), next_round, solution
+            lambda current: ~current.converged & (current.rounds < ROUNDS), next_round, solution
         )
 
     # Gives the same result where `FIXED` rounds suffice. Only on a CPU does checking whether all worlds have finished
     # cost nothing.
-    found: Solution = jax.lax.platform_dependent(
+    converged_solution: Solution = jax.lax.platform_dependent(
         first, cpu=until_all_have_converged, default=to_the_end
     )
-    return found
+    return converged_solution
 
 
 def newton(
@@ -109,7 +112,7 @@ def newton(
     problem: ConstraintProblem,
     sizes: ConstraintProblem,
     qacc: Dofs,
-    known: Efc | None = None,
+    known_residual: Efc | None = None,
     shares: Sequence[float] = SHARES,
 ) -> Step:
     """A step of Newton's method, and how much of it to take.
@@ -118,34 +121,37 @@ def newton(
         layout, problem: the constraint problem.
         sizes: |problem|.
         qacc: acceleration from which it leads.
-        known: a more exact value of the residual there.
+        known_residual: a more exact value of the residual there.
         shares: of the step at which the slope along it is evaluated, from 0 to 1.
     """
-    factor = cho_factor(constraint.hessian(layout, problem, qacc, known))
-    gradient = constraint.gradient(layout, problem, qacc, known)
+    factor = cho_factor(constraint.hessian(layout, problem, qacc, known_residual))
+    gradient = constraint.gradient(layout, problem, qacc, known_residual)
     step = -cho_solve(factor, gradient)
-    apart, along = constraint.residual(problem, qacc, known), problem.jacobian @ step
-    energy, before = step @ (problem.inertia @ step), step @ gradient
+    start_residual, along = (
+        constraint.residual(problem, qacc, known_residual),
+        problem.jacobian @ step,
+    )
+    energy, initial_slope = step @ (problem.inertia @ step), step @ gradient
 
     def at(share: Array) -> tuple[Array, Array]:
         """The constraint forces' part of the slope of the cost along the step, and the rows' zones."""
-        there = apart + share * along
-        return along @ constraint.forces(layout, problem, there), constraint.zones(
-            layout, problem, there
+        residual_at_share = start_residual + share * along
+        return along @ constraint.forces(layout, problem, residual_at_share), constraint.zones(
+            layout, problem, residual_at_share
         )
 
     grid = jnp.asarray(shares, qacc.dtype)
-    held, zones = jax.vmap(at)(grid)
-    slopes = before + grid * energy - (held - held[0])
+    slopes_on_grid, zones = jax.vmap(at)(grid)
+    slopes = initial_slope + grid * energy - (slopes_on_grid - slopes_on_grid[0])
     # Newton's method squares the error, so another step would converge to rounding, unless a row changes its zone on
     # the way: beyond the change the next step may be longer. A world with NaNs, which compare as false, need not
     # continue.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** 1.5 * (qacc @ (problem.inertia @ qacc)))
-    full = small | (slopes[-1] <= -ACCEPTED * before)
+    full = small | (slopes[-1] <= -ACCEPTED * initial_slope)
     # At rest the acceleration itself is rounding, and no step is small beside it. Such a step may still be long: on
     # the border of a zone in which the Hessian is soft.
-    own = np.arange(len(qacc))
-    weight = 1.0 / problem.inertia[own, own]
+    dof_index = np.arange(len(qacc))
+    weight = 1.0 / problem.inertia[dof_index, dof_index]
     small |= weight @ gradient**2 <= weight @ constraint.rounding(layout, problem, sizes, qacc) ** 2
     share = jnp.where(full, 1.0, _zero(grid, slopes))
     return Step(step, along, full, share, small, jnp.all(zones[0] == zones[-1]))
@@ -157,7 +163,9 @@ def _zero(shares: Float[Array, " n"], slopes: Float[Array, " n"]) -> Scalar:
     Args:
         shares, slopes: where it was evaluated, and its values; below zero at the first.
     """
-    after = jnp.clip(jnp.sum(slopes < 0.0), 1, len(shares) - 1)
-    (low, high), (under, over) = ((each[after - 1], each[after]) for each in (shares, slopes))
+    upper_index = jnp.clip(jnp.sum(slopes < 0.0), 1, len(shares) - 1)
+    (low, high), (under, over) = (
+        (samples[upper_index - 1], samples[upper_index]) for samples in (shares, slopes)
+    )
     rise = over - under
     return low + (high - low) * jnp.clip(-under / jnp.where(rise > 0.0, rise, 1.0), 0.05, 0.95)

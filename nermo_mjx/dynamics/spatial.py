@@ -121,13 +121,13 @@ def momentum(inertia: Inertia, motion: Motion) -> Motion:
 
 def moved(velocity: Motion, motion: Motion) -> Motion:
     """Rate of change of a motion that moves along with a velocity."""
-    (a, b), (c, d) = ((each[..., :3], each[..., 3:]) for each in (velocity, motion))
+    (a, b), (c, d) = ((vector[..., :3], vector[..., 3:]) for vector in (velocity, motion))
     return jnp.concatenate([cross(a, c), cross(b, c) + cross(a, d)], -1)
 
 
 def moved_force(velocity: Motion, force: Motion) -> Motion:
     """Rate of change of a force that moves along with a velocity."""
-    (a, b), (c, d) = ((each[..., :3], each[..., 3:]) for each in (velocity, force))
+    (a, b), (c, d) = ((vector[..., :3], vector[..., 3:]) for vector in (velocity, force))
     return jnp.concatenate([cross(a, c) + cross(b, d), cross(a, d)], -1)
 
 
@@ -162,5 +162,5 @@ def solve_definite(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> F
         solution: Array = cho_solve(cho_factor(jax.lax.stop_gradient(matrix)), right)
         return solution
 
-    found: Array = jax.lax.custom_linear_solve(lambda x: matrix @ x, vector, solve, symmetric=True)
-    return found
+    result: Array = jax.lax.custom_linear_solve(lambda x: matrix @ x, vector, solve, symmetric=True)
+    return result

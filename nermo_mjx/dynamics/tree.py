@@ -39,17 +39,18 @@ class Tree(NamedTuple):
 def tree_of(model: mjx.Model) -> Tree:
     """The tree of a model."""
     parents, body_of, joint_of = (
-        np.asarray(each) for each in (model.body_parentid, model.dof_bodyid, model.dof_jntid)
+        np.asarray(addresses)
+        for addresses in (model.body_parentid, model.dof_bodyid, model.dof_jntid)
     )
     below = np.eye(model.nbody)
     for body in range(model.nbody - 1, 0, -1):  # a parent comes before its children
         below[parents[body]] += below[body]
     moves = below.T[:, body_of]
-    before = moves[body_of] * (joint_of[None, :] < joint_of[:, None])
+    precedes = moves[body_of] * (joint_of[None, :] < joint_of[:, None])
     for joint in np.flatnonzero(np.asarray(model.jnt_type) == FREE):
         first = int(np.asarray(model.jnt_dofadr)[joint])
-        before[first + 3 : first + 6, first : first + 3] = 1.0  # it rotates about a moving point
-    return Tree(below, moves, before)
+        precedes[first + 3 : first + 6, first : first + 3] = 1.0  # it rotates about a moving point
+    return Tree(below, moves, precedes)
 
 
 def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
@@ -130,9 +131,9 @@ def _joint_turns(
     turns = jnp.concatenate([jnp.cos(half), jnp.sin(half) * model.jnt_axis], 1)
     loose = np.flatnonzero((kinds == FREE) | (kinds == BALL))
     if loose.size:
-        where = (first + np.where(kinds == FREE, 3, 0))[loose, None] + np.arange(4)
-        found = spatial.normalized(qpos[where])
-        turns, qpos = turns.at[loose].set(found), qpos.at[where].set(found)
+        quat_addresses = (first + np.where(kinds == FREE, 3, 0))[loose, None] + np.arange(4)
+        quats = spatial.normalized(qpos[quat_addresses])
+        turns, qpos = turns.at[loose].set(quats), qpos.at[quat_addresses].set(quats)
     return turns, jnp.where(kinds == SLIDE, amount, 0.0), qpos
 
 
@@ -170,8 +171,8 @@ def _axes(
     """The motion of each velocity about the centre of mass of its tree."""
     joint, body = np.asarray(model.dof_jntid), np.asarray(model.dof_bodyid)
     kind = np.asarray(model.jnt_type)[joint]
-    place = np.arange(model.nv) - np.asarray(model.jnt_dofadr)[joint]  # in its joint
-    shifts = (kind == SLIDE) | ((kind == FREE) & (place < 3))
+    dof_in_joint = np.arange(model.nv) - np.asarray(model.jnt_dofadr)[joint]  # in its joint
+    shifts = (kind == SLIDE) | ((kind == FREE) & (dof_in_joint < 3))
     # One table of all axes: those of joints, of bodies, and of the world.
     table = jnp.concatenate(
         [
@@ -180,10 +181,15 @@ def _axes(
             jnp.eye(3, dtype=data.qpos.dtype),
         ]
     )
-    own, world = len(np.asarray(model.jnt_type)), len(np.asarray(model.jnt_type)) + 3 * model.nbody
+    joint_count, world = (
+        len(np.asarray(model.jnt_type)),
+        len(np.asarray(model.jnt_type)) + 3 * model.nbody,
+    )
     spins = ((kind == FREE) | (kind == BALL)) & ~shifts
     index = np.where(
-        spins, own + 3 * body + place % 3, np.where(kind == FREE, world + place, joint)
+        spins,
+        joint_count + 3 * body + dof_in_joint % 3,
+        np.where(kind == FREE, world + dof_in_joint, joint),
     )
     axis = table[index]
     arm = spatial.cross(axis, centre[body] - data.xanchor[joint])
@@ -202,9 +208,9 @@ def crb(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 def com_vel(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.com_vel`: velocities of bodies, and how the axes move."""
     tree, rates = tree_of(model), data.cdof * data.qvel[:, None]
-    moves, before = (each.astype(rates.dtype) for each in (tree.moves, tree.before))
+    moves, precedes = (mask.astype(rates.dtype) for mask in (tree.moves, tree.before))
     return data.tree_replace(
-        {"cvel": moves @ rates, "cdof_dot": spatial.moved(before @ rates, data.cdof)}
+        {"cvel": moves @ rates, "cdof_dot": spatial.moved(precedes @ rates, data.cdof)}
     )
 
 

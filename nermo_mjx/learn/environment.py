@@ -228,7 +228,7 @@ class MjxWorlds:
         params = self.loop.with_input(world.params, action.astype(world.params.drawn.dtype))
 
         def tick(carry: Any, _: None) -> tuple[Any, None]:
-            return self.engine.tick(params, world.fields, carry, shown=True)[0], None
+            return self.engine.tick(params, world.fields, carry, record=True)[0], None
 
         carry, _ = jax.lax.scan(tick, world.carry, None, length=self.loop.task.decimation)
         return world._replace(params=params, carry=carry)

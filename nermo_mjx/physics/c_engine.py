@@ -237,14 +237,14 @@ class CBodies:
 
     def _play(self, servos: _Servos, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
         """The steps of a tick one by one, each with the controls of servos with play."""
-        target, lost = self.ctrl.copy(), []
+        target, diverged = self.ctrl.copy(), []
         for step in range(self.steps):
             self.ctrl[...] = servos.controls(target, self.qpos, self.qvel)
-            one = np.empty_like(out[:, :1])
-            lost += self._rollout(1, ids, one)
-            out[:, step : step + 1] = one
+            first_output = np.empty_like(out[:, :1])
+            diverged += self._rollout(1, ids, first_output)
+            out[:, step : step + 1] = first_output
         self.ctrl[...] = target
-        return lost
+        return diverged
 
 
 class _Block(CBodies):
@@ -353,12 +353,12 @@ class CDriven(CSession):
 
     def drive(self, inputs: np.ndarray, ticks: int) -> Any:
         """Run all worlds for some ticks with inputs (n, k); returns their observations afterwards, leaves (n, ...)."""
-        given = {
+        drive_inputs = {
             id(block): inputs[span] for span, block in zip(self._spans, self._blocks, strict=True)
         }
 
         def run(block: _Block) -> Any:
-            block.params[: block.worlds, self.loop.input] = given[id(block)]
+            block.params[: block.worlds, self.loop.input] = drive_inputs[id(block)]
             block.advance(ticks)
             return _observed(block)
 
@@ -378,19 +378,26 @@ class CDriven(CSession):
         """
         parts = []
         for span, block in zip(self._spans, self._blocks, strict=True):
-            chosen = np.flatnonzero(np.isin(worlds, span))
-            if len(chosen):
-                parts.append((block, worlds[chosen] - span[0], chosen))
-        seen = []
+            world_indices = np.flatnonzero(np.isin(worlds, span))
+            if len(world_indices):
+                parts.append((block, worlds[world_indices] - span[0], world_indices))
+        observations = []
         with jax.default_device(self._device):
-            for block, ids, chosen in parts:
-                some = jax.tree.map(lambda leaf, chosen=chosen: np.asarray(leaf)[chosen], params)
-                seen.append(
+            for block, ids, world_indices in parts:
+                selected_params = jax.tree.map(
+                    lambda leaf, world_indices=world_indices: np.asarray(leaf)[world_indices],
+                    params,
+                )
+                observations.append(
                     _restarted(
-                        block, ids, some, qpos[chosen], {k: v[chosen] for k, v in fields.items()}
+                        block,
+                        ids,
+                        selected_params,
+                        qpos[world_indices],
+                        {k: v[world_indices] for k, v in fields.items()},
                     )
                 )
-        return _joined(seen)
+        return _joined(observations)
 
 
 def _observed(block: _Block) -> Any:

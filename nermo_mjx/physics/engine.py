@@ -172,23 +172,23 @@ class Devices:
         )
 
     def _filled(self, leaf: Any) -> np.ndarray:
-        more = self.padded(len(leaf)) - len(leaf)
-        return np.pad(leaf, [(0, more)] + [(0, 0)] * (np.ndim(leaf) - 1), mode="edge")
+        padding = self.padded(len(leaf)) - len(leaf)
+        return np.pad(leaf, [(0, padding)] + [(0, 0)] * (np.ndim(leaf) - 1), mode="edge")
 
 
-def choose_devices(wanted: int | None = None) -> Devices:
+def choose_devices(requested: int | None = None) -> Devices:
     """The local devices that this process uses.
 
     Args:
-        wanted: number of devices; None for `$NERMO_MJX_DEVICES`, or else all.
+        requested: number of devices; None for `$NERMO_MJX_DEVICES`, or else all.
 
     Raises:
         ParameterError: there are fewer devices.
     """
     start_jax()
     local = jax.local_devices()
-    name, value = "devices", str(wanted)
-    if wanted is None:
+    name, value = "devices", str(requested)
+    if requested is None:
         name, value = VARIABLE, os.environ.get(VARIABLE) or str(len(local))
     if not value.isdecimal() or not 1 <= (count := int(value)) <= len(local):
         raise ParameterError(
@@ -230,12 +230,16 @@ class PackedLoop:
             params: of an example batch, leaves (n, ...).
             sensordata: readings of that batch (n, n_sensordata).
         """
-        one = jax.eval_shape(lambda params: jax.tree.map(lambda leaf: leaf[0], params), params)
+        world_params = jax.eval_shape(
+            lambda params: jax.tree.map(lambda leaf: leaf[0], params), params
+        )
         # Jitted, so that functions used twice are traced once.
         start = jax.jit(full_precision(loop.init), inline=True)
         real = jax.dtypes.canonicalize_dtype(sensordata.dtype)
-        state = jax.eval_shape(start, one, jax.ShapeDtypeStruct(sensordata.shape[1:], real))
-        unpack_params, unpack_state = _unpacking(one), _unpacking(state)
+        state = jax.eval_shape(
+            start, world_params, jax.ShapeDtypeStruct(sensordata.shape[1:], real)
+        )
+        unpack_params, unpack_state = _unpacking(world_params), _unpacking(state)
 
         def init(params: Float[Array, " p"], sensordata: Float[Array, " n"]) -> Float[Array, " s"]:
             return ravel_pytree(start(unpack_params(params), sensordata))[0]
@@ -259,8 +263,10 @@ class PackedLoop:
 
             def body(round_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
                 # Made to depend on the iteration, or else computations on them alone would be hoisted out of the loop.
-                _, given, readings = jax.lax.optimization_barrier((round_, params, sensordata))
-                return step(given, carry[0], readings)
+                _, params_of_round, readings = jax.lax.optimization_barrier(
+                    (round_, params, sensordata)
+                )
+                return step(params_of_round, carry[0], readings)
 
             n_servos = jax.eval_shape(step, params, state, sensordata)[1]
             blank = jnp.zeros(n_servos.shape, n_servos.dtype)
@@ -273,17 +279,19 @@ class PackedLoop:
         # Level 1 compiles in half the time of level 3, to the same bits, and takes 4 % longer.
         self.step = jax.jit(step_once, compiler_options=compiler_options(level=1))
         if isinstance(loop, DrivenLoop):
-            self._drive(loop, one, state, sensordata)
+            self._drive(loop, world_params, state, sensordata)
         #: First argument of `step`: not a constant, or XLA would remove the loop.
         self.once = jax.device_put(np.int32(1))
 
-    def _drive(self, loop: DrivenLoop, one: Any, state: Any, sensordata: np.ndarray) -> None:
+    def _drive(
+        self, loop: DrivenLoop, world_params: Any, state: Any, sensordata: np.ndarray
+    ) -> None:
         """The additional interface of a driven loop."""
-        unpack_params, unpack_state = _unpacking(one), _unpacking(state)
+        unpack_params, unpack_state = _unpacking(world_params), _unpacking(state)
         one_world = jax.jit(full_precision(loop.observe), inline=True)
         real = jax.dtypes.canonicalize_dtype(sensordata.dtype)
         readings = jax.ShapeDtypeStruct((loop.steps_per_tick, *sensordata.shape[1:]), real)
-        self._seen = jax.eval_shape(one_world, one, state, readings)
+        self._seen = jax.eval_shape(one_world, world_params, state, readings)
         width = sum(leaf.size for leaf in jax.tree.leaves(self._seen))
 
         @jax.vmap
@@ -296,20 +304,23 @@ class PackedLoop:
                 0
             ]
 
-        def observe(rounds: Any, *given: Array) -> Float[Array, "n o"]:
+        def observe(rounds: Any, *arguments: Array) -> Float[Array, "n o"]:
             """The observations of the first `rounds` times `_OBSERVED` worlds."""
 
-            def body(round_: Array, seen: Array) -> Array:
-                at = round_ * _OBSERVED
-                rows = [jax.lax.dynamic_slice_in_dim(each, at, _OBSERVED) for each in given]
-                return jax.lax.dynamic_update_slice_in_dim(seen, some(*rows), at, 0)
+            def body(round_: Array, observations: Array) -> Array:
+                first_row = round_ * _OBSERVED
+                rows = [
+                    jax.lax.dynamic_slice_in_dim(argument, first_row, _OBSERVED)
+                    for argument in arguments
+                ]
+                return jax.lax.dynamic_update_slice_in_dim(observations, some(*rows), first_row, 0)
 
             return jax.lax.fori_loop(
-                0, rounds, body, jnp.zeros((len(given[0]), width), given[0].dtype)
+                0, rounds, body, jnp.zeros((len(arguments[0]), width), arguments[0].dtype)
             )
 
         self._observe = jax.jit(observe, compiler_options=compiler_options())
-        places = np.arange(sum(leaf.size for leaf in jax.tree.leaves(one)))
+        places = np.arange(sum(leaf.size for leaf in jax.tree.leaves(world_params)))
         #: Columns of the packed parameters that hold the inputs.
         self.input = np.asarray(loop.input(unpack_params(jnp.asarray(places, float)))).astype(int)
 
@@ -329,6 +340,6 @@ class PackedLoop:
 def _unpacking(tree: Any) -> Callable[[Array], Any]:
     """Function from a row to a tree of these shapes; built without computing one, which would compile many small
     programs."""
-    found: list[Callable[[Array], Any]] = []
-    jax.eval_shape(lambda tree: found.append(ravel_pytree(tree)[1]), tree)
-    return found[0]
+    unpackers: list[Callable[[Array], Any]] = []
+    jax.eval_shape(lambda tree: unpackers.append(ravel_pytree(tree)[1]), tree)
+    return unpackers[0]

@@ -30,18 +30,20 @@ _LINEAR: Final[tuple[str, ...]] = ("body_pos", "body_ipos", "site_pos", "geom_po
 class GeometryFields:
     """Model fields of a robot as functions of some parameters of its geometry; the others are the published ones."""
 
-    def __init__(self, robot: Robot, named: Iterable[str]) -> None:
+    def __init__(self, robot: Robot, names: Iterable[str]) -> None:
         """
         Args:
             robot: to compile models of, two for each name.
-            named: names such as `geometry.hip.x`.
+            names: names such as `geometry.hip.x`.
         """
-        self.names = tuple(sorted(named))
+        self.names = tuple(sorted(names))
         self.model = robot.physical
-        about = {f"geometry.{name}": each for name, each in quantities(Geometry)}
-        self._start = np.array([float(about[name].default) for name in self.names])  # type: ignore[arg-type]
+        declarations = {
+            f"geometry.{name}": declaration for name, declaration in quantities(Geometry)
+        }
+        self._start = np.array([float(declarations[name].default) for name in self.names])  # type: ignore[arg-type]
         ends = (
-            np.array([(about[name].low, about[name].high) for name in self.names])
+            np.array([(declarations[name].low, declarations[name].high) for name in self.names])
             - self._start[:, None]
         )
         base = _Read.of(self.model)
@@ -68,8 +70,8 @@ class GeometryFields:
         self._inertia = (
             base.inertia,
             *(
-                np.stack(each)
-                for each in zip(
+                np.stack(declaration)
+                for declaration in zip(
                     *(
                         _parabola(a, low.inertia - base.inertia, b, high.inertia - base.inertia)
                         for (low, high), (a, b) in zip(reads, ends, strict=True)
@@ -87,12 +89,12 @@ class GeometryFields:
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of the fields that differ between worlds; they depend on the parameters' names alone."""
-        found = [name for name in _LINEAR if name in self._linear]
-        found += ["geom_rbound"] * ("geom_size" in found) + ["body_inertia"] * bool(
+        field_names = [name for name in _LINEAR if name in self._linear]
+        field_names += ["geom_rbound"] * ("geom_size" in field_names) + ["body_inertia"] * bool(
             len(self._bodies)
         )
-        found += ["body_iquat"] * bool(self._turning) + ["tendon_range"]
-        return tuple(found)
+        field_names += ["body_iquat"] * bool(self._turning) + ["tendon_range"]
+        return tuple(field_names)
 
     @functools.cached_property
     def _turning(self) -> dict[int, int]:
@@ -102,14 +104,14 @@ class GeometryFields:
         change = np.abs(
             np.einsum("bji,pbjk,bkl->pbil", self._turn, np.concatenate([slope, curve]), self._turn)
         )
-        found: dict[int, int] = {}
+        joint_of_body: dict[int, int] = {}
         for first, second in ((0, 1), (0, 2), (1, 2)):
             turned = np.flatnonzero(change[:, :, first, second].max(axis=0) > 1e-12)
-            assert not found.keys() & set(turned.tolist()), (
+            assert not joint_of_body.keys() & set(turned.tolist()), (
                 "a body turns about more than one of its axes"
             )
-            found |= dict.fromkeys(turned.tolist(), 3 - first - second)
-        return found
+            joint_of_body |= dict.fromkeys(turned.tolist(), 3 - first - second)
+        return joint_of_body
 
     def __call__(self, geometry: Geometry) -> dict[str, Float[Array, ...]]:
         """The fields of one world, in JAX, shaped as in `mujoco.MjModel`.
@@ -117,26 +119,27 @@ class GeometryFields:
         Args:
             geometry: leaves of shape ().
         """
-        known = {f"geometry.{name}": value for name, value in values_of(geometry)}
-        more = jnp.stack([jnp.asarray(known[name], float) for name in self.names]) - jnp.asarray(
+        values = {f"geometry.{name}": value for name, value in values_of(geometry)}
+        change = jnp.stack([jnp.asarray(values[name], float) for name in self.names]) - jnp.asarray(
             self._start, float
         )
-        found = {
-            name: jnp.asarray(base, float) + jnp.tensordot(more, jnp.asarray(slopes, float), 1)
+        fields = {
+            name: jnp.asarray(base, float) + jnp.tensordot(change, jnp.asarray(slopes, float), 1)
             for name, (base, slopes) in self._linear.items()
         }
         places = {
-            name: found.get(name, jnp.asarray(getattr(self.model, name), float)) for name in _LINEAR
+            name: fields.get(name, jnp.asarray(getattr(self.model, name), float))
+            for name in _LINEAR
         }
         world: dict[str, Array] = {
-            name: found.pop(name) for name in ("site_xpos", "geom_xpos") if name in found
+            name: fields.pop(name) for name in ("site_xpos", "geom_xpos") if name in fields
         }
-        if "geom_size" in found:
-            found["geom_rbound"] = self._bounds(found["geom_size"])
+        if "geom_size" in fields:
+            fields["geom_rbound"] = self._bounds(fields["geom_size"])
         if len(self._bodies):
-            found |= self._inertias(more, places["body_ipos"])
-        found["tendon_range"] = self._limits(geometry, places["geom_size"], world)
-        return found
+            fields |= self._inertias(change, places["body_ipos"])
+        fields["tendon_range"] = self._limits(geometry, places["geom_size"], world)
+        return fields
 
     def _bounds(self, size: Float[Array, "ngeom 3"]) -> Float[Array, " ngeom"]:
         """Radii of bounding spheres of the geoms whose size varies."""
@@ -149,26 +152,26 @@ class GeometryFields:
         return jnp.where(varied, radius, jnp.asarray(self.model.geom_rbound, float))
 
     def _inertias(
-        self, more: Float[Array, " p"], com: Float[Array, "nbody 3"]
+        self, change: Float[Array, " p"], com: Float[Array, "nbody 3"]
     ) -> dict[str, Float[Array, ...]]:
         """Principal moments, and the axes that turn, from inertia tensors about the bodies' origins.
 
         The tensors are quadratic in the parameters: masses are constant, and positions linear.
         """
-        base, slope, curve = (jnp.asarray(each, float) for each in self._inertia)
-        about_origin = base + jnp.tensordot(more, slope, 1) + jnp.tensordot(more**2, curve, 1)
+        base, slope, curve = (jnp.asarray(term, float) for term in self._inertia)
+        about_origin = base + jnp.tensordot(change, slope, 1) + jnp.tensordot(change**2, curve, 1)
         mass, turn = jnp.asarray(self.model.body_mass, float), jnp.asarray(self._turn, float)
         tensor = about_origin - _of_point(mass, com, jnp)
         # In the axes of the published body.
-        own = jnp.einsum("bji,bjk,bkl->bil", turn, tensor, turn)
+        tensors = jnp.einsum("bji,bjk,bkl->bil", turn, tensor, turn)
         moments = (
             jnp.asarray(self.model.body_inertia, float)
             .at[self._bodies]
-            .set(jnp.diagonal(own, axis1=1, axis2=2)[self._bodies])
+            .set(jnp.diagonal(tensors, axis1=1, axis2=2)[self._bodies])
         )
         quat = jnp.asarray(self.model.body_iquat, float)
         for body, fixed in self._turning.items():
-            pair, turned, angle = _principal(own[body], fixed)
+            pair, turned, angle = _principal(tensors[body], fixed)
             moments, quat = (
                 moments.at[body, pair].set(turned),
                 quat.at[body].set(_turned(quat[body], fixed, angle)),
@@ -181,18 +184,21 @@ class GeometryFields:
         limits = jnp.asarray(self.model.tendon_range, float)
         published = Geometry()
         for pair in ("front", "rear"):
-            own, known = leg_geometry(geometry, pair, jnp), leg_geometry(published, pair, np)
+            leg, published_leg = (
+                leg_geometry(geometry, pair, jnp),
+                leg_geometry(published, pair, np),
+            )
             ids = np.array([i for limb, i in self._legs.items() if limb.startswith(pair)])
             limits = limits.at[ids, 1].add(
-                own.tendon_length - jnp.asarray(known.tendon_length, float)
+                leg.tendon_length - jnp.asarray(published_leg.tendon_length, float)
             )
         for tendon in self._tendons:
-            place = {
+            places = {
                 name: world.get(name, jnp.asarray(tendon.places[name], float))
                 for name in tendon.places
             }
-            longer = tendon.length(place, size) - tendon.length(
-                {name: jnp.asarray(each, float) for name, each in tendon.places.items()},
+            longer = tendon.length(places, size) - tendon.length(
+                {name: jnp.asarray(position, float) for name, position in tendon.places.items()},
                 jnp.asarray(self.model.geom_size, float),
             )
             limits = limits.at[tendon.id, 1].add(longer)
@@ -233,10 +239,10 @@ class _Read:
         return cls(linear, tensor, axes)
 
 
-def _of_point(mass: Any, place: Any, xp: Any) -> Any:
+def _of_point(mass: Any, point: Any, xp: Any) -> Any:
     """Inertia tensors (n, 3, 3) about the origin of point masses (n,) at positions (n, 3)."""
-    square = xp.sum(place**2, axis=-1)[:, None, None] * xp.eye(3)
-    return mass[:, None, None] * (square - place[:, :, None] * place[:, None, :])
+    square = xp.sum(point**2, axis=-1)[:, None, None] * xp.eye(3)
+    return mass[:, None, None] * (square - point[:, :, None] * point[:, None, :])
 
 
 def _parabola(
@@ -248,7 +254,7 @@ def _parabola(
 
 
 def _principal(
-    own: Float[Array, "3 3"], fixed: int
+    tensor: Float[Array, "3 3"], fixed: int
 ) -> tuple[np.ndarray, Float[Array, " 2"], Array]:
     """Principal moments of an inertia tensor with one principal axis known.
 
@@ -256,7 +262,7 @@ def _principal(
         The indices of the other two axes, their moments, and the angle about the fixed one to the principal axes.
     """
     first, second = (fixed + 1) % 3, (fixed + 2) % 3
-    a, b, c = own[first, first], own[first, second], own[second, second]
+    a, b, c = tensor[first, first], tensor[first, second], tensor[second, second]
     # The axes keep their order and turn by less than 45 degrees.
     angle = 0.5 * jnp.arctan2(2.0 * b * jnp.sign(a - c), jnp.abs(a - c))
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
@@ -306,16 +312,18 @@ class _Antagonist:
         mujoco.mj_kinematics(model, data)
         span = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
         kinds, ids = model.wrap_type[span], model.wrap_objid[span]
-        (at,) = np.flatnonzero(kinds == int(mujoco.mjtWrap.mjWRAP_CYLINDER))
+        (index,) = np.flatnonzero(kinds == int(mujoco.mjtWrap.mjWRAP_CYLINDER))
         places = {"site_xpos": data.site_xpos.copy(), "geom_xpos": data.geom_xpos.copy()}
-        frame = data.geom_xmat[ids[at]].reshape(3, 3).copy()
-        known = cls(tendon, np.delete(ids, at), int(ids[at]), int(at) - 1, frame, 1.0, places)
-        both = [dataclasses.replace(known, turn=turn) for turn in (1.0, -1.0)]
+        frame = data.geom_xmat[ids[index]].reshape(3, 3).copy()
+        antagonist = cls(
+            tendon, np.delete(ids, index), int(ids[index]), int(index) - 1, frame, 1.0, places
+        )
+        candidates = [dataclasses.replace(antagonist, turn=turn) for turn in (1.0, -1.0)]
         size = np.asarray(model.geom_size)
         return min(
-            both,
-            key=lambda each: abs(
-                float(each.length(places, size, np)) - model.tendon_length0[tendon]
+            candidates,
+            key=lambda candidate: abs(
+                float(candidate.length(places, size, np)) - model.tendon_length0[tendon]
             ),
         )
 

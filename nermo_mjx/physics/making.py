@@ -28,8 +28,8 @@ def resolve_engine(name: str) -> str:
     if name == "warp":
         from nermo_mjx.physics.mjx_engine import obstacle
 
-        if (found := obstacle()) is not None:
-            raise ParameterError(f"engine is 'warp': {found}")
+        if (reason := obstacle()) is not None:
+            raise ParameterError(f"engine is 'warp': {reason}")
     return name
 
 
@@ -52,12 +52,12 @@ def make_engine(
     Raises:
         ParameterError: an unknown engine, one that cannot run here, too many devices, or no thread.
     """
-    chosen = resolve_engine(name)
-    if chosen == "c":
+    engine_name = resolve_engine(name)
+    if engine_name == "c":
         from nermo_mjx.physics.c_engine import CEngine
 
         return CEngine(robot, loop, threads)
-    if chosen == "warp":
+    if engine_name == "warp":
         from nermo_mjx.physics.mjx_engine import WarpEngine
 
         return WarpEngine(robot, loop, devices)

@@ -70,23 +70,23 @@ def read_entries(program: ClosedJaxpr, size: int) -> Bool[np.ndarray, " size"]:
     return read
 
 
-def with_sensors(model: mjx.Model, read: Bool[np.ndarray, " nsensordata"]) -> mjx.Model:
+def with_sensors(model: mjx.Model, is_read: Bool[np.ndarray, " nsensordata"]) -> mjx.Model:
     """The model with only the sensors whose entries are read; the entries keep their positions."""
-    if read.all():
+    if is_read.all():
         return model
-    kept = np.array(
+    kept_sensors = np.array(
         [
-            read[start : start + size].any()
+            is_read[start : start + size].any()
             for start, size in zip(model.sensor_adr, model.sensor_dim, strict=True)
         ],
         bool,
     )
     fields = {
-        field.name: np.asarray(getattr(model, field.name))[kept]
+        field.name: np.asarray(getattr(model, field.name))[kept_sensors]
         for field in dataclasses.fields(model)
         if field.name.startswith("sensor_")
     }
-    return model.replace(nsensor=int(kept.sum()), **fields)
+    return model.replace(nsensor=int(kept_sensors.sum()), **fields)
 
 
 class MjxState(NamedTuple):
@@ -200,16 +200,16 @@ class MjxEngine:
         return carry._replace(physics=carry.physics._replace(motor=motor))
 
     def tick(
-        self, params: Any, fields: dict[str, Array], carry: Carry, *, shown: bool = False
+        self, params: Any, fields: dict[str, Array], carry: Carry, *, record: bool = False
     ) -> tuple[Carry, Array]:
         """One control tick of one world: the new carry, and the servos' targets.
 
         Args:
             params, fields: of the loop, and fields that differ from the model's.
             carry: before the tick.
-            shown: whether to compute all sensors, including those that the loop does not read.
+            record: whether to compute all sensors, including those that the loop does not read.
         """
-        return self._tick(False, shown, self.data, params, fields, carry)
+        return self._tick(False, record, self.data, params, fields, carry)
 
     @full_precision
     def _tick(
@@ -258,9 +258,11 @@ class MjxEngine:
                 data = data.replace(
                     xfrc_applied=data.xfrc_applied.at[torso, :2].set(ctrl[servo.size :])
                 )
-            after = self.physics_step(model, state.into(data))
-            found = after.sensordata, self.is_unsolved(after)
-            return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart, motor), found
+            following = self.physics_step(model, state.into(data))
+            readings = following.sensordata, self.is_unsolved(following)
+            return MjxState(
+                following.qpos, following.qvel, following.act, following.qacc_warmstart, motor
+            ), readings
 
         def step(state: MjxState, _: None) -> tuple[MjxState, tuple[Array, Array]]:
             after: tuple[MjxState, tuple[Array, Array]] = each(keeping_little(advanced))(
@@ -285,11 +287,11 @@ class MjxEngine:
         return read_entries(program, self.model.nsensordata)
 
     def _ticks(
-        self, params: Any, fields: dict[str, Array], shown: bool = False
+        self, params: Any, fields: dict[str, Array], record: bool = False
     ) -> Callable[[Carry], tuple[Carry, Array]]:
         """`tick` for all worlds of a device; computes all sensors if their readings are returned."""
         return lambda carry: self._tick(
-            True, shown, self.data_among(len(carry.physics.qpos)), params, fields, carry
+            True, record, self.data_among(len(carry.physics.qpos)), params, fields, carry
         )
 
     def _open_worlds(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
@@ -310,7 +312,7 @@ class MjxEngine:
         self, params: Any, fields: dict[str, Array], carry: Carry, ticks: int
     ) -> tuple[Carry, Any]:
         def record(params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Any]:
-            tick = self._ticks(params, fields, shown=True)
+            tick = self._ticks(params, fields, record=True)
 
             def recorded(c: Carry, _: None) -> tuple[Carry, Any]:
                 c, ctrl = tick(c)
@@ -329,12 +331,15 @@ class MjxSession:
     ) -> None:
         self.engine, self.worlds = engine, len(qpos)
         at_rest, fields = _constants(engine.robot.physical, qpos, fields)
-        real, put = engine.data.qpos.dtype, engine.devices.put
-        self.params = put(params)
-        self.fields = put({name: np.asarray(values, real) for name, values in fields.items()})
+        real, put_on_devices = engine.data.qpos.dtype, engine.devices.put
+        self.params = put_on_devices(params)
+        self.fields = put_on_devices(
+            {name: np.asarray(values, real) for name, values in fields.items()}
+        )
         qvel = np.zeros((self.worlds, engine.model.nv))
         carry = engine.open_worlds(
-            self.params, *put([np.asarray(each, real) for each in (qpos, qvel, at_rest)])
+            self.params,
+            *put_on_devices([np.asarray(array, real) for array in (qpos, qvel, at_rest)]),
         )
         self.carry = engine.playing(carry, self.fields)
         padded = engine.devices.padded(self.worlds)
@@ -491,11 +496,15 @@ class WarpSession(MjxSession):
         self, engine: WarpEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]
     ) -> None:
         super().__init__(engine, params, qpos, fields)
-        self._chosen = chosen = np.unique(
+        self._chosen = checked_worlds = np.unique(
             np.linspace(0, self.worlds - 1, COMPANIONS).round().astype(int)
         )
-        some, own = jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], (params, fields))
-        self._beside = CEngine(engine.robot, engine.loop).open(some, qpos[chosen], own)
+        some_params, some_fields = jax.tree.map(
+            lambda leaf: np.asarray(leaf)[checked_worlds], (params, fields)
+        )
+        self._beside = CEngine(engine.robot, engine.loop).open(
+            some_params, qpos[checked_worlds], some_fields
+        )
         self._ticks = 0
 
     def advance(self, ticks: int) -> None:
@@ -520,19 +529,19 @@ class WarpSession(MjxSession):
         self._beside.advance(ticks)
         right = self._beside.qpos[:, :3]
         try:
-            found = np.asarray(self.carry.physics.qpos)[self._chosen, :3]
+            positions = np.asarray(self.carry.physics.qpos)[self._chosen, :3]
         except jax.errors.JaxRuntimeError as error:
             reason = str(error).split("\n")[0]
             raise ParameterError(
                 f"engine is 'warp': it failed on this device ({reason}); take the engine mjx."
             ) from None
-        away = np.abs(found - right).max(axis=1)
+        distance = np.abs(positions - right).max(axis=1)
         # A world that C itself loses is no oracle; a NaN of Warp alone is a difference.
-        wrong = np.isfinite(right).all(axis=1) & ~(away <= FARTHEST)
+        wrong = np.isfinite(right).all(axis=1) & ~(distance <= FARTHEST)
         if wrong.any():
             raise ParameterError(
                 f"engine is 'warp': after {self._ticks} control ticks {wrong.sum()} of {len(wrong)} walks are not "
-                f"where MuJoCo C has them: one is {away[wrong][0]:.3g} m away, allowed are {FARTHEST:g} m; take the "
+                f"where MuJoCo C has them: one is {distance[wrong][0]:.3g} m away, allowed are {FARTHEST:g} m; take the "
                 "engine mjx."
             )
 

@@ -56,19 +56,19 @@ _FIRST_ONLY: Final = (
 
 
 def first_order_callback(
-    function: Callable[..., Any], shapes: Any, refusal: str, *given: Array
+    function: Callable[..., Any], shapes: Any, refusal: str, *arguments: Array
 ) -> Any:
     """A callback under `jit` and `vmap`, which has no further derivative: who asks for one gets the refusal."""
 
     @jax.custom_jvp
-    def called(*given: Array) -> Any:
-        return jax.pure_callback(function, shapes, *given, vmap_method="broadcast_all")
+    def called(*arguments: Array) -> Any:
+        return jax.pure_callback(function, shapes, *arguments, vmap_method="broadcast_all")
 
     @called.defjvp
-    def refused(at: Any, tangents: Any) -> NoReturn:
+    def refused(primals: Any, tangents: Any) -> NoReturn:
         raise ParameterError(refusal)
 
-    return called(*given)
+    return called(*arguments)
 
 
 class States(NamedTuple):
@@ -158,25 +158,27 @@ class Trajectory:
         """
         act = jnp.zeros(self.model.na) if act is None else act
         sizes = {"qpos": self.model.nq, "qvel": self.model.nv, "act": self.model.na}
-        for (name, size), given in zip(sizes.items(), (qpos, qvel, act), strict=True):
-            if jnp.shape(given) != (size,):
+        for (name, size), argument in zip(sizes.items(), (qpos, qvel, act), strict=True):
+            if jnp.shape(argument) != (size,):
                 raise ParameterError(
-                    f"{name} has shape {jnp.shape(given)}: expected ({size},); use jax.vmap for a batch."
+                    f"{name} has shape {jnp.shape(argument)}: expected ({size},); use jax.vmap for a batch."
                 )
         if jnp.ndim(ctrl) != 2 or jnp.shape(ctrl)[1] != self.model.nu:
             raise ParameterError(
                 f"ctrl has shape {jnp.shape(ctrl)}: expected (steps, {self.model.nu})."
             )
-        return self._simulated(*(jnp.asarray(each, float) for each in (qpos, qvel, act, ctrl)))
+        return self._simulated(
+            *(jnp.asarray(argument_value, float) for argument_value in (qpos, qvel, act, ctrl))
+        )
 
     def linearized(self, qpos: Any, qvel: Any, ctrl: Any, act: Any = None) -> Linearized:
         """The same trajectory with the derivatives of its steps, in NumPy and float64; the arguments are the same."""
         act = np.zeros(self.model.na) if act is None else act
-        start = np.concatenate([np.asarray(each, float) for each in (qpos, qvel, act)])[None]
+        start = np.concatenate([np.asarray(part, float) for part in (qpos, qvel, act)])[None]
         controls = np.asarray(ctrl, float)[None]
         states = self._states(start, controls)
         a, b, kinks = self._steps(states, controls)
-        return Linearized(States(*(each[0] for each in self._parts(states))), a[0], b[0], kinks[0])
+        return Linearized(States(*(part[0] for part in self._parts(states))), a[0], b[0], kinks[0])
 
     def _differentiable(self) -> Callable[..., States]:
         m = self.model
@@ -190,55 +192,61 @@ class Trajectory:
             sizes = ((steps, nx, nx), (steps, nx, m.nu), (steps + 1, m.nq, m.nv))
             return States(*parts), tuple(jax.ShapeDtypeStruct(size, real) for size in sizes)
 
-        def batched(*given: Any) -> tuple[tuple[int, ...], np.ndarray, np.ndarray]:
-            qpos, qvel, act, ctrl = (np.asarray(each, float) for each in given)
+        def batched(*arguments: Any) -> tuple[tuple[int, ...], np.ndarray, np.ndarray]:
+            qpos, qvel, act, ctrl = (np.asarray(argument, float) for argument in arguments)
             start = np.concatenate([qpos, qvel, act], axis=-1)
             rows = start.reshape(-1, start.shape[-1])
             return start.shape[:-1], rows, ctrl.reshape(len(rows), *ctrl.shape[-2:])
 
         def like(tree: Any, lead: tuple[int, ...], expected: Any) -> Any:
             return jax.tree.map(
-                lambda each, one: each.reshape(*lead, *one.shape).astype(one.dtype), tree, expected
+                lambda leaf, expected_leaf: leaf.reshape(*lead, *expected_leaf.shape).astype(
+                    expected_leaf.dtype
+                ),
+                tree,
+                expected,
             )
 
-        def values(*given: Any) -> States:
-            lead, start, controls = batched(*given)
+        def values(*arguments: Any) -> States:
+            lead, start, controls = batched(*arguments)
             return like(
                 self._parts(self._states(start, controls)), lead, shapes(controls.shape[1])[0]
             )
 
-        def slopes(*given: Any) -> tuple[States, tuple[Any, ...]]:
-            lead, start, controls = batched(*given)
+        def slopes(*arguments: Any) -> tuple[States, tuple[Any, ...]]:
+            lead, start, controls = batched(*arguments)
             states = self._states(start, controls)
             a, b, kinks = self._steps(states, controls)
             if kinks.any():
                 steps = np.flatnonzero(kinks.any(axis=0))
-                named = ", ".join(map(str, steps[:10])) + (", ..." if len(steps) > 10 else "")
+                step_names = ", ".join(map(str, steps[:10])) + (", ..." if len(steps) > 10 else "")
                 warnings.warn(
                     f"The set of active contacts or limits changes within {WIDTHS[-1]:g} at {len(steps)} steps "
-                    f"({named}): the derivative there is the mean of its two sides.",
+                    f"({step_names}): the derivative there is the mean of its two sides.",
                     stacklevel=2,
                 )
             parts = self._parts(states)
             return like((parts, (a, b, self._turns(parts.qpos))), lead, shapes(controls.shape[1]))
 
         @jax.custom_jvp
-        def simulated(*given: Array) -> States:
-            return first_order_callback(values, shapes(given[-1].shape[0])[0], _FIRST_ONLY, *given)
+        def simulated(*arguments: Array) -> States:
+            return first_order_callback(
+                values, shapes(arguments[-1].shape[0])[0], _FIRST_ONLY, *arguments
+            )
 
         @simulated.defjvp
-        def rule(given: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[States, States]:
+        def rule(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[States, States]:
             states, (a, b, turns) = first_order_callback(
-                slopes, shapes(given[-1].shape[0]), _FIRST_ONLY, *given
+                slopes, shapes(primals[-1].shape[0]), _FIRST_ONLY, *primals
             )
             dqpos, dqvel, dact, dctrl = tangents
             # Of a quaternion only what turns it counts: its rows have the square 1/4.
             scale = jnp.where((turns[0] ** 2).sum(axis=0) < 0.5, 4.0, 1.0)
             first = jnp.concatenate([scale * (turns[0].T @ dqpos), dqvel, dact])
 
-            def step(x: Array, of: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-                after = of[0] @ x + of[1] @ of[2]
-                return after, after
+            def step(x: Array, matrices: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+                next_x = matrices[0] @ x + matrices[1] @ matrices[2]
+                return next_x, next_x
 
             with jax.default_matmul_precision("highest"):
                 _, others = jax.lax.scan(step, first, (a, b, dctrl))
@@ -262,10 +270,10 @@ class Trajectory:
             mujoco.mj_normalizeQuat(self.model, row[1 : 1 + self.model.nq])
         if not steps:
             return first[:, None, 1:]
-        found, _ = rollout.rollout(
+        states, _ = rollout.rollout(
             self.model, data, first, controls if self.model.nu else None, nstep=steps
         )
-        return np.concatenate([first[:, None], found], axis=1)[:, :, 1:]
+        return np.concatenate([first[:, None], states], axis=1)[:, :, 1:]
 
     def _steps(
         self, states: np.ndarray, controls: np.ndarray
@@ -279,9 +287,9 @@ class Trajectory:
             forward, inverse = mujoco.MjData(self.model), mujoco.MjData(self._inverse)
             for n, t in places:
                 if self._by_inverse:
-                    found = self._implicit(inverse, states[n, t], controls[n, t], states[n, t + 1])
-                    if found is not None:
-                        a[n, t], b[n, t], kinks[n, t] = found
+                    slopes = self._implicit(inverse, states[n, t], controls[n, t], states[n, t + 1])
+                    if slopes is not None:
+                        a[n, t], b[n, t], kinks[n, t] = slopes
                         continue
                 a[n, t], b[n, t], kinks[n, t] = self._explicit(
                     forward, states[n, t], controls[n, t]
@@ -448,28 +456,28 @@ class Trajectory:
     def _turns(self, qpos: Any) -> np.ndarray:
         """d qpos / d tangent (..., nq, nv): half of a quaternion's product by the left, for its rows."""
         m = self.model
-        found = np.zeros((*qpos.shape[:-1], m.nq, m.nv))
-        for kind, place, dof in zip(
+        matrix = np.zeros((*qpos.shape[:-1], m.nq, m.nv))
+        for kind, address, dof in zip(
             m.jnt_type.tolist(), m.jnt_qposadr.tolist(), m.jnt_dofadr.tolist(), strict=True
         ):
             plain = {FREE: 3, BALL: 0}.get(kind, 1)
             for i in range(plain):
-                found[..., place + i, dof + i] = 1.0
+                matrix[..., address + i, dof + i] = 1.0
             if kind in (FREE, BALL):
-                w, x, y, z = np.moveaxis(qpos[..., place + plain : place + plain + 4], -1, 0)
+                w, x, y, z = np.moveaxis(qpos[..., address + plain : address + plain + 4], -1, 0)
                 product = np.stack([-x, -y, -z, w, -z, y, z, w, -x, -y, x, w], axis=-1)
                 rows, dofs = (
-                    slice(place + plain, place + plain + 4),
+                    slice(address + plain, address + plain + 4),
                     slice(dof + plain, dof + plain + 3),
                 )
-                found[..., rows, dofs] = 0.5 * product.reshape(*product.shape[:-1], 4, 3)
-        return found
+                matrix[..., rows, dofs] = 0.5 * product.reshape(*product.shape[:-1], 4, 3)
+        return matrix
 
 
 def _apart(forward: np.ndarray, backward: np.ndarray) -> bool:
     """Whether the differences to both sides are not those of one smooth function."""
-    most = max(np.abs(forward).max(initial=0.0), np.abs(backward).max(initial=0.0))
-    return bool(np.abs(forward - backward).max(initial=0.0) > KINK * most)
+    largest = max(np.abs(forward).max(initial=0.0), np.abs(backward).max(initial=0.0))
+    return bool(np.abs(forward - backward).max(initial=0.0) > KINK * largest)
 
 
 def trajectory(model: mujoco.MjModel, threads: int | None = None) -> Trajectory:

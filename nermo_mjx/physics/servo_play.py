@@ -82,8 +82,8 @@ def played(
         xp: `jax.numpy` or `numpy`.
     """
     error = target - angle
-    asked = error - xp.clip(error, -play.dead_band, play.dead_band)
-    drive = xp.clip((play.kp * asked - play.kv * velocity) / play.stall_torque, -1.0, 1.0)
+    effective_error = error - xp.clip(error, -play.dead_band, play.dead_band)
+    drive = xp.clip((play.kp * effective_error - play.kv * velocity) / play.stall_torque, -1.0, 1.0)
     half = play.backlash / 2
     shift = timestep * (play.speed * drive - velocity)
     ahead = xp.where(shift < 0.0, half + motor, half - motor)

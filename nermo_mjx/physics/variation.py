@@ -102,12 +102,12 @@ class Variation:
         dof = {name: int(model.jnt_dofadr[i]) for i, name in enumerate(names)}
 
         def joints(end: str, start: str = "") -> np.ndarray:
-            of = [
+            joint_ids = [
                 i
                 for i, name in enumerate(names)
                 if chain_of(name).endswith(end) and name.startswith(start)
             ]
-            return np.array(of, int)
+            return np.array(joint_ids, int)
 
         spine = np.array([i for i, name in enumerate(names) if is_spine_joint(name)])
         self._springs = {
@@ -251,29 +251,29 @@ class Variation:
     def _tilted(self, build: Build, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
         """Fields of the legs, turned about the axes of their hips with their pulleys and all that leads tendons."""
         model = self.model
-        found = {
+        fields = {
             name: jnp.asarray(getattr(model, name), float)
             for name in ("body_pos", "body_quat", "site_pos")
         }
-        found |= {name: field for name, field in placed.items() if name in found}
+        fields |= {name: field for name, field in placed.items() if name in fields}
         for pair, limbs in self._mounts.items():
             angle = jnp.asarray(getattr(build, f"{pair}_tilt"), float)
             cosine, sine = jnp.cos(angle / 2), jnp.sin(angle / 2)
             for hip, cross, bodies, sites in limbs:
-                centre = found["body_pos"][hip]
+                centre = fields["body_pos"][hip]
                 turn = (
                     jnp.eye(3) + jnp.sin(angle) * cross + (1.0 - jnp.cos(angle)) * (cross @ cross)
                 )
                 for name, ids in (("body_pos", bodies), ("site_pos", sites)):
-                    found[name] = (
-                        found[name].at[ids].set(centre + (found[name][ids] - centre) @ turn.T)
+                    fields[name] = (
+                        fields[name].at[ids].set(centre + (fields[name][ids] - centre) @ turn.T)
                     )
-                quat = found["body_quat"][bodies]
+                quat = fields["body_quat"][bodies]
                 across = quat[:, np.array([1, 0, 3, 2])] * jnp.array([-1.0, 1.0, 1.0, -1.0])
-                found["body_quat"] = (
-                    found["body_quat"].at[bodies].set(cosine * quat + sine * across)
+                fields["body_quat"] = (
+                    fields["body_quat"].at[bodies].set(cosine * quat + sine * across)
                 )
-        return found
+        return fields
 
     def _shaped(
         self, shape: TerrainShape, placed: Mapping[str, Array]
@@ -283,12 +283,12 @@ class Variation:
         if not len(geoms):
             return {}
         kind = TERRAINS[self._scene]
-        pos, quat, size = (jnp.asarray(each, float) for each in kind.layout(shape, jnp))
-        moved = {"geom_pos": pos, "geom_quat": quat}
+        pos, quat, size = (jnp.asarray(part, float) for part in kind.layout(shape, jnp))
+        fields = {"geom_pos": pos, "geom_quat": quat}
         if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
             # As shares of the compiled height, which MJX knows at trace time.
             highest = model.hfield_size[model.geom_dataid[geoms[0]], 2]
-            moved.pop("geom_quat")
+            fields.pop("geom_quat")
             heights = {
                 "hfield_data": jnp.asarray(field_shares().ravel(), float) * (shape.height / highest)
             }
@@ -298,11 +298,11 @@ class Variation:
                 if kind.geom == mujoco.mjtGeom.mjGEOM_BOX
                 else size.sum(axis=-1)
             )
-            moved |= {"geom_size": size, "geom_rbound": bound}
+            fields |= {"geom_size": size, "geom_rbound": bound}
             heights = {}
         return heights | {
             name: placed.get(name, jnp.asarray(getattr(model, name), float)).at[geoms].set(value)
-            for name, value in moved.items()
+            for name, value in fields.items()
         }
 
     def batch(
@@ -415,7 +415,8 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
             # Geoms have different ids than in the model that engines step; all other ids are the same.
             names = geom_names(str(robot.config.scene))
             ours, theirs = (
-                [one.geom(each).id for each in names] for one in (model, variation.model)
+                [source_model.geom(geom_name).id for geom_name in names]
+                for source_model in (model, variation.model)
             )
             getattr(model, name)[ours] = field[0][theirs]
         elif name == "hfield_data":
@@ -461,23 +462,23 @@ def vary(
         The worlds' own models, if a field cannot be set per world in a batch; else None.
     """
     fields = without_play(fields)
-    chosen = np.arange(batch.nsim) if worlds is None else worlds
+    world_indices = np.arange(batch.nsim) if worlds is None else worlds
     if "hfield_data" not in fields:
         for name, values in fields.items():
-            batch.expand(name)[chosen] = values
+            batch.expand(name)[world_indices] = values
         if moves_constants(fields):
             batch.set_const()
         return None
     models = [copy.copy(model) for _ in range(batch.nsim)] if models is None else models
     data = mujoco.MjData(model)
-    for row, world in enumerate(chosen):
-        own = models[world]
+    for row, world in enumerate(world_indices):
+        world_model = models[world]
         for name, values in fields.items():
             if name == "hfield_data":
-                set_heights(own, model, values[row])
+                set_heights(world_model, model, values[row])
             else:
-                operator.attrgetter(name)(own)[...] = values[row]
+                operator.attrgetter(name)(world_model)[...] = values[row]
         if moves_constants(fields):
-            mujoco.mj_setConst(own, data)
+            mujoco.mj_setConst(world_model, data)
     batch.set_models(models)
     return models
