@@ -20,7 +20,7 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.shapes import Array, Planar, Scalars, Spatial
 
 #: Positions are limited to this distance [m], so that results stay finite if a world diverges.
-FARTHEST: Final = 1e6
+LARGEST_POSITION_METRES: Final = 1e6
 
 
 @jax.tree_util.register_dataclass
@@ -67,7 +67,7 @@ def arc(pilot: Pilot, position: Spatial) -> PathPoint:
 
 
 def _near(position: Spatial) -> Spatial:
-    return jnp.clip(position, -FARTHEST, FARTHEST)
+    return jnp.clip(position, -LARGEST_POSITION_METRES, LARGEST_POSITION_METRES)
 
 
 #: The paths without way points, by the pilot's name.
@@ -84,8 +84,8 @@ PATHS: Final[dict[str, Callable[[Pilot, Array], PathPoint]]] = {"straight": stra
 
 #: Search window along the course, by arc length from the progress made [m]. The robot sways back by a centimetre within
 #: a stride; ahead, the window leaves room to cut a bend.
-BEHIND: Final = 0.05
-AHEAD: Final = 0.15
+WINDOW_BEHIND_METRES: Final = 0.05
+WINDOW_AHEAD_METRES: Final = 0.15
 #: Largest coordinate of a way point [m], where float32 still tells millimetres; and samples of the longest course.
 FARTHEST_POINT: Final = 1e4
 MOST_SAMPLES: Final = 1_000_000
@@ -186,8 +186,10 @@ def locate(course: Course, progress: Scalars, position: Spatial) -> PathPoint:
     """
     table, step = jnp.asarray(course._table), course.spacing
     segments = len(course.x) - 1
-    window = min(int(np.ceil((BEHIND + AHEAD) / step)) + 1, segments)
-    first = jnp.clip(jnp.floor((progress - BEHIND) / step).astype(jnp.int32), 0, segments - window)
+    window = min(int(np.ceil((WINDOW_BEHIND_METRES + WINDOW_AHEAD_METRES) / step)) + 1, segments)
+    first = jnp.clip(
+        jnp.floor((progress - WINDOW_BEHIND_METRES) / step).astype(jnp.int32), 0, segments - window
+    )
     nodes = table[first[..., None] + jnp.arange(window + 1)]
 
     # The nearest point of each segment in the window, as its share `along` of the segment, then the nearest of these.

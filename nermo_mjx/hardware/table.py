@@ -36,7 +36,7 @@ DEFAULT_RATE: Final = 50.0
 HIGHEST_RATE: Final = 1000.0
 MOST_ROWS: Final = 1_000_000
 #: A table is periodic when no angle differs more than this between one of its cycles and the next [rad].
-_ALIKE: Final = 1e-6
+_PERIODIC_TOLERANCE_RAD: Final = 1e-6
 #: Head and tail controls that use sensors.
 _ANSWERING: Final = (GAZE, COUNTER_YAW, COUNTER_ROLL, "pitch_balance")
 #: Physics steps between two looks at whether parts touch.
@@ -315,7 +315,10 @@ def _steady(
         for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
             state, angles = _run(controller, robot.servos, exact, state, still, rows, tick_limit)
             angle_table = np.asarray(angles)
-            if previous is not None and np.abs(angle_table - previous).max() < _ALIKE:
+            if (
+                previous is not None
+                and np.abs(angle_table - previous).max() < _PERIODIC_TOLERANCE_RAD
+            ):
                 return angle_table
             previous = angle_table
     raise ParameterError(

@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 from fakes.published_maze import clearance
 
-from nermo_mjx.control.path import AHEAD, BEHIND, Course, PathPoint, course_through, locate
+from nermo_mjx.control.path import (
+    WINDOW_AHEAD_METRES,
+    WINDOW_BEHIND_METRES,
+    Course,
+    PathPoint,
+    course_through,
+    locate,
+)
 from nermo_mjx.experiments.walks import MAZE_COURSE, maze_course
 
 #: From the origin along -y, as the robot starts.
@@ -142,10 +149,10 @@ def test_a_robot_that_was_carried_away_is_looked_for_near_its_progress():
     """On the far side of a circle or back at its start, the progress moves by the window at most and never falls."""
     course = course_through(circle(0.5, 1.0))
     across, back = located(course, 0.3, 1.0, -0.1), located(course, 1.0, 0.0, 0.0)
-    assert 0.3 <= across.progress <= 0.3 + AHEAD + 2 * course.spacing
+    assert 0.3 <= across.progress <= 0.3 + WINDOW_AHEAD_METRES + 2 * course.spacing
     assert back.progress == 1.0
     # The error and the tangent are those of the window's end, a little less than 1 m along the circle.
-    turned = (1.0 - BEHIND) / 0.5
+    turned = (1.0 - WINDOW_BEHIND_METRES) / 0.5
     np.testing.assert_allclose(
         back.tangent, [np.sin(turned), -np.cos(turned)], atol=2 * course.spacing / 0.5
     )
