@@ -252,24 +252,24 @@ class Tab(Page):
 
     def complaints(self) -> list[str]:
         """Errors and warnings of the page, and exceptions that nobody caught."""
-        found = []
+        messages = []
         for event in self._browser.events(self._session):
             method, params = event["method"], event["params"]
             if method == "Runtime.exceptionThrown":
-                found.append(json.dumps(params["exceptionDetails"])[:500])
+                messages.append(json.dumps(params["exceptionDetails"])[:500])
             elif method == "Runtime.consoleAPICalled" and params["type"] in (
                 "error",
                 "warning",
                 "assert",
             ):
-                found.append(
+                messages.append(
                     " ".join(
                         str(part.get("value", part.get("description"))) for part in params["args"]
                     )
                 )
             elif method == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
-                found.append(params["entry"]["text"])
-        return found
+                messages.append(params["entry"]["text"])
+        return messages
 
     def requests(self) -> list[str]:
         """Addresses that the page has loaded anything from, data and blobs left out."""

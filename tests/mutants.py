@@ -508,8 +508,8 @@ def nearest_files(mutant: Mutant, root: Path) -> list[str]:
         rf"^\s*(from|import) {re.escape(mutant.module)}\b|^from {re.escape(package)} import \(?[^)\n]*\b{module}\b",
         re.MULTILINE,
     )
-    found = named or [path for path, text in texts.items() if imports.search(text)]
-    return [path.relative_to(root).as_posix() for path in found]
+    files = named or [path for path, text in texts.items() if imports.search(text)]
+    return [path.relative_to(root).as_posix() for path in files]
 
 
 def selections(mutant: Mutant, root: Path, nearest: bool) -> Iterator[list[str]]:
@@ -522,7 +522,7 @@ def selections(mutant: Mutant, root: Path, nearest: bool) -> Iterator[list[str]]
     ]
     before: list[str] = []
     for group in filter(None, groups):
-        yield [*group, *(f"--ignore={each}" for each in before)]
+        yield [*group, *(f"--ignore={path}" for path in before)]
         before += group
 
 
@@ -602,13 +602,13 @@ def kill(name: str, expressions: Sequence[str], nearest: bool, root: Path) -> di
         for arguments in selections(mutant, root, nearest):
             while True:
                 with mutant.applied(root):
-                    found = run_tests(root, arguments, expression, excluded)
-                seconds += found.seconds
-                if not found.test:
+                    result = run_tests(root, arguments, expression, excluded)
+                seconds += result.seconds
+                if not result.test:
                     break
                 # Only a test that passes without the mutant has found it.
-                if found.test.startswith("tests"):
-                    function = found.test.partition("[")[0]
+                if result.test.startswith("tests"):
+                    function = result.test.partition("[")[0]
                     alone = run_tests(root, [function], expression, ())
                     seconds += alone.seconds
                     if alone.test and (function in excluded or "::" not in function):
@@ -620,8 +620,8 @@ def kill(name: str, expressions: Sequence[str], nearest: bool, root: Path) -> di
                         continue
                 killed = {
                     "killed": expression,
-                    "test": found.test,
-                    "test_seconds": f"{found.test_seconds:.1f}",
+                    "test": result.test,
+                    "test_seconds": f"{result.test_seconds:.1f}",
                 }
                 return row | killed | {"seconds": f"{seconds:.0f}"}
     return row | {"seconds": f"{seconds:.0f}"}
@@ -661,8 +661,8 @@ def run(
     """Run mutants, append their rows to `out`, and print the table and the score."""
     if not out.exists():
         out.write_text(",".join(COLUMNS) + "\n")
-    known = {row["mutant"] for row in _rows(out)}
-    left = [name for name in names if name not in known]
+    finished = {row["mutant"] for row in _rows(out)}
+    left = [name for name in names if name not in finished]
     if processes == 1:
         _work(left, expressions, nearest, out)
     else:
@@ -733,26 +733,26 @@ def main() -> None:
         default=Path("mutants.csv"),
         help="table of results; default: mutants.csv",
     )
-    given = parser.parse_args()
-    if given.list:
+    options = parser.parse_args()
+    if options.list:
         for name, mutant in MUTANTS.items():
             print(
                 f"{name} ({mutant.file}): {mutant.why}\n  - {mutant.old.strip()}\n  + {mutant.new.strip()}"
             )
-    elif given.check:
+    elif options.check:
         wrong = check()
         print("\n".join(wrong) or f"All {len(MUTANTS)} mutants fit the package.")
         sys.exit(bool(wrong))
     else:
-        unknown = [name for name in given.run if name not in MUTANTS]
+        unknown = [name for name in options.run if name not in MUTANTS]
         if unknown:
             parser.error(f"unknown mutant {unknown[0]!r}: --list prints all.")
         run(
-            given.run or list(MUTANTS),
-            given.m or [DEFAULT],
-            given.n,
-            given.nearest,
-            given.out.absolute(),
+            options.run or list(MUTANTS),
+            options.m or [DEFAULT],
+            options.n,
+            options.nearest,
+            options.out.absolute(),
         )
 
 

@@ -89,8 +89,8 @@ def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path)
         page.stem: page.read_text(encoding="utf-8") for page in (site / "reference").glob("*.html")
     }
     for name in nermo_mjx.__all__:
-        known = re.search(rf"nermo_mjx\.{name}\b", text["python"])
-        assert known or name in (
+        match = re.search(rf"nermo_mjx\.{name}\b", text["python"])
+        assert match or name in (
             "LIMBS",
             "METRICS",
             "SERVOS",
@@ -108,17 +108,17 @@ def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path)
         "commands": [f'id="nermo-mjx-{name}"' for name in main.commands],
     }
     assert {
-        page: [mark for mark in known if mark not in text[page]] for page, known in marks.items()
+        page: [mark for mark in names if mark not in text[page]] for page, names in marks.items()
     } == {page: [] for page in marks}
     for page in PAGES:
         title = re.search(r"^# (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
         assert title is not None, page
-        made = (
+        page_text = (
             (site / page.relative_to(ROOT / "docs"))
             .with_suffix(".html")
             .read_text(encoding="utf-8")
         )
-        (heading,) = re.findall(r"<h1>(.*?)<a class=\"headerlink\"", made)
+        (heading,) = re.findall(r"<h1>(.*?)<a class=\"headerlink\"", page_text)
         assert re.sub(r"<[^>]+>", "", heading) == re.sub(r"[`*]", "", title[1]), page
 
 
@@ -134,7 +134,7 @@ def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> 
             "[...document.querySelectorAll('.math-wrapper')].map(f => [f.scrollHeight, f.clientHeight])"
         )
     assert len(heights) >= 5
-    assert [(needed, there) for needed, there in heights if needed > there] == []
+    assert [(needed, available) for needed, available in heights if needed > available] == []
 
 
 @pytest.mark.release
@@ -252,11 +252,13 @@ def test_every_public_function_has_an_example() -> None:
     public = {name: getattr(nermo_mjx, name) for name in nermo_mjx.__all__}
     # The tests' shared simulators stand in for a class here.
     functions = {
-        name: each
-        for name, each in public.items()
-        if inspect.isfunction(each) and "nermo" in each.__module__
+        name: function
+        for name, function in public.items()
+        if inspect.isfunction(function) and "nermo" in function.__module__
     }
-    without = {name for name, each in functions.items() if ">>> " not in (each.__doc__ or "")}
+    without = {
+        name for name, function in functions.items() if ">>> " not in (function.__doc__ or "")
+    }
     assert without - {"quantity"} == ELSEWHERE  # `parameter_tree` shows both
 
 
@@ -276,10 +278,10 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
         for line in "".join(blocks(README, "sh")).splitlines()
         if line.startswith("python3 -m venv")
     ]
-    chosen = [
+    commands = [
         [line for line in lines if re.search(patterns[name], line)] for name in ("job", "tests")
     ]
-    assert chosen == [[line] for line in fresh]
+    assert commands == [[line] for line in fresh]
     assert fresh[0].endswith("nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart")
     assert fresh[1].endswith("-m pytest")
     parts = dict(re.findall(r"^([\w-]+)\(\) \{\n(.*?)^\}$", script, re.MULTILINE | re.DOTALL))

@@ -108,7 +108,7 @@ def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(
         ("paho", lambda url: connected(url).__enter__(), ("mqtt://127.0.0.1",)),
         (
             "tensorboardX",
-            lambda *given: run_training(*given, tensorboard=True),
+            lambda *values: run_training(*values, tensorboard=True),
             (SPECS["training"], "out"),
         ),
     ],

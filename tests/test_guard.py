@@ -76,11 +76,11 @@ def test_ci_fails_for_many_programs_and_for_many_setups(few: int, tmp_path: Path
         check=False,
     )
     assert done.returncode == 1
-    many = "its default tests create 25 programs, more than 8 for each of 3 functions; most of them: test_shared 21, "
-    told = [
-        done.stdout.count(f"\ntest_{name}.py: {many}") for name in ("a", "b")
+    message = "its default tests create 25 programs, more than 8 for each of 3 functions; most of them: test_shared 21, "
+    counts = [
+        done.stdout.count(f"\ntest_{name}.py: {message}") for name in ("a", "b")
     ]  # by the test and at the end
-    assert told == [2 * (few == 15)] * 2, done.stdout
+    assert counts == [2 * (few == 15)] * 2, done.stdout
     assert ("2 errors" in done.stdout) == (few == 15)
     assert "more than 3 shared setups, with their programs: 4" in done.stdout
     assert "  20 test_a.py::setup[1]" in done.stdout
@@ -114,8 +114,8 @@ def test_programs_of_a_shared_setup_do_not_count_for_the_test(
     monkeypatch.setattr(guard, "_programs", collections.Counter())
     jax.jit(lambda x: x + 0.25)(1.0)
     with guard.shared("a"):
-        for more in range(3):
-            jax.jit(lambda x: x + more)(1.0)  # noqa: B023
+        for number in range(3):
+            jax.jit(lambda x: x + number)(1.0)  # noqa: B023
         with guard.shared("b"):
             jax.jit(lambda x: x - 0.25)(1.0)
     assert guard._programs == {"": 1, "a": 3, "b": 1}

@@ -50,7 +50,7 @@ PUBLIC = {module: public(module) for module in MODULES}
 def is_internal(path: str) -> bool:
     """Whether a dotted path leads into the package, but not to a public name, or to what such a name has."""
     module = max(
-        (each for each in MODULES if f"{path}.".startswith(f"{each}.")), key=len, default=""
+        (prefix for prefix in MODULES if f"{path}.".startswith(f"{prefix}.")), key=len, default=""
     )
     name = path.removeprefix(module).removeprefix(".").partition(".")[0]
     return module != "" and name != "" and name not in PUBLIC[module]
@@ -58,15 +58,15 @@ def is_internal(path: str) -> bool:
 
 def internal(code: str) -> list[str]:
     """The names of the package that a piece of code uses, and that are not public."""
-    found = list[str]()
+    imported_names = list[str]()
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            imported_names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            found += [f"{node.module}.{alias.name}" for alias in node.names]
+            imported_names += [f"{node.module}.{alias.name}" for alias in node.names]
         elif isinstance(node, ast.Attribute):
-            found.append(ast.unparse(node))
-    return [each for each in found if is_internal(each)]
+            imported_names.append(ast.unparse(node))
+    return [imported_name for imported_name in imported_names if is_internal(imported_name)]
 
 
 def pages() -> Iterator[tuple[str, str]]:
@@ -143,10 +143,10 @@ def test_the_page_lists_every_public_module_and_each_has_its_names() -> None:
     }
     assert set(MODULES) == {"nermo_mjx", *(f"nermo_mjx.{room.name}" for room in rooms), *doors}
     for module in set(MODULES) - doors:
-        found: dict[str, object] = {}
-        exec(f"from {module} import *", found)
+        namespace: dict[str, object] = {}
+        exec(f"from {module} import *", namespace)
         names = importlib.import_module(module).__all__
-        assert set(names) == found.keys() - {"__builtins__"}
+        assert set(names) == namespace.keys() - {"__builtins__"}
         assert len(set(names)) == len(names)
     for name in re.findall(
         r"`(\w+)`", INTERFACE.partition("| `nermo_mjx.kinematics` |")[2].partition("\n")[0]
@@ -163,8 +163,8 @@ def test_a_former_name_works_and_warns(former: str, present: str) -> None:
     with pytest.warns(
         DeprecationWarning, match=rf"{re.escape(former)} is a former name.*: use {present}\.$"
     ) as caught:
-        found = getattr(importlib.import_module(room), name)
-    assert found is getattr(importlib.import_module(home), new)
+        value = getattr(importlib.import_module(room), name)
+    assert value is getattr(importlib.import_module(home), new)
     assert caught[0].filename == __file__, "the warning names the line that uses the name"
     assert name not in importlib.import_module(room).__all__
     with pytest.warns(DeprecationWarning, match=re.escape(former)):
@@ -274,7 +274,8 @@ def test_a_type_checker_rejects_an_unknown_choice(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "mypy", "--no-error-summary", str(tmp_path / "typed.py")]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     wrong = {
-        int(line): said for line, said in re.findall(r"typed\.py:(\d+): error: (.*)", done.stdout)
+        int(line): message
+        for line, message in re.findall(r"typed\.py:(\d+): error: (.*)", done.stdout)
     }
     expected = [
         number
@@ -282,4 +283,4 @@ def test_a_type_checker_rejects_an_unknown_choice(tmp_path: Path) -> None:
         if re.search('trott|late"|circ|sphere|rou|gla', line)
     ]
     assert sorted(wrong) == expected, done.stdout + done.stderr
-    assert all('expected "Literal[' in said for said in wrong.values())
+    assert all('expected "Literal[' in message for message in wrong.values())

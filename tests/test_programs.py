@@ -82,5 +82,5 @@ def test_a_handful_of_programs_are_compiled_to_start_the_c_engine() -> None:
     """
     names = said(COMPILED).split()
     assert "step_once" in " ".join(names)
-    asked = [name for name in runtime.COMPILER_OPTIONS if name not in os.environ["XLA_FLAGS"]]
-    assert len(names) - len(asked) <= 6, names
+    options = [name for name in runtime.COMPILER_OPTIONS if name not in os.environ["XLA_FLAGS"]]
+    assert len(names) - len(options) <= 6, names

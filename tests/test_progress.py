@@ -43,9 +43,9 @@ def test_a_job_shows_its_progress_on_a_terminal(monkeypatch):
 def test_a_job_is_mute_where_it_is_told_to_be_and_where_nobody_looks(monkeypatch):
     terminal = on_a_terminal(monkeypatch)
     swept(progress=False)
-    seen = []
-    swept(watch=Watch(progress=seen.append))
-    assert seen[-1].fraction == 1.0
+    events = []
+    swept(watch=Watch(progress=events.append))
+    assert events[-1].fraction == 1.0
     assert terminal.getvalue() == ""
     quiet = io.StringIO()
     monkeypatch.setattr(sys, "stderr", quiet)

@@ -166,8 +166,8 @@ CACHE = (
 
 @pytest.mark.parametrize("first", ["", "import jax; ", "import jax; jax.numpy.ones(3); "])
 def test_the_cache_is_on_where_we_compile_and_has_a_size(tmp_path: Path, first: str) -> None:
-    (found,) = run(CACHE.format(first=first), NERMO_MJX_CACHE=str(tmp_path / "cache"))
-    directory, size = found.split()
+    (line,) = run(CACHE.format(first=first), NERMO_MJX_CACHE=str(tmp_path / "cache"))
+    directory, size = line.split()
     assert directory.startswith(str(tmp_path / "cache"))
     assert Path(directory).is_dir()
     assert int(size) == runtime.MOST_CACHE_BYTES

@@ -26,10 +26,10 @@ def needs(*packages: str) -> None:
 
 def last_runs() -> dict[str, dict[str, Any] | None]:
     """Test -> day and version of its last run, and how long it took [s]."""
-    found: dict[str, dict[str, Any] | None] = (
+    runs: dict[str, dict[str, Any] | None] = (
         json.loads(LAST_RUN.read_text()) if LAST_RUN.exists() else {}
     )
-    return found
+    return runs
 
 
 def note(seconds: Mapping[str, float]) -> None:
@@ -50,7 +50,7 @@ def sentence() -> str:
     never = sorted(
         {test.partition("[")[0].partition("::")[2] or test for test, run in runs.items() if not run}
     )
-    told = f"{len(days)} last passed between {days[0]} and {days[-1]}" if days else ""
+    interval = f"{len(days)} last passed between {days[0]} and {days[-1]}" if days else ""
     return "; ".join(
-        part for part in (told, f"not yet: {', '.join(never)}" if never else "") if part
+        part for part in (interval, f"not yet: {', '.join(never)}" if never else "") if part
     )

@@ -132,12 +132,12 @@ def test_the_foot_path_is_continuous_whatever_the_command_does(erratic, seed, ga
 
 def steepest(points):
     """Largest slopes (..., 2) of the paths through points (..., 3, 2), in y and z [m per half-cycle]."""
-    each = [np.ascontiguousarray(points[..., axis]) for axis in range(2)]
-    most = np.zeros((2, *points.shape[:-2]))
+    coordinates = [np.ascontiguousarray(points[..., axis]) for axis in range(2)]
+    largest = np.zeros((2, *points.shape[:-2]))
     for slope in _slopes():
         for axis in range(2):
-            np.maximum(most[axis], np.abs(each[axis] @ slope[:, axis]), out=most[axis])
-    return np.moveaxis(most, 0, -1)
+            np.maximum(largest[axis], np.abs(coordinates[axis] @ slope[:, axis]), out=largest[axis])
+    return np.moveaxis(largest, 0, -1)
 
 
 @functools.cache
@@ -215,9 +215,11 @@ def test_the_feet_do_not_jump_when_a_switch_falls_into_another_tick(gait, name, 
     stride_rate = 0.06 * np.abs(np.diff(states.turn_rate, axis=1)).max() / controller.dt
 
     points = states.gait.points
-    other = np.ones(points.shape[:2], bool)  # than those of the value before, at the same tick
-    other[1:] = (points[1:] != points[:-1]).any(axis=(2, 3, 4))
-    allowed = steepest(points[other]).max(axis=0) / min(duty, 1.0 - duty) + stride_rate / frequency
+    changes = np.ones(points.shape[:2], bool)  # than those of the value before, at the same tick
+    changes[1:] = (points[1:] != points[:-1]).any(axis=(2, 3, 4))
+    allowed = (
+        steepest(points[changes]).max(axis=0) / min(duty, 1.0 - duty) + stride_rate / frequency
+    )
     moved = np.abs(np.diff(states.foot, axis=0)).max(axis=0)
     assert (moved <= 1.02 * allowed * apart[:, None, None] + 1e-9).all()
 
@@ -247,7 +249,7 @@ def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
         control_parameters("walking_trot"),
     )
     names = ["frequency", "duty", "offset.front_left", "tracking.clock_ratio", "turning.exponent"]
-    at = np.array([0.81, 0.63, 0.51, 0.93, 1.3])
+    point = np.array([0.81, 0.63, 0.51, 0.93, 1.3])
 
     def run(values):
         def step(state, _):
@@ -258,9 +260,9 @@ def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
         return jax.lax.scan(step, controller.init(params, sensors_at()), None, length=TICKS)[1]
 
     with jax.enable_x64(True):
-        slopes, program = jax.jit(jax.jacfwd(run))(at), jax.jit(run)
-        for i, shift in enumerate(1e-7 * np.eye(len(at))):
-            expected = (program(at + shift) - program(at - shift)) / 2e-7
+        slopes, program = jax.jit(jax.jacfwd(run))(point), jax.jit(run)
+        for i, shift in enumerate(1e-7 * np.eye(len(point))):
+            expected = (program(point + shift) - program(point - shift)) / 2e-7
             np.testing.assert_allclose(slopes[..., i], expected, atol=1e-6, err_msg=names[i])
 
 
@@ -510,20 +512,20 @@ def test_the_observers_have_their_poles_where_their_bandwidth_says(bandwidth, fr
     course, sway = course[:, which], sway[which]
     plant = np.zeros((2 + 2 * len(pilot.HARMONICS),) * 2)
     plant[:2, :2] = [[1.0, 1.0], [0.0, 1.0]]
-    seen = np.zeros(len(plant))
-    seen[0] = 1.0
-    for place, harmonic in zip(range(2, len(plant), 2), pilot.HARMONICS, strict=True):
+    output = np.zeros(len(plant))
+    output[0] = 1.0
+    for index, harmonic in zip(range(2, len(plant), 2), pilot.HARMONICS, strict=True):
         angle = 2 * np.pi * harmonic * cycles
         cosine, sine = np.cos(angle), np.sin(angle)
-        plant[place : place + 2, place : place + 2] = [[cosine, -sine], [sine, cosine]]
-        seen[place] = 1.0
-    left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), seen @ plant)
+        plant[index : index + 2, index : index + 2] = [[cosine, -sine], [sine, cosine]]
+        output[index] = 1.0
+    left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), output @ plant)
     angles = 2 * np.pi * cycles * np.asarray(pilot.HARMONICS)
     fast, slow = np.exp(-bandwidth * cycles), np.exp(-pilot.SLOW[which] * bandwidth * cycles)
-    wanted = np.poly(
+    expected = np.poly(
         [fast, slow, *(fast * np.exp(1j * angles)), *(fast * np.exp(-1j * angles))]
     ).real
-    np.testing.assert_allclose(np.poly(left_over), wanted, atol=1e-9 * np.abs(wanted).max())
+    np.testing.assert_allclose(np.poly(left_over), expected, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("bandwidth", [0.3, 2.5, 5.0])
@@ -573,8 +575,8 @@ def test_guidance_does_not_steer_against_the_sway(steering, harmonic):
 def _swayed(controller):
     def run(params, sway):
         def step(state, x):
-            seen = dataclasses.replace(sensors_at(), position=jnp.stack([x, 0.0, 0.0]))
-            state, _ = controller.update(params, state, seen)
+            sensors = dataclasses.replace(sensors_at(), position=jnp.stack([x, 0.0, 0.0]))
+            state, _ = controller.update(params, state, sensors)
             return state, (state.turn_rate, state.pilot.guidance.course[0])
 
         return jax.lax.scan(step, controller.init(params, sensors_at()), sway)[1]
@@ -663,10 +665,10 @@ def random_parameters(seed):
     """Any values in their declared ranges, bounds included."""
     random = np.random.default_rng(seed)
     values = {}
-    for name, about in quantities(ControlParameters):
+    for name, quantity in quantities(ControlParameters):
         share = random.choice([0.0, 1.0, random.uniform()])
-        share = np.clip(share, 1e-3 * about.open_low, 1.0 - 1e-3 * about.open_high)
-        values[name] = jnp.float32(about.low + share * (about.high - about.low))
+        share = np.clip(share, 1e-3 * quantity.open_low, 1.0 - 1e-3 * quantity.open_high)
+        values[name] = jnp.float32(quantity.low + share * (quantity.high - quantity.low))
     return replace_quantities(ControlParameters(), values)
 
 
@@ -724,7 +726,9 @@ def test_new_values_do_not_compile_again_and_a_batch_equals_its_members():
     )
     for i, alone in enumerate(single):
         jax.tree.map(
-            lambda both, one, i=i: np.testing.assert_allclose(both[i], one, atol=1e-5), batch, alone
+            lambda column, value, i=i: np.testing.assert_allclose(column[i], value, atol=1e-5),
+            batch,
+            alone,
         )
 
 

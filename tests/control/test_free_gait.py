@@ -56,9 +56,10 @@ def gait_with(values: dict[str, Any], gait: str = "trot") -> ControlParameters:
 
 def random_gait(seed: int, share: float) -> dict[str, float]:
     """Every number of limbs and feet, anywhere in a share of its range about its default."""
-    random, about = np.random.default_rng(seed), dict(quantities(ControlParameters))
+    random, declarations = np.random.default_rng(seed), dict(quantities(ControlParameters))
     return {
-        name: float(about[name].default) + share * random.uniform(about[name].low, about[name].high)
+        name: float(declarations[name].default)
+        + share * random.uniform(declarations[name].low, declarations[name].high)
         if not name.startswith("limb.stride")
         else float(random.uniform(1 - 0.5 * share, 1 + 0.5 * share))
         for name in FREE_NAMES
@@ -165,25 +166,25 @@ def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:
         np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=-1).max() for path in (coarse, fine)
     ]
     assert longest[1] < 0.2 * longest[0]
-    found = inverse_kinematics(four_legs(ROBOT), jnp.asarray(fine), "type3")
-    assert found.reachable.all()
+    solution = inverse_kinematics(four_legs(ROBOT), jnp.asarray(fine), "type3")
+    assert solution.reachable.all()
     for limb, servo in enumerate(SERVOS[4:8]):
         low, high = servo_range(servo)
-        assert low - 1e-4 <= float(found.servo[:, limb, 1].min())
-        assert float(found.servo[:, limb, 1].max()) <= high + 1e-4
+        assert low - 1e-4 <= float(solution.servo[:, limb, 1].min())
+        assert float(solution.servo[:, limb, 1].max()) <= high + 1e-4
 
 
 @pytest.mark.release
 def test_a_foot_beyond_the_workspace_is_led_back_by_its_derivative() -> None:
     near, far = four_reaches(ROBOT, "type3")
     foot = jnp.asarray([[0.001, -0.002], [0.03, -0.0621], [0.0, -0.0405], [0.05, -0.06]])
-    drawn = within(near, far, foot)
-    distance = np.linalg.norm(drawn, axis=-1)
+    positions = within(near, far, foot)
+    distance = np.linalg.norm(positions, axis=-1)
     assert (distance >= near).all()
     assert (distance <= far).all()
-    np.testing.assert_array_equal(drawn[2], foot[2])
+    np.testing.assert_array_equal(positions[2], foot[2])
     with jax.enable_x64(True):
-        exact = [jnp.asarray(np.asarray(each), float) for each in (near, far, foot)]
+        exact = [jnp.asarray(np.asarray(argument), float) for argument in (near, far, foot)]
         slope = jax.jvp(
             lambda s: jnp.linalg.norm(within(exact[0], exact[1], s * exact[2]), axis=-1),
             (1.0,),
@@ -306,8 +307,8 @@ def test_a_pattern_stands_for_all_names_that_it_matches() -> None:
         f"spine.harmonics.{wave}{k}" for k in range(1, 7) for wave in ("cos", "sin")
     }
     assert Search.from_dict(search.resolved()).digest() == search.digest()
-    many = "method: local_gradient\ntune:\n  foot.*_*.*: {bounds: [-0.003, 0.003]}\nobjective: [{maximize: speed}]\n"
-    assert len(Tuning.from_text(STANDS + many).names) == 64
+    pattern = "method: local_gradient\ntune:\n  foot.*_*.*: {bounds: [-0.003, 0.003]}\nobjective: [{maximize: speed}]\n"
+    assert len(Tuning.from_text(STANDS + pattern).names) == 64
 
 
 @pytest.mark.release

@@ -65,8 +65,8 @@ def test_the_head_looks_along_the_course_whatever_the_torso_does(
         * Rotation.from_euler("z", float(angles.neck))
         * Rotation.from_euler("x", float(angles.tilt))
     )
-    wanted = [np.sin(course + pan), -np.cos(course + pan), 0.0]
-    np.testing.assert_allclose(looks.apply([0.0, -1.0, 0.0]), wanted, atol=1e-6)
+    expected = [np.sin(course + pan), -np.cos(course + pan), 0.0]
+    np.testing.assert_allclose(looks.apply([0.0, -1.0, 0.0]), expected, atol=1e-6)
 
 
 def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> None:
@@ -77,9 +77,9 @@ def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> 
     course = head_and_tail.CourseEstimate(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
     angles = [
         np.array(
-            named_head("gaze").update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1]
+            named_head("gaze").update(params_with(head_lead=ahead), course, angle, PACE, 1e-9)[1]
         )
-        for ahead, seen in (
+        for ahead, angle in (
             (lead, sensors_at(torso, tuple(rate))),
             (0.0, sensors_at(then)),
             (0.0, sensors_at(torso)),
@@ -99,20 +99,20 @@ def test_the_course_goes_along_with_a_steady_turn_and_leaves_sway_out() -> None:
     still = sensors_at(Rotation.identity())
 
     def tick(
-        course: head_and_tail.CourseEstimate, seen: tuple[jax.Array, jax.Array]
+        course: head_and_tail.CourseEstimate, readings: tuple[jax.Array, jax.Array]
     ) -> tuple[head_and_tail.CourseEstimate, jax.Array]:
-        half, none = 0.5 * seen[0], jnp.zeros(())
+        half, none = 0.5 * readings[0], jnp.zeros(())
         turned = jnp.stack([jnp.cos(half), none, none, jnp.sin(half)])
-        bent = still.servo_angle.at[SERVOS.index("spine")].set(seen[1])
+        bent = still.servo_angle.at[SERVOS.index("spine")].set(readings[1])
         sensors = dataclasses.replace(still, orientation=turned, servo_angle=bent)
         after = head_and_tail.observe_course(course, sensors, bandwidth, dt, ROBOT)
         return after, after.heading
 
     begun = head_and_tail.CourseEstimate(jnp.asarray(2.5), jnp.asarray(0.2))
-    found = np.asarray(
+    courses = np.asarray(
         jax.lax.scan(tick, begun, (jnp.asarray(torso), jnp.asarray(servo)))[1], float
     )[-5000:]
-    left = found - (2.5 + 0.2 * times[-5000:])
+    left = courses - (2.5 + 0.2 * times[-5000:])
     s = 1j * omega
     expected = 0.14 * abs((2 * bandwidth * s + bandwidth**2) / (s + bandwidth) ** 2)
     assert abs(left.mean()) < 2e-3
@@ -151,8 +151,8 @@ def test_the_tail_swings_as_in_the_authors_software(speed: float, amplitude: flo
     values = {"commanded_speed": speed, "frequency": 1.0, "start.phase": 0.1}
     table = servo_table(Setup(tail="articulated", tail_motion="swing"), values, rate=20.0)
     phase = 0.1 + table.time
-    wanted = -np.degrees(amplitude) * np.cos(2.0 * np.pi * phase)
-    np.testing.assert_allclose(table.angles[:, SERVOS.index("tail")], wanted, atol=1e-3)
+    expected = -np.degrees(amplitude) * np.cos(2.0 * np.pi * phase)
+    np.testing.assert_allclose(table.angles[:, SERVOS.index("tail")], expected, atol=1e-3)
 
 
 def test_the_tail_turns_with_the_body_and_props_it() -> None:
@@ -191,12 +191,14 @@ def gazing(simulator):
 @pytest.mark.release
 def test_the_gaze_halves_the_yaw_of_the_head_and_more(gazing) -> None:
     """In trot with the spine, and with it the motion of the picture; the walk stays the same."""
-    held, gaze = (gazing[head].metrics for head in ("none", "gaze"))
-    assert np.degrees(held["head_yaw_std"]) == pytest.approx(np.degrees(held["yaw_std"]), rel=0.02)
-    assert np.degrees(held["head_yaw_std"]) > 6.0
-    assert gaze["head_yaw_std"] < 0.3 * held["head_yaw_std"]
-    assert gaze["picture_motion"] < 0.8 * held["picture_motion"]
-    assert gaze["speed"] == pytest.approx(held["speed"], rel=0.03)
+    fixed, gaze = (gazing[head].metrics for head in ("none", "gaze"))
+    assert np.degrees(fixed["head_yaw_std"]) == pytest.approx(
+        np.degrees(fixed["yaw_std"]), rel=0.02
+    )
+    assert np.degrees(fixed["head_yaw_std"]) > 6.0
+    assert gaze["head_yaw_std"] < 0.3 * fixed["head_yaw_std"]
+    assert gaze["picture_motion"] < 0.8 * fixed["picture_motion"]
+    assert gaze["speed"] == pytest.approx(fixed["speed"], rel=0.03)
 
 
 @pytest.mark.release
@@ -258,11 +260,11 @@ def test_the_eyes_look_out_of_their_lenses(robot: str) -> None:
     )  # the robot heads along -y
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
         camera = model.camera(name).id
-        place, turn = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
+        position, turn = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
         ahead = -turn[:, 2]
         dome = glass[side * glass[:, 0] > 0]
-        before = (dome - place) @ ahead
-        beside = np.linalg.norm(dome - place - before[:, None] * ahead, axis=1)
+        before = (dome - position) @ ahead
+        beside = np.linalg.norm(dome - position - before[:, None] * ahead, axis=1)
         assert -0.003 < before.min() < before.max() < -0.0004, (
             "all of the lens is behind the camera"
         )
@@ -278,9 +280,9 @@ def test_the_moving_tail_does_what_it_is_for(simulator) -> None:
         ("counter_yaw", "stride_extension", "yaw"),
         ("counter_roll", "none", "roll"),
     ):
-        chosen = simulator(tail="articulated", tail_motion=motion, spine=spine)
+        sim = simulator(tail="articulated", tail_motion=motion, spine=spine)
         values = {"frequency": 0.8, f"tail.{name}_gain": [0.0, 2.0]}
-        still, moving = chosen.run(values, Run(cycles=10, warmup_cycles=3)).metrics[f"{name}_std"]
+        still, moving = sim.run(values, Run(cycles=10, warmup_cycles=3)).metrics[f"{name}_std"]
         assert moving < 0.97 * still
 
 
@@ -290,5 +292,7 @@ def test_a_sweep_varies_what_head_and_tail_do() -> None:
         "tail: articulated\nvary:\n  head: [none, gaze]\n  tail_motion: [none, swing]\n"
         "  tail.swing_amplitude: [0.2, 0.4]\n"
     )
-    chosen = {(each.setup.head, each.setup.tail_motion) for each in sweep.structures}
-    assert chosen == {(head, tail) for head in ("none", "gaze") for tail in ("none", "swing")}
+    structures = {
+        (structure.setup.head, structure.setup.tail_motion) for structure in sweep.structures
+    }
+    assert structures == {(head, tail) for head in ("none", "gaze") for tail in ("none", "swing")}

@@ -39,8 +39,8 @@ def commanded(setups: list[Setup], rate: float, seconds: float):
 
     The setups have the same modes; a function of the schedule's times, and the arguments of `jax.vmap` for it.
     """
-    made, robot = setups[0].make_controller(), setups[0].load()
-    controller = dataclasses.replace(made, control_rate=rate, pilot_rate=rate)
+    controller_of_setup, robot = setups[0].make_controller(), setups[0].load()
+    controller = dataclasses.replace(controller_of_setup, control_rate=rate, pilot_rate=rate)
     sensors = robot.sensors(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
 
     def walk(control, schedule):
@@ -106,14 +106,15 @@ def test_derivatives_through_a_switch_are_those_of_differences():
         control, schedule = jax.tree.map(lambda leaf: leaf[0], (control, schedule))
 
         def value(point):
-            at, blend = schedule.at.at[0].add(point[0]), schedule.blend.at[0].add(point[1])
-            servos = walk(control, dataclasses.replace(schedule, at=at, blend=blend))[2]
+            times, blend = schedule.at.at[0].add(point[0]), schedule.blend.at[0].add(point[1])
+            servos = walk(control, dataclasses.replace(schedule, at=times, blend=blend))[2]
             return jnp.sum(servos[200:330] * jnp.cos(jnp.arange(servos.shape[1])))
 
         slope = np.asarray(jax.jit(jax.grad(value))(jnp.zeros(2)))
         value, step = jax.jit(value), 1e-6
         differences = [
-            (value(step * each) - value(-step * each)) / (2 * step) for each in np.eye(2)
+            (value(step * direction) - value(-step * direction)) / (2 * step)
+            for direction in np.eye(2)
         ]
     assert np.abs(slope).min() > 1e-2
     np.testing.assert_allclose(slope, differences, rtol=1e-5)
@@ -145,7 +146,7 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
         .schedule
     )
     within = transitions.span(schedule, jnp.asarray(1.0))
-    assert [float(each) for each in within] == [2.0, 7.0]
+    assert [float(column) for column in within] == [2.0, 7.0]
     time = (1 + np.arange(1200)) * 0.01
     courses = {
         "ramp": np.interp(time, [2.0, 5.0], [0.1, 0.3]),
@@ -161,41 +162,41 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
         )
 
     ticks = jax.vmap(jax.vmap(tick), (None, 0))(jnp.asarray(time), speed)
-    found = jax.vmap(transitions.transition_result, (0, None))(
-        {name: each.sum(axis=1) for name, each in ticks.items()}, 0.2
+    result = jax.vmap(transitions.transition_result, (0, None))(
+        {name: column.sum(axis=1) for name, column in ticks.items()}, 0.2
     )
-    np.testing.assert_allclose(found["transition_time"], [1.5, 0.5, np.nan], atol=0.02)
-    np.testing.assert_allclose(found["transition_slip"], 0.02, rtol=1e-3)
+    np.testing.assert_allclose(result["transition_time"], [1.5, 0.5, np.nan], atol=0.02)
+    np.testing.assert_allclose(result["transition_slip"], 0.02, rtol=1e-3)
 
 
 @pytest.mark.release
 def test_a_run_with_a_schedule_has_the_metrics_of_its_transition():
     setup = Setup(schedule=(Switch(AT, values={"stride": 0.5}),))
     assert set(all_metrics(setup)) - set(all_metrics()) == set(transitions.TRANSITION)
-    found = Simulator(setup, "c").run(
+    result = Simulator(setup, "c").run(
         {"frequency": FREQUENCY}, Run(duration=7.0, warmup=0.75), record=True
     )
-    assert set(found.metrics) == set(all_metrics(setup))
+    assert set(result.metrics) == set(all_metrics(setup))
     # From the recorded way, which is straight: 1.25 s before, 2.5 s of transition, 2.5 s after.
-    way = -found.trace.sensors["position"][0, :, 1]
+    way = -result.trace.sensors["position"][0, :, 1]
     before, during, after = (
         way[end - 1] - way[begin - 1] for begin, end in ((75, 200), (200, 450), (450, 700))
     )
     late = (after - during) / (after / 2.5 - before / 1.25)
     assert 0.3 < late < 2.5
-    assert found.metrics["transition_time"][0] == pytest.approx(late, rel=0.03)
+    assert result.metrics["transition_time"][0] == pytest.approx(late, rel=0.03)
     ticks = slice(round(100 * AT) - 1, round(100 * (AT + 2 / FREQUENCY)))
     roll = np.abs(
-        np.asarray(jax.vmap(attitude)(found.trace.sensors["orientation"][0, ticks]))[:, 0]
+        np.asarray(jax.vmap(attitude)(result.trace.sensors["orientation"][0, ticks]))[:, 0]
     ).max()
-    assert found.metrics["transition_roll"][0] == pytest.approx(roll, rel=0.05)
-    assert 0.001 < found.metrics["transition_slip"][0] < 0.2
+    assert result.metrics["transition_roll"][0] == pytest.approx(roll, rel=0.05)
+    assert 0.001 < result.metrics["transition_slip"][0] < 0.2
 
 
 def falls(setup: Setup, phases: np.ndarray) -> list[str]:
     values = {"frequency": FREQUENCY, "schedule.at.1": AT + phases / FREQUENCY}
     status = Simulator(setup, "c").run(values, Run(duration=8.0, warmup=2.0)).status
-    return [str(each) for each in status if each != "ok"]
+    return [str(text) for text in status if text != "ok"]
 
 
 @pytest.mark.release
@@ -228,12 +229,12 @@ def test_engines_agree_and_the_gradient_through_a_switch_is_that_of_differences(
     with jax.enable_x64(True):
         rollout = Rollout(setup, run, "mjx")
 
-        def speed(at):
-            return rollout({"frequency": 0.8, "schedule.at.1": at})["speed"]
+        def speed(time):
+            return rollout({"frequency": 0.8, "schedule.at.1": time})["speed"]
 
-        both = jax.jit(jax.value_and_grad(speed), compiler_options=compiler_options())
-        (_, slope), h = both(0.5), 1e-6
-        difference = (both(0.5 + h)[0] - both(0.5 - h)[0]) / (2 * h)
+        value_and_slope = jax.jit(jax.value_and_grad(speed), compiler_options=compiler_options())
+        (_, slope), h = value_and_slope(0.5), 1e-6
+        difference = (value_and_slope(0.5 + h)[0] - value_and_slope(0.5 - h)[0]) / (2 * h)
     assert np.isfinite(slope)
     np.testing.assert_allclose(slope, difference, rtol=1e-3)
 
@@ -262,13 +263,13 @@ def test_a_sweep_varies_when_a_switch_begins(tmp_path):
 
 def test_the_phase_of_a_limb_goes_the_shorter_way_around_the_cycle():
     """From 0.1 of the cycle to 0.9 by way of 0, and on to 0.3 by way of 1; other parameters go straight."""
-    known = dict(quantities(ControlParameters))
+    declarations = dict(quantities(ControlParameters))
     switches = [
         Switch(at=1.0, blend=0.5, values={"offset.front_left": 0.9, "stride": 0.4}),
         Switch(at=2.0, blend=1.0, values={"offset.front_left": 0.3}),
     ]
     schedule = schedule_of(
-        Switch(at=0.0, spine="none", head="none", tail_motion="none"), switches, known
+        Switch(at=0.0, spine="none", head="none", tail_motion="none"), switches, declarations
     )
     control = replace_quantities(ControlParameters(), {"offset.front_left": 0.1, "stride": 1.0})
     now = jax.jit(lambda time: dict(values_of(scheduled(control, schedule, time, 0.5))))
@@ -279,7 +280,7 @@ def test_the_phase_of_a_limb_goes_the_shorter_way_around_the_cycle():
         (3.0, 0.1, 0.4),
         (9.0, 0.3, 0.4),
     ):
-        found = now(time)
-        apart = (found["offset.front_left"] - offset + 0.5) % 1.0 - 0.5
+        values = now(time)
+        apart = (values["offset.front_left"] - offset + 0.5) % 1.0 - 0.5
         assert apart == pytest.approx(0.0, abs=1e-6), time
-        assert found["stride"] == pytest.approx(stride, abs=1e-6), time
+        assert values["stride"] == pytest.approx(stride, abs=1e-6), time

@@ -45,6 +45,6 @@ def test_accelerations_of_connects_and_welds_are_second_differences_of_mujocos_r
         device = put_model(model)
         before = put_data(model, data)
         after = jax.jit(lambda data: with_rates(device, data))(before)
-        found = np.asarray(inner(before).efc_aref - inner(after).efc_aref)
-    np.testing.assert_allclose(found[:9], expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
-    assert not found[9:].any(), "rows of contacts stay"
+        change = np.asarray(inner(before).efc_aref - inner(after).efc_aref)
+    np.testing.assert_allclose(change[:9], expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+    assert not change[9:].any(), "rows of contacts stay"

@@ -47,7 +47,7 @@ WAYS: dict[str, Callable[[Callable[[Any], Any]], Callable[[Any], Any]]] = {
 
 def errors(
     f: Callable[[Any], Any],
-    at: np.ndarray,
+    point: np.ndarray,
     ways: tuple[str, ...] = tuple(WAYS),
     width: float = 1e-5,
 ) -> dict[str, float]:
@@ -58,24 +58,31 @@ def errors(
         wide, narrow = (
             np.stack(
                 [
-                    np.subtract(slopes(at + h * each), slopes(at - h * each)) / (2 * h)
-                    for each in np.eye(len(at))
+                    np.subtract(slopes(point + h * direction), slopes(point - h * direction))
+                    / (2 * h)
+                    for direction in np.eye(len(point))
                 ]
             )
             for h in (width, width / 4)
         )
         expected = (16 * narrow - wide) / 15  # without the term of second order in the width
-        slope = np.asarray(slopes(at))
+        slope = np.asarray(slopes(point))
         scale = np.abs(expected).max()
-        found = {}
+        deviations = {}
         for way in ways:
-            each = np.asarray(jax.jit(WAYS[way](f), compiler_options=compiler_options())(at))
-            wanted = expected if each.ndim == 2 else expected @ slope / np.linalg.norm(slope)
-            found[way] = float(np.abs(each - wanted).max() / scale)
-            if each.ndim == 2:
-                found[f"{way}, not symmetric"] = float(np.abs(each - each.T).max() / scale)
+            direction = np.asarray(
+                jax.jit(WAYS[way](f), compiler_options=compiler_options())(point)
+            )
+            expected_part = (
+                expected if direction.ndim == 2 else expected @ slope / np.linalg.norm(slope)
+            )
+            deviations[way] = float(np.abs(direction - expected_part).max() / scale)
+            if direction.ndim == 2:
+                deviations[f"{way}, not symmetric"] = float(
+                    np.abs(direction - direction.T).max() / scale
+                )
     assert scale > 1e-6
-    return found
+    return deviations
 
 
 # ---
@@ -123,15 +130,15 @@ def test_second_derivatives_of_the_rows() -> None:
     layout, problem = _problems()
 
     def value(numbers: Any) -> Any:
-        given = problem(numbers)
-        found = solver.minimum(layout, *jax.lax.stop_gradient((given, jnp.zeros(SIZE))))
-        last = differentiable._newton(layout, found.qacc, jax.lax.stop_gradient(given))
+        constants = problem(numbers)
+        solution = solver.minimum(layout, *jax.lax.stop_gradient((constants, jnp.zeros(SIZE))))
+        last = differentiable._newton(layout, solution.qacc, jax.lax.stop_gradient(constants))
         return jnp.sum(
-            jnp.sin(differentiable._solution(last.qacc, last.residual, given, static=layout))
+            jnp.sin(differentiable._solution(last.qacc, last.residual, constants, static=layout))
         )
 
-    found = errors(value, np.linspace(-0.5, 0.7, NUMBERS))
-    assert max(found.values()) < 1e-6, found
+    deviations = errors(value, np.linspace(-0.5, 0.7, NUMBERS))
+    assert max(deviations.values()) < 1e-6, deviations
 
 
 # ---
@@ -160,17 +167,17 @@ def test_second_derivatives_of_an_ellipsoids_closest_point(
 
     def value(numbers: Any) -> Any:
         def of_size(size: Any) -> Any:
-            one = GeomInfo(numbers[1:4] * 0.1, _turned(numbers[1:4]), size * jnp.exp(numbers[0]))
-            other = GeomInfo(
+            first = GeomInfo(numbers[1:4] * 0.1, _turned(numbers[1:4]), size * jnp.exp(numbers[0]))
+            second = GeomInfo(
                 jnp.array([0.02, 0.03, 0.12]), _turned(numbers[4:]), jnp.array([0.1, 0.07, 0.05])
             )
-            dist, pos, frame = collider.of(one, other)
+            dist, pos, frame = collider.of(first, second)
             return 5.0 * dist + jnp.sum(jnp.sin(10.0 * pos)) + frame[0] @ jnp.array([0.3, 0.2, 0.5])
 
         return jnp.sum(jax.vmap(of_size)(jnp.array(sizes)))
 
-    found = errors(value, np.array([0.1, 0.3, -0.2, 0.1, 0.2, 0.4, -0.3]), ("jacfwd(jacrev)",))
-    assert max(found.values()) < 1e-6, found
+    deviations = errors(value, np.array([0.1, 0.3, -0.2, 0.1, 0.2, 0.4, -0.3]), ("jacfwd(jacrev)",))
+    assert max(deviations.values()) < 1e-6, deviations
 
 
 @pytest.mark.release
@@ -181,8 +188,8 @@ def test_second_derivatives_of_a_tendon_inside_a_ring() -> None:
         length, points = jacobians.wrap_inside(numbers[:4], numbers[4], 20, 1e-12, 1.0 - 1e-7)
         return jnp.sum(jnp.sin(3.0 * points)) + length[0]
 
-    found = errors(value, np.array([2.0, 1.5, -2.0, 1.7, 1.0]))
-    assert max(found.values()) < 1e-6, found
+    deviations = errors(value, np.array([2.0, 1.5, -2.0, 1.7, 1.0]))
+    assert max(deviations.values()) < 1e-6, deviations
 
 
 # ---
@@ -257,8 +264,8 @@ def test_second_derivatives_of_a_step(name: str) -> None:
             after = step(device, start)
             return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
 
-        found = errors(value, np.array([0.02, -0.03, 0.01, 0.03]), ("jacfwd(jacrev)",), 1e-5)
-    assert max(found.values()) < 1e-5, found
+        deviations = errors(value, np.array([0.02, -0.03, 0.01, 0.03]), ("jacfwd(jacrev)",), 1e-5)
+    assert max(deviations.values()) < 1e-5, deviations
 
 
 @pytest.mark.long
@@ -271,13 +278,13 @@ def test_second_derivatives_of_several_steps() -> None:
 
         def place(pushed: Any) -> Any:
             start = data.replace(qvel=data.qvel.at[: len(pushed)].set(pushed))
-            after = jax.lax.scan(lambda each, _: (step(device, each), None), start, None, length=5)[
-                0
-            ]
+            after = jax.lax.scan(
+                lambda state, _: (step(device, state), None), start, None, length=5
+            )[0]
             return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
 
-        found = errors(place, np.array([0.3, -0.2]), ("jacfwd(jacrev)",))
-    assert max(found.values()) < 1e-6, found
+        deviations = errors(place, np.array([0.3, -0.2]), ("jacfwd(jacrev)",))
+    assert max(deviations.values()) < 1e-6, deviations
 
 
 @pytest.mark.release
@@ -287,13 +294,13 @@ def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: b
     """A square root that is known from elsewhere, against the square root."""
     root = own_derivative("root", lambda _, value, arguments, changes: changes[0] / (2.0 * value))
 
-    def roots(numbers: Any, given: bool) -> Any:
+    def roots(numbers: Any, is_custom: bool) -> Any:
         def one(number: Any) -> Any:
-            found = jnp.sqrt(number)
-            return root(jax.lax.stop_gradient(found), number) if given else found
+            estimate = jnp.sqrt(number)
+            return root(jax.lax.stop_gradient(estimate), number) if is_custom else estimate
 
-        def after(each: Any, _: Any) -> Any:
-            return 1.0 + jax.vmap(one)(each), None
+        def after(state: Any, _: Any) -> Any:
+            return 1.0 + jax.vmap(one)(state), None
 
         return jnp.sum(
             jnp.sin(
@@ -303,11 +310,12 @@ def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: b
             )
         )
 
-    at = jnp.array([0.3, 2.0, 5.0])
-    found, expected = (
-        jax.jit(WAYS[way](functools.partial(roots, given=given)))(at) for given in (True, False)
+    points = jnp.array([0.3, 2.0, 5.0])
+    result, expected = (
+        jax.jit(WAYS[way](functools.partial(roots, is_custom=custom_derivative)))(points)
+        for custom_derivative in (True, False)
     )
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.long
@@ -318,12 +326,14 @@ def test_the_second_derivative_of_a_walk() -> None:
 
         def slope(amplitude: Any) -> Any:
             return jax.jvp(
-                lambda each: rollout({"spine.amplitude": each})["speed"], (amplitude,), (1.0,)
+                lambda value: rollout({"spine.amplitude": value})["speed"], (amplitude,), (1.0,)
             )[1]
 
         # At its usual level XLA does not end within ten minutes.
         options = compiler_options(level=0)
         first = jax.jit(slope, compiler_options=options)
-        second = jax.jit(lambda each: jax.jvp(slope, (each,), (1.0,))[1], compiler_options=options)
-        found, expected = float(second(0.2)), float(first(0.2 + 1e-5) - first(0.2 - 1e-5)) / 2e-5
-    assert abs(found - expected) < 1e-6 * abs(expected)
+        second = jax.jit(
+            lambda argument: jax.jvp(slope, (argument,), (1.0,))[1], compiler_options=options
+        )
+        result, expected = float(second(0.2)), float(first(0.2 + 1e-5) - first(0.2 - 1e-5)) / 2e-5
+    assert abs(result - expected) < 1e-6 * abs(expected)

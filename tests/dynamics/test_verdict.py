@@ -62,11 +62,11 @@ def _compared(double: bool, states: np.ndarray = STATES) -> tuple[np.ndarray, An
             )
             return after.qvel, verdict
 
-        found, verdicts = jax.jit(jax.vmap(one), compiler_options=compiler_options())(
+        result, verdicts = jax.jit(jax.vmap(one), compiler_options=compiler_options())(
             jnp.asarray(states)
         )
     largest = np.abs(ends).max(axis=1)
-    return np.abs(np.asarray(found) - ends).max(axis=1) / largest, jax.tree.map(
+    return np.abs(np.asarray(result) - ends).max(axis=1) / largest, jax.tree.map(
         np.asarray, verdicts
     )
 
@@ -121,7 +121,7 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
         axes = jax.tree.map(lambda _: None, device).tree_replace(
             {"dof_frictionloss": 0, "body_mass": 0}
         )
-        many = device.tree_replace(
+        batched_models = device.tree_replace(
             {
                 "dof_frictionloss": jnp.stack(
                     [device.dof_frictionloss, device.dof_frictionloss + 0.1]
@@ -131,7 +131,7 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
         )
         batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
         advance = jax.jit(jax.vmap(step, in_axes=(axes, 0)))
-        after = advance(many, advance(many, batch))
+        after = advance(batched_models, advance(batched_models, batch))
         got = mjx.get_data(model, after)[0]
         after = jax.tree.map(lambda leaf: leaf[0], after)
     else:
@@ -150,11 +150,11 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
         model, got, mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL, scene
     )
     assert scene.ngeom >= model.ngeom
-    other = mujoco.MjData(model)
-    other.qpos[:], other.qvel[:] = got.qpos, got.qvel
-    mujoco.mj_forward(model, other)
-    again = put_data(model, other)
+    reference = mujoco.MjData(model)
+    reference.qpos[:], reference.qvel[:] = got.qpos, got.qvel
+    mujoco.mj_forward(model, reference)
+    again = put_data(model, reference)
     assert _shapes(again) == _shapes(after)
     assert np.isfinite(
-        advance(*((many, batch) if way == "randomized" else (device, again))).qpos
+        advance(*((batched_models, batch) if way == "randomized" else (device, again))).qpos
     ).all()

@@ -40,7 +40,7 @@ class Measuring(FakeSimulator):
 
 
 @contextlib.contextmanager
-def bounded(seconds: int = 60, more: int = 1 << 30) -> Iterator[None]:
+def bounded(seconds: int = 60, additional: int = 1 << 30) -> Iterator[None]:
     """Inside of it, waiting ends in an alarm, and memory beyond what is taken now in a MemoryError."""
 
     def late(*_: Any) -> None:
@@ -49,7 +49,7 @@ def bounded(seconds: int = 60, more: int = 1 << 30) -> Iterator[None]:
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     before, memory = signal.signal(signal.SIGALRM, late), resource.getrlimit(resource.RLIMIT_AS)
     signal.alarm(seconds)
-    resource.setrlimit(resource.RLIMIT_AS, (taken + more, memory[1]))
+    resource.setrlimit(resource.RLIMIT_AS, (taken + additional, memory[1]))
     try:
         yield
     finally:

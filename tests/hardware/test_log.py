@@ -57,7 +57,7 @@ def test_units_of_sliding_joints_and_motors_are_told(tmp_path):
     path = written(tmp_path, [(i, i, i) for i in range(3)], "t,a,b")
     slide, motor = ({"quantity": "command", "of": name, "unit": name} for name in ("mm", "mN m"))
     log = read_log(path, told(a=slide, b=motor))
-    assert [each.unit for each in log.channels] == ["m", "N m"]
+    assert [channel.unit for channel in log.channels] == ["m", "N m"]
 
 
 def test_rates_that_differ_gaps_and_late_or_doubled_stamps(tmp_path):
@@ -74,10 +74,10 @@ def test_rates_that_differ_gaps_and_late_or_doubled_stamps(tmp_path):
     assert slow.interval == pytest.approx(0.04)
     assert len(slow.times) == 22
     assert fast.gaps.round(3).tolist() == [[0.39, 0.5]]
-    found = " ".join(log.findings)
-    assert "a: 1 samples came late, by up to 0.01 s" in found
-    assert "a: 1 stamps are doubled" in found
-    assert "a: a gap of 0.11 s at 0.390 s: 10 % of the samples are missing" in found
+    text = " ".join(log.findings)
+    assert "a: 1 samples came late, by up to 0.01 s" in text
+    assert "a: 1 stamps are doubled" in text
+    assert "a: a gap of 0.11 s at 0.390 s: 10 % of the samples are missing" in text
 
 
 def test_a_second_clock(tmp_path):

@@ -84,5 +84,5 @@ def test_playgrounds_environments_keep_their_physics_whichever_module_is_importe
         subprocess.run([sys.executable, "-c", code], text=True, capture_output=True)
         for code in (STOCK, OURS + STOCK)
     ]
-    assert [each.returncode for each in ran] == [0, 0], ran[-1].stderr
+    assert [process.returncode for process in ran] == [0, 0], ran[-1].stderr
     assert ran[0].stdout.splitlines()[-1] == ran[1].stdout.splitlines()[-1]

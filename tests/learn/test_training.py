@@ -67,8 +67,8 @@ SPEC = {
 EFFORT = ("environment_cpu", "learner_cpu", "wall_seconds")
 
 
-def train(out, more=None, **how):
-    return run_training(SPEC | (more or {}), out, environment=PointMass(8, pure=False), **how)
+def train(out, fields=None, **how):
+    return run_training(SPEC | (fields or {}), out, environment=PointMass(8, pure=False), **how)
 
 
 def lasting(out):
@@ -115,7 +115,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
         False,
     ]
     assert "<iframe" not in page
-    assert ['http-equiv="refresh"' in each for each in (page, trained(out, reload=20.0).html)] == [
+    assert ['http-equiv="refresh"' in text for text in (page, trained(out, reload=20.0).html)] == [
         False,
         True,
     ]
@@ -123,23 +123,25 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     numbers["electrical_cost_of_transport"] = 91.23
     (out / "policy.npz").touch()
     (out / "evaluation.parquet").touch()
-    before = sorted(each.name for each in out.rglob("*"))
-    for name, found in {
+    before = sorted(path.name for path in out.rglob("*"))
+    for name, replacement in {
         "load_policy": None,
         "recorded": [("flat", falling())],
         "parquet_table": None,
         "summary_of": {"flat": {"policy": numbers, "alone": numbers | {"success": 0.5}}},
     }.items():
-        monkeypatch.setattr(f"nermo_mjx.view.trained.{name}", lambda *_, found=found: found)
+        monkeypatch.setattr(
+            f"nermo_mjx.view.trained.{name}", lambda *_, replacement=replacement: replacement
+        )
     monkeypatch.setattr("nermo_mjx.view.trained.training_figures", lambda _: [])
     page = show(out)
     assert "The policy on flat</h2><iframe" in page.html
     row = "".join(
-        f"<td>{each}</td>" for each in ("flat", "policy", "98", "123.4", "1.10", "5.43", "91.2")
+        f"<td>{cell}</td>" for cell in ("flat", "policy", "98", "123.4", "1.10", "5.43", "91.2")
     )
     assert row in page.html
     assert page.samples == 50
-    assert sorted(each.name for each in out.rglob("*")) == before
+    assert sorted(path.name for path in out.rglob("*")) == before
     run = CliRunner().invoke(
         main, ["view", str(out), "--out", str(tmp_path / "page.html"), "--no-open", "--json"]
     )
@@ -183,7 +185,7 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
 @pytest.mark.release
 def test_a_resolved_file_is_the_same_training():
     """With all defaults written out, in every form."""
-    given = {
+    fields = {
         "task": {
             "action": {"modulation": {"ranges": {"frequency": [0.5, 1.2]}}},
             "set": {"command.speed": 0.1},
@@ -194,7 +196,7 @@ def test_a_resolved_file_is_the_same_training():
         "algorithm": {"ppo": {"hidden": [8]}},
         "set": {"contact.friction": 1.2},
     }
-    for training in (Training.from_dict(given), *map(Training.from_file, SHIPPED)):
+    for training in (Training.from_dict(fields), *map(Training.from_file, SHIPPED)):
         again = Training.from_text(training.to_yaml())
         assert again == training
         assert again.digest() == training.digest()
@@ -228,7 +230,9 @@ def evaluated(policy):
         "evaluate": {"bodies": 8, "distance": 0.0},
     }
     narrow = [scenes[0] | {"corridor": 0.01}, scenes[1]]
-    trainings = [Training.from_dict(fields | {"scenes": each}) for each in (scenes, narrow)]
+    trainings = [
+        Training.from_dict(fields | {"scenes": scene_list}) for scene_list in (scenes, narrow)
+    ]
     return [PolicyEvaluator(training, "c")(policy[0]).to_pandas() for training in trainings]
 
 
@@ -275,10 +279,10 @@ def test_an_evaluation_gives_nothing_that_the_policy_is_not_trained_with(
     task, name, value, sentence, section
 ):
     """It would be left out without a word."""
-    there = {section: {name: value if section == "set" else [0.0, value]}}
+    evaluation = {section: {name: value if section == "set" else [0.0, value]}}
     with pytest.raises(SpecError, match=rf"evaluate.{section}.{name}.* {sentence}"):
-        Training.from_dict({"task": {"set": task}, "evaluate": there})
-    Training.from_dict({"task": {"set": task | {name: value}}, "evaluate": there})
+        Training.from_dict({"task": {"set": task}, "evaluate": evaluation})
+    Training.from_dict({"task": {"set": task | {name: value}}, "evaluate": evaluation})
 
 
 def test_an_evaluation_has_physics_of_its_own():
@@ -325,9 +329,11 @@ def choosing(policy, tmp_path):
         walked.append(policy.about["trained"]["steps"])
         return dict(zip(("planks", "ramp"), shares[walked[-1]], strict=True))
 
-    with RunDirectory(tmp_path, "training") as held:
+    with RunDirectory(tmp_path, "training") as directory:
         yield (
-            lambda warned=None: BestPolicy(held, walks, ([] if warned is None else warned).append),
+            lambda warned=None: BestPolicy(
+                directory, walks, ([] if warned is None else warned).append
+            ),
             after,
             walked,
         )
@@ -335,12 +341,12 @@ def choosing(policy, tmp_path):
 
 def _policy_after(robot, learned):
     """A policy of the robot, after the steps of another environment's training."""
-    about = {"trained": {"steps": int(learned.steps), "training": "0a1b"}}
-    return Policy.of(robot, PPO().begin(robot, 0), about)
+    description = {"trained": {"steps": int(learned.steps), "training": "0a1b"}}
+    return Policy.of(robot, PPO().begin(robot, 0), description)
 
 
-def chosen(found):
-    return found.about["trained"]["steps"]
+def chosen(policy):
+    return policy.about["trained"]["steps"]
 
 
 def test_the_best_of_all_checkpoints_is_the_policy(choosing, tmp_path):
@@ -441,12 +447,12 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     )
     assert successes(plain, policy[0]) == {"flat": 1.0}
     limit = float(speeds.speed.iloc[1:3].mean())
-    asked = PolicyEvaluator(
+    evaluator = PolicyEvaluator(
         Training.from_dict(fields | {"until": {"success": 1.0, "speed": limit}})
     )
     assert speeds.success.all()
     assert limit > 0.0
-    assert successes(asked, policy[0]) == {"flat": 0.5}
+    assert successes(evaluator, policy[0]) == {"flat": 0.5}
 
 
 @pytest.mark.parametrize("key", [UNSEEN, _KEY], ids=["evaluation", "validation"])
@@ -455,21 +461,26 @@ def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool)
     """So that trainings with other counts are paired, and a page shows a walk of the evaluation."""
     randomize = {"start.yaw": [-0.3, 0.3], "start.x": [0.8, 1.6], "start.phase": [0.0, 1.0]}
     training = Training.from_dict({"randomize": randomize, "task": {"bodies": identified}})
-    many, one = (unseen_bodies(training, training.task, Draws(count, key)) for count in (200, 1))
+    many_walks, one_walk = (
+        unseen_bodies(training, training.task, Draws(count, key)) for count in (200, 1)
+    )
     for count in (100, 3, 1):
         few = unseen_bodies(training, training.task, Draws(count, key))
-        assert few.keys() == many.keys()
+        assert few.keys() == many_walks.keys()
         for name, column in few.items():
-            np.testing.assert_array_equal(column, many[name][:count], err_msg=name)
-    assert one.keys() == many.keys() >= randomize.keys()
-    other = unseen_bodies(training, training.task, Draws(200, UNSEEN + _KEY - key))
+            np.testing.assert_array_equal(column, many_walks[name][:count], err_msg=name)
+    assert one_walk.keys() == many_walks.keys() >= randomize.keys()
+    other_key = unseen_bodies(training, training.task, Draws(200, UNSEEN + _KEY - key))
     for name, (low, high) in randomize.items():
-        drawn = (many[name] - low) / (high - low)
-        assert drawn.min() >= 0.0
-        assert drawn.max() <= 1.0
-        assert kstest(drawn, "uniform").pvalue > 1e-3
-        assert not set(many[name]) & set(other[name])
-    assert abs(np.corrcoef([many[name] for name in randomize])[np.triu_indices(3, 1)]).max() < 0.25
+        fractions = (many_walks[name] - low) / (high - low)
+        assert fractions.min() >= 0.0
+        assert fractions.max() <= 1.0
+        assert kstest(fractions, "uniform").pvalue > 1e-3
+        assert not set(many_walks[name]) & set(other_key[name])
+    assert (
+        abs(np.corrcoef([many_walks[name] for name in randomize])[np.triu_indices(3, 1)]).max()
+        < 0.25
+    )
 
 
 @pytest.mark.release
@@ -524,10 +535,10 @@ def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_p
         "c",
         "--json",
     ]
-    for args, told in ((walk, 0), ([*walk, "--physics", "fast"], 1), (sweep, 1)):
+    for args, count in ((walk, 0), ([*walk, "--physics", "fast"], 1), (sweep, 1)):
         result = CliRunner().invoke(main, args)
         assert result.exit_code == 0, result.output
-        assert result.stderr.count(sentence) == told
+        assert result.stderr.count(sentence) == count
         assert "Warning" not in result.stderr
         assert ".py" not in result.stderr
         json.loads(result.stdout)
@@ -581,16 +592,20 @@ def test_another_policys_weights_compile_nothing(policy, compilations):
     """They are parameters of a program: one policy of a training after the other walks, or several in one batch."""
     policy, run = policy[0], Run(duration=0.1, warmup=0.0)
     layers = tuple((-weights, bias) for weights, bias in policy.actor.layers)
-    other = dataclasses.replace(policy, actor=dataclasses.replace(policy.actor, layers=layers))
+    second_policy = dataclasses.replace(
+        policy, actor=dataclasses.replace(policy.actor, layers=layers)
+    )
     simulator = Simulator(engine="c", controller=policy)
-    one = simulator({}, run)["servo_work"]
+    first_work = simulator({}, run)["servo_work"]
     compilations.clear()
-    two = simulator({}, run, policy=other.parameters)["servo_work"]
+    two = simulator({}, run, policy=second_policy.parameters)["servo_work"]
     assert compilations == []
-    assert abs(two - one) > 1e-3 * one
-    both = jax.tree.map(lambda *leaves: np.stack(leaves), policy.parameters, other.parameters)
+    assert abs(two - first_work) > 1e-3 * first_work
+    policies = jax.tree.map(
+        lambda *leaves: np.stack(leaves), policy.parameters, second_policy.parameters
+    )
     np.testing.assert_array_equal(
-        simulator({}, run, policy=both)["servo_work"], np.concatenate([one, two])
+        simulator({}, run, policy=policies)["servo_work"], np.concatenate([first_work, two])
     )
 
 
@@ -598,10 +613,12 @@ def test_a_policys_file_is_the_policy(policy, tmp_path):
     """Its numbers, its parameters' names, and the same bytes again; nothing in it is code."""
     policy, path = policy[0], tmp_path / "policy.npz"
     path.write_bytes(policy.content())
-    found = load_policy(path)
-    seen = np.random.default_rng(0).normal(size=(5, len(policy.observer.names))).astype(np.float32)
-    np.testing.assert_array_equal(found.act(seen), policy.act(seen))
-    assert found.content() == policy.content()
+    loaded = load_policy(path)
+    observations = (
+        np.random.default_rng(0).normal(size=(5, len(policy.observer.names))).astype(np.float32)
+    )
+    np.testing.assert_array_equal(loaded.act(observations), policy.act(observations))
+    assert loaded.content() == policy.content()
     assert "frequency" in Setup(controller=str(path)).defaults()
     with np.load(path, allow_pickle=False) as file:
         assert json.loads(file["about"].tobytes())["actions"] == list(Residual().names)
@@ -619,14 +636,14 @@ def test_worlds_are_divided_in_shares():
         parts = int(random.integers(2, 9))
         worlds = int(random.integers(parts, 300))
         assert divided(worlds, [1.0] * parts) == [
-            len(each) for each in np.array_split(np.arange(worlds), parts)
+            len(split) for split in np.array_split(np.arange(worlds), parts)
         ]
         shares = random.uniform(0.05, 10.0, parts)
-        found = np.array(divided(worlds, shares.tolist()))
-        assert found.sum() == worlds
-        assert found.min() >= 1
+        counts = np.array(divided(worlds, shares.tolist()))
+        assert counts.sum() == worlds
+        assert counts.min() >= 1
         exact = worlds * shares / shares.sum()
-        assert (np.abs(found - exact) < 1.0).all() or exact.min() < 1.0
+        assert (np.abs(counts - exact) < 1.0).all() or exact.min() < 1.0
     training = Training.from_dict(
         {"worlds": 40, "scenes": [{"scene": "ramp"}, {"scene": "rough", "share": 3}]}
     )
@@ -647,48 +664,52 @@ def test_a_mixture_is_its_parts_side_by_side():
         Environment(*part[:1], worlds=n, task=part[1])
         for part, n in zip(parts, (2, 1), strict=True)
     ]
-    states = [each.reset(jax.random.fold_in(key, i)) for i, each in enumerate(alone)]
+    states = [environment.reset(jax.random.fold_in(key, i)) for i, environment in enumerate(alone)]
     state, action = mixture.reset(key), np.linspace(-1, 1, 27).reshape(3, 9).astype(np.float32)
     for _ in range(4):
         state = mixture.step(state, action)
         states = [
-            each.step(own, part)
-            for each, own, part in zip(alone, states, (action[:2], action[2:]), strict=True)
+            environment.step(part_state, part)
+            for environment, part_state, part in zip(
+                alone, states, (action[:2], action[2:]), strict=True
+            )
         ]
     for name in ("observation", "reward", "truncated", "final_observation", "status"):
-        together = np.concatenate([np.asarray(getattr(each, name)) for each in states])
+        together = np.concatenate(
+            [np.asarray(getattr(environment, name)) for environment in states]
+        )
         np.testing.assert_array_equal(getattr(state, name), together)
-    told = dict(zip(mixture.privileged_names, state.privileged.T, strict=True))
-    assert told["part.0"].tolist() == [1, 1, 0]
-    assert told["part.1"].tolist() == [0, 0, 1]
-    assert told["drawn.contact.friction"].astype(bool).tolist() == [True, True, False]
+    privileged = dict(zip(mixture.privileged_names, state.privileged.T, strict=True))
+    assert privileged["part.0"].tolist() == [1, 1, 0]
+    assert privileged["part.1"].tolist() == [0, 0, 1]
+    assert privileged["drawn.contact.friction"].astype(bool).tolist() == [True, True, False]
 
 
 @pytest.mark.release
 def test_parts_that_do_not_wait_for_each_other_step_as_together():
     """What a policy collects in a mixture, against its steps of all worlds at once; episodes end in between."""
     task = Task(episode_length=0.02, observe=("gyro", "action"), randomize={})
-    other = dataclasses.replace(task, randomize={"contact.friction": (1.0, 1.2)})
+    other_task = dataclasses.replace(task, randomize={"contact.friction": (1.0, 1.2)})
     mixture = Mixture(
-        [(Setup(physics="fast"), task), (Setup(physics="fast"), other)], worlds=3, threads=2
+        [(Setup(physics="fast"), task), (Setup(physics="fast"), other_task)], worlds=3, threads=2
     )
     learned, key, steps = PPO(std=0.5).begin(mixture, 0), jax.random.key(7), 3
-    after, found = collector(mixture, steps)(
+    after, experience = collector(mixture, steps)(
         learned.actor, learned.statistics, mixture.reset(4), key
     )
     state = mixture.reset(4)
     noise = np.asarray(jax.random.normal(key, (steps, 3, 9), np.float32))
     for t in range(steps):
-        seen = np.concatenate([state.observation, state.privileged], axis=1)
-        np.testing.assert_array_equal(found.seen[t], seen)
+        observations = np.concatenate([state.observation, state.privileged], axis=1)
+        np.testing.assert_array_equal(experience.seen[t], observations)
         # An untrained policy's mean is zero.
-        np.testing.assert_allclose(found.action[t], 0.5 * noise[t], rtol=1e-6)
-        state = mixture.step(state, found.action[t])
-        np.testing.assert_array_equal(found.reward[t], state.reward)
-        np.testing.assert_array_equal(found.truncated[t], state.truncated)
+        np.testing.assert_allclose(experience.action[t], 0.5 * noise[t], rtol=1e-6)
+        state = mixture.step(state, experience.action[t])
+        np.testing.assert_array_equal(experience.reward[t], state.reward)
+        np.testing.assert_array_equal(experience.truncated[t], state.truncated)
         then = np.concatenate([state.final_observation, state.final_privileged], axis=1)
-        np.testing.assert_array_equal(found.then[t], then)
-    assert found.truncated.any()
+        np.testing.assert_array_equal(experience.then[t], then)
+    assert experience.truncated.any()
     np.testing.assert_array_equal(after.privileged, state.privileged)
 
 
@@ -721,11 +742,11 @@ def test_onnx_acts_as_the_policy_does(policy):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
     session = runtime.InferenceSession(export(policy[0]), providers=["CPUExecutionProvider"])
-    seen = (
+    observations = (
         np.random.default_rng(0).normal(size=(5, len(policy[0].observer.names))).astype(np.float32)
     )
-    (action,) = session.run(None, {"observation": seen})
-    np.testing.assert_allclose(action, policy[0].act(seen), atol=1e-5)
+    (action,) = session.run(None, {"observation": observations})
+    np.testing.assert_allclose(action, policy[0].act(observations), atol=1e-5)
     facts = session.get_modelmeta().custom_metadata_map
     assert json.loads(facts["observation"]) == list(policy[0].observer.names)
 

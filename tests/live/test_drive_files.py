@@ -31,10 +31,10 @@ def driven() -> Recording:
 
 def told(recording: Recording, driven: Any = None, **setup: Any) -> Recording:
     """The same with another setup, or another course."""
-    about = dict(recording.metadata)
-    about["setup"] = {**about["setup"], **setup}
-    about["driven"] = {**about["driven"], **(driven or {})}
-    return dataclasses.replace(recording, metadata=about)
+    metadata = dict(recording.metadata)
+    metadata["setup"] = {**metadata["setup"], **setup}
+    metadata["driven"] = {**metadata["driven"], **(driven or {})}
+    return dataclasses.replace(recording, metadata=metadata)
 
 
 @pytest.mark.release

@@ -127,23 +127,25 @@ def simulated(
     sim: Simulator, walks: dict[str, np.ndarray], run: Run, ids: np.ndarray, how: str
 ) -> RunResult:
     """Some of the walks, `plain`, `recorded`, or with a `series` or `both`; `run` has one length for each walk."""
-    lengths = {name: each[ids] for name, each in vars(run).items() if each is not None}
+    lengths = {name: column[ids] for name, column in vars(run).items() if column is not None}
     save = Saving(("position_y",), rate=50.0) if how in ("series", "both") else None
     return sim.run(some(walks, ids), Run(**lengths), record=how in ("recorded", "both"), save=save)
 
 
-def assert_same_run(found: RunResult, place: int, plain: RunResult, kept: RunResult) -> None:
+def assert_same_run(result: RunResult, index: int, plain: RunResult, recorded: RunResult) -> None:
     """A run in company is the same as alone, `plain` and with both a recording and series."""
-    same({name: column[place : place + 1] for name, column in found.metrics.items()}, plain.metrics)
-    assert found.status[place] == plain.status[0]
-    assert found.ticks[place] == plain.ticks[0]
-    if found.series is not None:
-        left, right = found.series.take(slice(place, place + 1)), kept.series
+    same(
+        {name: column[index : index + 1] for name, column in result.metrics.items()}, plain.metrics
+    )
+    assert result.status[index] == plain.status[0]
+    assert result.ticks[index] == plain.ticks[0]
+    if result.series is not None:
+        left, right = result.series.take(slice(index, index + 1)), recorded.series
         assert left.count == right.count
         for name, values in right.values.items():
             np.testing.assert_array_equal(left.values[name][:, : int(left.count[0])], values)
-    if found.trace is not None:
-        left, right = found.recording(place), kept.recording()
+    if result.trace is not None:
+        left, right = result.recording(index), recorded.recording()
         for name in ("time", "qpos", "qvel", "ctrl"):
             np.testing.assert_array_equal(getattr(left, name), getattr(right, name), err_msg=name)
 
@@ -170,9 +172,9 @@ def test_what_shares_its_batch_changes_no_bit_of_a_run(
 ):
     """Beside shorter and longer ones, recorded or not, in any block and order, on any number of threads."""
     for ids in np.split(np.array(order), range(size, len(order), size)):
-        found = simulated(on_threads(threads), walks, RUNS[run], ids, how)
-        for place, i in enumerate(ids):
-            assert_same_run(found, place, alone(run, int(i), "plain"), alone(run, int(i), "both"))
+        result = simulated(on_threads(threads), walks, RUNS[run], ids, how)
+        for index, i in enumerate(ids):
+            assert_same_run(result, index, alone(run, int(i), "plain"), alone(run, int(i), "both"))
 
 
 @pytest.mark.release
@@ -221,13 +223,13 @@ def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(
 def test_a_run_measures_all_of_its_time(on_threads, run: Run, duration: float) -> None:
     """Alone, recorded and beside a longer or shorter run."""
     walks = {"frequency": np.array([0.8 if run.cycles is None else 0.9246450430370259, 0.8])}
-    plain, kept = (
+    plain, recorded = (
         simulated(on_threads(1), walks, run, np.array([0]), how) for how in ("plain", "both")
     )
     for how in ("plain", "recorded", "series"):
-        found = simulated(on_threads(1), walks, run, np.array([1, 0]), how)
-        assert found.metrics["duration"][1] == pytest.approx(duration, abs=2e-6)
-        assert_same_run(found, 1, plain, kept)
+        result = simulated(on_threads(1), walks, run, np.array([1, 0]), how)
+        assert result.metrics["duration"][1] == pytest.approx(duration, abs=2e-6)
+        assert_same_run(result, 1, plain, recorded)
 
 
 @pytest.mark.release
@@ -245,7 +247,9 @@ def test_worlds_that_rest_do_not_change_the_others(simulator, walks) -> None:
     undisturbed.advance(40)
     np.testing.assert_array_equal(session.qpos[~rest], undisturbed.qpos[~rest])
     assert not np.isclose(session.qpos[rest], undisturbed.qpos[rest]).all()
-    states = [jax.tree.leaves(each.loop_state) for each in (session, undisturbed)]
+    states = [
+        jax.tree.leaves(engine_session.loop_state) for engine_session in (session, undisturbed)
+    ]
     for left, right in zip(*states, strict=True):
         np.testing.assert_array_equal(left[~rest], right[~rest])
 
@@ -353,8 +357,10 @@ def test_a_world_that_is_reset_observes_its_new_start_and_leaves_the_others_alon
         block.move(block._sensordata[:4])
     before = _observed(block).copy()
     assert (np.abs(before[:, 1]) > 0.1).all(), "they swing"
-    seen = _restarted(block, np.array([1, 3]), np.array([7.0, 8.0]), np.array([[0.2], [-0.4]]), {})
-    np.testing.assert_allclose(seen, [[0.2, 0.0], [-0.4, 0.0]], atol=1e-12)
+    observations = _restarted(
+        block, np.array([1, 3]), np.array([7.0, 8.0]), np.array([[0.2], [-0.4]]), {}
+    )
+    np.testing.assert_allclose(observations, [[0.2, 0.0], [-0.4, 0.0]], atol=1e-12)
     np.testing.assert_allclose(_observed(block)[[0, 2]], before[[0, 2]])
     np.testing.assert_allclose(block.qpos[:, 0], [before[0, 0], 0.2, before[2, 0], -0.4], atol=1e-2)
     assert block._state[:4, 0].tolist() == pytest.approx([0.0, 7.2, 0.0, 7.6])

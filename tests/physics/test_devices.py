@@ -137,8 +137,8 @@ def test_the_controller_of_c_runs_on_a_processor_beside_an_accelerator(simulator
             lambda backend=None: [processor] if backend == "cpu" else jax.devices(),
         )
         session = CEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
-        for one in (before, session):
-            one.advance(3)
+        for engine_session in (before, session):
+            engine_session.advance(3)
     assert session.arguments[2].devices() == {processor}
     np.testing.assert_array_equal(session.qpos, before.qpos)
     assert jax.numpy.zeros(1).devices() != {processor}

@@ -177,14 +177,14 @@ def test_a_run_that_may_end_early_measures_its_last_tick(walks, simulator, engin
         np.full(8, 0.245),
         0.01 * np.array([24.5, 24.0, 25.0, 30.0, 49.5, 24.5, 26.0, 20.0]),
     )
-    found = [
+    results = [
         sim.run(WALKS, Run(duration=end, warmup=warmup, distance=1.0), record=True)
         for end in (alike, mixed)
     ]
-    for result, end in zip(found, (alike, mixed), strict=True):
+    for result, end in zip(results, (alike, mixed), strict=True):
         np.testing.assert_allclose(result.metrics["duration"], end - warmup, atol=1e-6)
-    for name in found[0].metrics:
-        same = [result.metrics[name][alike == mixed] for result in found]
+    for name in results[0].metrics:
+        same = [result.metrics[name][alike == mixed] for result in results]
         np.testing.assert_allclose(*same, rtol=1e-5, atol=1e-7, err_msg=name)
 
 
@@ -270,14 +270,14 @@ def test_sparse_jacobians_are_the_dense_ones(simulator):
     models[1].opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     for world in range(3):
         for tick in range(5, 40, 5):
-            sparse, other = (mujoco.MjData(model) for model in models)
-            for model, data in zip(models, (sparse, other), strict=True):
+            sparse, dense = (mujoco.MjData(model) for model in models)
+            for model, data in zip(models, (sparse, dense), strict=True):
                 data.qpos[:], data.qvel[:] = trace.qpos[world, tick], trace.qvel[world, tick]
                 data.ctrl[:] = trace.ctrl[world, tick]
                 mujoco.mj_forward(model, data)
             assert sparse.ncon > 0
             np.testing.assert_allclose(
-                sparse.qacc, other.qacc, atol=1e-6 * np.abs(other.qacc).max()
+                sparse.qacc, dense.qacc, atol=1e-6 * np.abs(dense.qacc).max()
             )
 
 
@@ -296,10 +296,10 @@ def test_c_engine_does_not_depend_on_the_number_of_threads(simulator):
     """One thread and two give the same trajectory, bit for bit."""
     sim = simulator(spine="stride_extension")
     batch = sim.prepare(WALKS)
-    one, two = (
+    single, two = (
         CEngine(sim.robot, sim.loop, threads=threads)
         .open(batch.params, batch.qpos, batch.fields)
         .record(50)
         for threads in (1, 2)
     )
-    np.testing.assert_array_equal(one.qpos, two.qpos)
+    np.testing.assert_array_equal(single.qpos, two.qpos)

@@ -113,10 +113,10 @@ def error(model: mujoco.MjModel, steps: int = 5) -> float:
     turn, *ways = (
         random.standard_normal(shape) for shape in (model.nv, model.nv, model.na, ctrl.shape)
     )
-    found = motion.linearized(qpos, qvel, ctrl, act)
+    linear_model = motion.linearized(qpos, qvel, ctrl, act)
     x = np.concatenate([turn, ways[0], ways[1]])
     for t in range(steps):
-        x = found.a[t] @ x + found.b[t] @ ways[2][t]
+        x = linear_model.a[t] @ x + linear_model.b[t] @ ways[2][t]
 
     def end(sign: float) -> mujoco.MjData:
         data = mujoco.MjData(tight)
@@ -180,8 +180,8 @@ def test_all_transformations_agree_and_a_batch_is_one_call() -> None:
         np.testing.assert_allclose(jax.jvp(height, (qvel,), (way,))[1], slope @ way, rtol=1e-10)
         np.testing.assert_allclose(jax.jit(jax.jacfwd(height))(qvel), slope, rtol=1e-10)
         several = jax.jit(jax.vmap(jax.grad(height)))(np.stack([qvel, qvel + 0.01, qvel]))
-        for one in (several[0], several[2]):
-            np.testing.assert_allclose(one, slope, rtol=1e-10)
+        for batched_slope in (several[0], several[2]):
+            np.testing.assert_allclose(batched_slope, slope, rtol=1e-10)
         ends = [height(qvel + 1e-6 * sign * way) for sign in (1, -1)]
         assert float(slope @ way) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-5)
 
@@ -225,12 +225,12 @@ def test_a_step_at_which_a_contact_begins_is_told() -> None:
 
 def test_a_control_at_the_end_of_its_range_has_the_slope_within() -> None:
     model = mujoco.MjModel.from_xml_string(MODELS["implicitfast"])
-    at = [
+    slopes = [
         trajectory(model).linearized([0.1, 0.2], [0.0, 0.0], [[u]]).b[0, 2, 0]
         for u in (0.5, 1.0, 1.5)
     ]
-    assert at[1] == pytest.approx(at[0], rel=1e-4)
-    assert at[2] == 0.0
+    assert slopes[1] == pytest.approx(slopes[0], rel=1e-4)
+    assert slopes[2] == 0.0
 
 
 def test_what_cannot_be_done_is_refused_in_a_sentence() -> None:

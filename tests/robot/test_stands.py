@@ -99,8 +99,8 @@ def test_no_pose_leads_a_tendon_to_the_other_side_of_its_pulley(limb, routing):
     data, draw = mujoco.MjData(model), np.random.default_rng(0)
     with jax.enable_x64(True):
         hips, low, high = draw.uniform(-1.5, 1.5, 1000), *model.actuator_ctrlrange[1]
-        less, more, _ = leg.knee_range(numbers, hips, routing)
-        knees = np.asarray(less + (more - less) * draw.uniform(0, 1, hips.shape))
+        less, maximum, _ = leg.knee_range(numbers, hips, routing)
+        knees = np.asarray(less + (maximum - less) * draw.uniform(0, 1, hips.shape))
         servos = np.asarray(leg.knee_servo(numbers, hips, knees, routing))
     for hip, knee, servo in zip(hips, knees, servos, strict=True):
         if low < servo < high:
@@ -165,8 +165,8 @@ def test_right_legs_do_what_left_legs_do(pair):
     )
     np.testing.assert_allclose(right.qpos, left.qpos, atol=1e-12)
     for point in ("foot", "attachment", "rim"):
-        there = right.site(f"{pair}_right_{point}").xpos * (-1, 1, 1)
-        np.testing.assert_allclose(there, left.site(f"{pair}_left_{point}").xpos, atol=1e-12)
+        mirrored = right.site(f"{pair}_right_{point}").xpos * (-1, 1, 1)
+        np.testing.assert_allclose(mirrored, left.site(f"{pair}_left_{point}").xpos, atol=1e-12)
 
 
 #: Spine servo angles that give each joint up to 0.1 rad, both sides.

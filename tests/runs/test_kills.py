@@ -81,8 +81,8 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
         return read_table(out)
 
     def tuning(out: Path) -> pa.Table:
-        wanted = Tuning.from_dict(TUNE | {"iterations": 4})
-        run_tuning(wanted, out, problem=FakeProblem(wanted))
+        tuning = Tuning.from_dict(TUNE | {"iterations": 4})
+        run_tuning(tuning, out, problem=FakeProblem(tuning))
         return read_history(out).drop([CLOCK])
 
     def experiments(out: Path) -> pa.Table:
@@ -110,12 +110,12 @@ def ended(job: Callable[[Path], pa.Table], out: Path, before: int = 0) -> bool:
     code, changes = 1, 0
 
     def counted(act: Callable[..., Any]) -> Callable[..., Any]:
-        def acting(*given: Any, **named: Any) -> Any:
+        def acting(*arguments: Any, **named: Any) -> Any:
             nonlocal changes
-            changes += str(given[0]).startswith(str(out))
+            changes += str(arguments[0]).startswith(str(out))
             if changes == before > 0:
                 os.kill(os.getpid(), signal.SIGKILL)
-            return act(*given, **named)
+            return act(*arguments, **named)
 
         return acting
 
@@ -154,7 +154,10 @@ if __name__ == "__main__":
                 break
             kills[kind] = kills.get(kind, 0) + 1
             assert not ended(job, out), out
-            texts = [place.with_name(f"{place.name}.txt").read_text() for place in (alone, out)]
+            texts = [
+                directory.with_name(f"{directory.name}.txt").read_text()
+                for directory in (alone, out)
+            ]
             assert texts[0] == texts[1], out
             assert [
                 path.name

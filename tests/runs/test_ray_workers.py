@@ -111,8 +111,11 @@ def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
     assert ("Interrupted: stopped; what is finished is kept" in log) == (
         number == signal.SIGTERM
     ), log[-3000:]
-    kept = len(list(tmp_path.glob("out/results/*.parquet")))
-    assert told(started("driver", tmp_path / "out", tmp_path / "log"))["chunks_run"] == 36 - kept
+    stored_chunks = len(list(tmp_path.glob("out/results/*.parquet")))
+    assert (
+        told(started("driver", tmp_path / "out", tmp_path / "log"))["chunks_run"]
+        == 36 - stored_chunks
+    )
     assert read_table(tmp_path / "out").equals(undisturbed)
     times, processes = computed(tmp_path / "log")
     assert len(times) == 36
@@ -130,7 +133,9 @@ def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tm
     )
     table = pq.read_table(out / "tuning" / "history.parquet").drop_columns(["wall_seconds"])
     for name in table.column_names:
-        theirs, ours = (each.column(name).to_pylist() for each in (table, alone.history))
+        theirs, ours = (
+            table_of_tuning.column(name).to_pylist() for table_of_tuning in (table, alone.history)
+        )
         assert theirs == (
             pytest.approx(ours, rel=1e-4, abs=1e-5, nan_ok=True) if name != "code" else ours
         ), name
@@ -181,8 +186,8 @@ def test_experiments_on_a_cluster_are_those_of_one_process(tmp_path, monkeypatch
 
 def test_tasks_and_nodes_that_fail_are_named(tmp_path):
     """What fails in a task, kills its worker again and again, has other code, or cannot run, is one sentence each."""
-    told_by = told(started("tasks"))
-    ended = told_by["ended"]
+    output = told(started("tasks"))
+    ended = output["ended"]
     assert ended["None"] == {str(k): 2 * k for k in range(6)}
     assert ended["3"] == "3: ZeroDivisionError('not 3')"
     assert re.fullmatch(r"3: RuntimeError\('its worker was lost 3 times \(\w+\)'\)", ended["dies"])
@@ -194,10 +199,10 @@ def test_tasks_and_nodes_that_fail_are_named(tmp_path):
     assert re.fullmatch(
         rf"{node}no worker starts there: RuntimeError: no engine here\.", ended["cold"]
     )
-    assert {ended["code"], ended["cold"]} < set(told_by["said"])
+    assert {ended["code"], ended["cold"]} < set(output["said"])
     loopback = {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
-    assert told_by["addresses"]
-    assert set(told_by["addresses"]) <= loopback, "who is elsewhere cannot run code here"
+    assert output["addresses"]
+    assert set(output["addresses"]) <= loopback, "who is elsewhere cannot run code here"
 
 
 @pytest.mark.long
@@ -222,14 +227,14 @@ def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path)
         [*map(str, command)], env=environment, capture_output=True, text=True, timeout=580
     )
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-    found = json.loads(done.stdout.splitlines()[-1])
-    assert (found["same"], found["unexplained"], found["chunks"], found["drivers_lost"]) == (
+    report = json.loads(done.stdout.splitlines()[-1])
+    assert (report["same"], report["unexplained"], report["chunks"], report["drivers_lost"]) == (
         True,
         0,
         40,
         1,
     )
-    assert found["nodes_killed"] >= 1
+    assert report["nodes_killed"] >= 1
 
 
 @pytest.mark.parametrize("what", ["sweep", "tune", "experiment"])
@@ -267,7 +272,7 @@ def test_a_cluster_that_is_not_there_is_one_sentence_at_once(address, why):
 
 def test_this_process_asks_for_a_task_when_it_is_free():
     """The local side of the seam: one at a time, in order, and its progress by the task's key."""
-    asked, told_of = [], []
+    items, results_and_times = [], []
 
     class Computer:
         def __call__(self, task, progress):
@@ -279,10 +284,11 @@ def test_this_process_asks_for_a_task_when_it_is_free():
     workers = LocalWorkers()
     workers.begin(Computer())
     results = workers.results(
-        ((asked.append(k), (k, 10 * k))[1] for k in range(3)), lambda *told: told_of.append(told)
+        ((items.append(k), (k, 10 * k))[1] for k in range(3)),
+        lambda *arguments: results_and_times.append(arguments),
     )
     assert next(results) == (0, 0)
-    assert (asked, told_of) == ([0], [(0, 0.5)])
+    assert (items, results_and_times) == ([0], [(0, 0.5)])
     assert list(results) == [(1, 20), (2, 40)]
 
 

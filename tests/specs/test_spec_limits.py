@@ -22,7 +22,7 @@ from nermo_mjx.sweep import Sweep, run_sweep
 
 
 @pytest.mark.parametrize(
-    ("read", "spec", "said"),
+    ("read", "spec", "message"),
     [
         (
             Sweep.from_dict,
@@ -59,7 +59,7 @@ from nermo_mjx.sweep import Sweep, run_sweep
             (
                 read,
                 spec | {"pilot": {"waypoints": {"points": [[0.0, 0.0], [0.0, -0.5], [far, -1.0]]}}},
-                said,
+                message,
             )
             for read, spec in (
                 (Sweep.from_dict, {"vary": {"frequency": [0.8]}}),
@@ -67,16 +67,16 @@ from nermo_mjx.sweep import Sweep, run_sweep
                 (Tuning.from_dict, TUNE),
                 (Training.from_dict, {}),
             )
-            for far, said in (
+            for far, message in (
                 (1e308, "field 'pilot.waypoints.points' is refused: Way point 2 is (1e+308, -1): "),
             )
         ),
     ],
 )
 def test_a_batch_that_does_not_fit_and_a_run_without_end_are_refused(
-    read: Any, spec: Any, said: str
+    read: Any, spec: Any, message: str
 ) -> None:
-    with pytest.raises(SpecError, match=re.escape(said)):
+    with pytest.raises(SpecError, match=re.escape(message)):
         read(spec)
 
 

@@ -157,8 +157,8 @@ def test_a_recording_that_does_not_say_its_gait_shows_what_was_measured(
 
 def test_stretches_of_contact() -> None:
     time = 0.1 * np.arange(1, 7)
-    found = spans(np.array([True, True, False, False, True, True]), time)
-    np.testing.assert_allclose(found, [(0.0, 0.2), (0.4, 0.2)])
+    intervals = spans(np.array([True, True, False, False, True, True]), time)
+    np.testing.assert_allclose(intervals, [(0.0, 0.2), (0.4, 0.2)])
     assert spans(np.zeros(6, bool), time) == []
 
 
@@ -189,9 +189,9 @@ def test_feet_over_the_ground_are_thick_where_they_bear_a_load(recording: Record
     assert figure is not None
     for i, ax in enumerate(figure.axes):
         way, loaded = ax.lines[:2]
-        shown = np.asarray(loaded.get_ydata())
-        bearing = recording.sensors["foot_force"][-len(shown) :, i] > 0
-        np.testing.assert_array_equal(np.isfinite(shown), bearing)
+        heights = np.asarray(loaded.get_ydata())
+        bearing = recording.sensors["foot_force"][-len(heights) :, i] > 0
+        np.testing.assert_array_equal(np.isfinite(heights), bearing)
         np.testing.assert_allclose(np.diff(way.get_xdata()), 1.0, atol=1e-6)
 
 
@@ -205,8 +205,8 @@ def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> No
     qpos[:, joints.hip], qpos[:, joints.pulley] = servo[:, 0], servo[:, 1]
     qpos[:, np.ravel(joints.knee)] = np.asarray(pose.knee_angle)
     qpos[1, joints.root : joints.root + 7] = [0.1, -0.2, 0.3, *np.array([0.8, 0.2, -0.4, 0.4])]
-    for found in in_leg_frame(robot.model, qpos):
-        np.testing.assert_allclose(found, np.asarray(pose.foot), atol=4e-4)
+    for feet in in_leg_frame(robot.model, qpos):
+        np.testing.assert_allclose(feet, np.asarray(pose.foot), atol=4e-4)
     ctrl = np.concatenate([servo[:, 0], servo[:, 1], [0.0, 0.0]])[None]
     np.testing.assert_allclose(
         commanded_feet(ctrl, "type3", ROBOT)[0], np.asarray(pose.foot), atol=1e-6

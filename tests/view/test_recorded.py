@@ -47,5 +47,5 @@ def test_quaternions_without_jumps_are_the_same_rotations_and_never_far_from_the
 def test_a_stretch_lasts_from_the_sample_before_it():
     """A sample stands for the time since the sample before."""
     time = np.arange(1, 7) * 0.1
-    found = spans(np.array([True, False, True, True, False, True]), time)
-    np.testing.assert_allclose(found, [(0.0, 0.1), (0.2, 0.2), (0.5, 0.1)])
+    intervals = spans(np.array([True, False, True, True, False, True]), time)
+    np.testing.assert_allclose(intervals, [(0.0, 0.1), (0.2, 0.2), (0.5, 0.1)])

@@ -109,12 +109,12 @@ def test_a_webp_shows_what_a_gif_shows(model: mujoco.MjModel, tmp_path: Path) ->
     gif, webp = (
         render(walk(model), model, tmp_path / f"walk.{kind}", **options) for kind in ("gif", "webp")
     )
-    with Image.open(gif) as one, Image.open(webp) as other:
-        assert other.format == "WEBP"
-        assert other.info["loop"] == 0
-        assert other.n_frames == one.n_frames == 4
+    with Image.open(gif) as gif_image, Image.open(webp) as webp_image:
+        assert webp_image.format == "WEBP"
+        assert webp_image.info["loop"] == 0
+        assert webp_image.n_frames == gif_image.n_frames == 4
         for first, second in zip(
-            ImageSequence.Iterator(one), ImageSequence.Iterator(other), strict=True
+            ImageSequence.Iterator(gif_image), ImageSequence.Iterator(webp_image), strict=True
         ):
             difference = np.subtract(first.convert("RGB"), second.convert("RGB"), dtype=float)
             assert np.abs(difference).mean() < 8.0

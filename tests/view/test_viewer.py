@@ -82,7 +82,7 @@ def test_contact_forces_are_those_that_the_feet_felt(walk: Recording) -> None:
         mujoco.mj_step(model, data, steps - 1)
         states.append((data.qpos.copy(), data.qvel.copy()))
     after = slice(21, 281)
-    qpos, qvel = (np.array(each) for each in zip(*states, strict=True))
+    qpos, qvel = (np.array(column) for column in zip(*states, strict=True))
     before = Recording(walk.time[after], qpos, qvel, walk.ctrl[after], model_hash=walk.model_hash)
     motion = motion_of(before, load_robot().model)
     for limb in range(4):
@@ -122,9 +122,9 @@ def test_drawn_tendons_are_as_long_as_mujocos(walk: Recording, motion: Motion) -
     for sample in (10, 120, 290):
         data = posed(walk, sample)
         for i, tendon in enumerate(motion.tendons):
-            drawn = np.linalg.norm(np.diff(tendon.path[sample], axis=0), axis=1).sum()
+            length = np.linalg.norm(np.diff(tendon.path[sample], axis=0), axis=1).sum()
             # The arcs are polygons of six chords.
-            assert drawn == pytest.approx(data.ten_length[i], rel=0.005)
+            assert length == pytest.approx(data.ten_length[i], rel=0.005)
 
 
 def test_forces_are_those_of_the_runs_own_body(walk: Recording) -> None:
@@ -287,13 +287,13 @@ def test_vendored_libraries_have_licence_and_version(name: str, version: str, fi
 
 
 def test_an_experiments_recording_has_its_cases_name_and_figures(walk: Recording) -> None:
-    about = {
+    metadata = {
         "case": "trot, 0.67 Hz, with spine",
         "labels": {"profile": "exact", "spine": True},
         "metrics": {"speed": 0.0791, "status": "ok"},
         "parameters": {"frequency": 0.67},
     }
-    recording = dataclasses.replace(walk, metadata=about)
+    recording = dataclasses.replace(walk, metadata=metadata)
     assert title_of(recording) == "trot, 0.67 Hz, with spine"
     assert headline_of(recording) == [["speed", "79.1 mm/s"], ["profile", "exact"]]
     assert details_of(recording)[0] == {
@@ -315,8 +315,8 @@ def test_the_command_writes_a_page(walk: Recording, tmp_path: Path) -> None:
     out = tmp_path / "walk.html"
     result = call("view", path, path, "--out", out, "--no-open", "--json")
     assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)
-    assert told == {
+    output = json.loads(result.stdout)
+    assert output == {
         "page": str(out),
         "bytes": out.stat().st_size,
         "samples": len(walk.time),
