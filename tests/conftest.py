@@ -39,10 +39,10 @@ def known_flags(flags: str) -> str:
 
     Another process for each flag finds out, in about 0.3 s. Call it before JAX starts.
     """
-    read = "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"
+    code = "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"
     processes = {
         flag: subprocess.Popen(
-            [sys.executable, "-c", read],
+            [sys.executable, "-c", code],
             env=os.environ | {"XLA_FLAGS": flag},
             stderr=subprocess.DEVNULL,
         )
@@ -218,9 +218,9 @@ def _name(setup: Setup, engine: str) -> str:
 class SharedSimulator(Simulator):
     """A simulator whose programs count for the simulator, not for the first test that uses them."""
 
-    def run(self, *arguments: Any, **named: Any) -> RunResult:
+    def run(self, *arguments: Any, **keywords: Any) -> RunResult:
         with guard.shared(_name(without_presettings(self.setup), self.engine.name)):
-            return super().run(*arguments, **named)
+            return super().run(*arguments, **keywords)
 
 
 @functools.cache
@@ -253,10 +253,10 @@ def drawing():
 
     try:
         offscreen.require_gl()
-    except offscreen.RenderingUnavailable as missing:
+    except offscreen.RenderingUnavailable as package:
         if os.environ.get("CI"):
             raise
-        pytest.skip(str(missing))
+        pytest.skip(str(package))
 
 
 @pytest.fixture(scope="module")

@@ -141,13 +141,13 @@ class Tab(Page):
             "y": round(y),
             "origin": "viewport",
         }
-        then = {"mousePressed": ["pointerDown"], "mouseReleased": ["pointerUp"]}.get(kind, [])
+        actions = {"mousePressed": ["pointerDown"], "mouseReleased": ["pointerUp"]}.get(kind, [])
         self._perform(
             {
                 "type": "pointer",
                 "id": "mouse",
                 "parameters": {"pointerType": "mouse"},
-                "actions": [move, *({"type": action, "button": 0} for action in then)],
+                "actions": [move, *({"type": action, "button": 0} for action in actions)],
             }
         )
 

@@ -46,7 +46,7 @@ PEAK: Final = pytest.StashKey[int]()
 #: Programs and CPU seconds of the running test, which is "", and of the shared setups that it creates.
 _programs: collections.Counter[str] = collections.Counter()
 _seconds: collections.Counter[str] = collections.Counter()
-_owners, _read = [""], [0.0]
+_owners, _last_reading = [""], [0.0]
 #: The running file, and the programs of its tests so far.
 _file, _of_file = [Path()], dict[str, int]()
 #: In the process that collects reports: a value for each test, for each shared setup, and for each large process.
@@ -64,10 +64,12 @@ jax.monitoring.register_event_duration_secs_listener(_count)
 
 def _charge() -> None:
     """Assign the CPU time since the last call, of this process and of children that ended, to the current owner."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    now = sum(usage.ru_utime + usage.ru_stime for usage in used)
-    _seconds[_owners[-1]] += now - _read[0]
-    _read[0] = now
+    usages = [
+        resource.getrusage(who_id) for who_id in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    ]
+    now = sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    _seconds[_owners[-1]] += now - _last_reading[0]
+    _last_reading[0] = now
 
 
 @contextlib.contextmanager

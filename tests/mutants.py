@@ -502,13 +502,13 @@ def nearest_files(mutant: Mutant, root: Path) -> list[str]:
     first = {
         path: text.partition("\n")[0].removeprefix("# Tests of ") for path, text in texts.items()
     }
-    named = [path for path, line in first.items() if mutant.file in line.split(", ")]
+    listed_files = [path for path, line in first.items() if mutant.file in line.split(", ")]
     package, _, module = mutant.module.rpartition(".")
     imports = re.compile(
         rf"^\s*(from|import) {re.escape(mutant.module)}\b|^from {re.escape(package)} import \(?[^)\n]*\b{module}\b",
         re.MULTILINE,
     )
-    files = named or [path for path, text in texts.items() if imports.search(text)]
+    files = listed_files or [path for path, text in texts.items() if imports.search(text)]
     return [path.relative_to(root).as_posix() for path in files]
 
 
@@ -520,10 +520,10 @@ def selections(mutant: Mutant, root: Path, nearest: bool) -> Iterator[list[str]]
         [folder] if (root / folder).is_dir() else [],
         [] if nearest else ["tests"],
     ]
-    before: list[str] = []
+    preceding: list[str] = []
     for group in filter(None, groups):
-        yield [*group, *(f"--ignore={path}" for path in before)]
-        before += group
+        yield [*group, *(f"--ignore={path}" for path in preceding)]
+        preceding += group
 
 
 @dataclasses.dataclass
@@ -539,7 +539,7 @@ def run_tests(
     root: Path, arguments: Sequence[str], expression: str, excluded: Sequence[str]
 ) -> Outcome:
     """Run pytest in a copy of the repository until a test fails; `test` is empty if all pass."""
-    before = _seconds(resource.RUSAGE_CHILDREN)
+    start_seconds = _seconds(resource.RUSAGE_CHILDREN)
     clock = root / "seconds.csv"
     clock.unlink(missing_ok=True)
     command = [
@@ -568,16 +568,16 @@ def run_tests(
         "MUTANTS_CLOCK": str(clock),
     }
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command, cwd=root, env=environment, capture_output=True, text=True, timeout=LONGEST
         )
-        failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
+        failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", process.stdout, re.MULTILINE)
         test = (
             failed[1]
             if failed
             else ""
-            if done.returncode in (0, 5)
-            else f"pytest ended with {done.returncode}"
+            if process.returncode in (0, 5)
+            else f"pytest ended with {process.returncode}"
         )
     except subprocess.TimeoutExpired:
         test = "time-out"
@@ -586,11 +586,13 @@ def run_tests(
         if clock.exists()
         else {}
     )
-    return Outcome(test, float(spent.get(test, "nan")), _seconds(resource.RUSAGE_CHILDREN) - before)
+    return Outcome(
+        test, float(spent.get(test, "nan")), _seconds(resource.RUSAGE_CHILDREN) - start_seconds
+    )
 
 
-def _seconds(who: int) -> float:
-    usage = resource.getrusage(who)
+def _seconds(process_kind: int) -> float:
+    usage = resource.getrusage(process_kind)
     return usage.ru_utime + usage.ru_stime
 
 
@@ -609,13 +611,13 @@ def kill(name: str, expressions: Sequence[str], nearest: bool, root: Path) -> di
                 # Only a test that passes without the mutant has found it.
                 if result.test.startswith("tests"):
                     function = result.test.partition("[")[0]
-                    alone = run_tests(root, [function], expression, ())
-                    seconds += alone.seconds
-                    if alone.test and (function in excluded or "::" not in function):
+                    single_run = run_tests(root, [function], expression, ())
+                    seconds += single_run.seconds
+                    if single_run.test and (function in excluded or "::" not in function):
                         raise RuntimeError(
                             f"{function} fails without a mutant, too, and cannot be excluded."
                         )
-                    if alone.test:
+                    if single_run.test:
                         excluded.append(function)
                         continue
                 killed = {
@@ -662,12 +664,12 @@ def run(
     if not out.exists():
         out.write_text(",".join(COLUMNS) + "\n")
     finished = {row["mutant"] for row in _rows(out)}
-    left = [name for name in names if name not in finished]
+    remaining = [name for name in names if name not in finished]
     if processes == 1:
-        _work(left, expressions, nearest, out)
+        _work(remaining, expressions, nearest, out)
     else:
         with ProcessPoolExecutor(processes) as pool:
-            parts = [left[i::processes] for i in range(processes)]
+            parts = [remaining[i::processes] for i in range(processes)]
             for job in [
                 pool.submit(_work, part, expressions, nearest, out) for part in parts if part
             ]:
@@ -702,11 +704,11 @@ def table(rows: Sequence[dict[str, str]], expressions: Sequence[str]) -> str:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: object, nextitem: object) -> Iterator[object]:
     """As a plugin of pytest (`-p mutants`): record CPU seconds of each test in the file that `run_tests` names."""
-    before = _seconds(resource.RUSAGE_SELF) + _seconds(resource.RUSAGE_CHILDREN)
+    start_seconds = _seconds(resource.RUSAGE_SELF) + _seconds(resource.RUSAGE_CHILDREN)
     result = yield
-    after = _seconds(resource.RUSAGE_SELF) + _seconds(resource.RUSAGE_CHILDREN)
+    end_seconds = _seconds(resource.RUSAGE_SELF) + _seconds(resource.RUSAGE_CHILDREN)
     with open(os.environ["MUTANTS_CLOCK"], "a") as file:
-        file.write(f"{item.nodeid},{after - before:.3f}\n")  # type: ignore[attr-defined]
+        file.write(f"{item.nodeid},{end_seconds - start_seconds:.3f}\n")  # type: ignore[attr-defined]
     return result
 
 
@@ -714,12 +716,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="One-line faults of the package, and the tests that find them."
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--list", action="store_true", help="print all mutants with their reasons")
-    what.add_argument(
+    modes = parser.add_mutually_exclusive_group(required=True)
+    modes.add_argument("--list", action="store_true", help="print all mutants with their reasons")
+    modes.add_argument(
         "--check", action="store_true", help="check that all mutants still fit the package"
     )
-    what.add_argument("--run", nargs="*", metavar="NAME", help="run these mutants, by default all")
+    modes.add_argument("--run", nargs="*", metavar="NAME", help="run these mutants, by default all")
     parser.add_argument(
         "-m", action="append", metavar="MARKEXPR", help=f"selections of tests; default: {DEFAULT!r}"
     )

@@ -36,7 +36,7 @@ def test_each_combination_is_measured_in_order_and_counted(monkeypatch: pytest.M
     assert [tuple(line.values()) for line in result["cases"]] == [
         (case, engine, size, case) for case in ("throughput", "startup") for engine, size in options
     ]
-    assert [call.args for call in progress.call_args_list] == [(done, 8) for done in range(9)]
+    assert [call.args for call in progress.call_args_list] == [(count, 8) for count in range(9)]
     assert tuple(CASES) == BENCH_CASES
 
 
@@ -60,11 +60,11 @@ def test_a_walk_is_measured(engine: str) -> None:
     assert (line["case"], line["engine"], line["worlds"]) == ("throughput", engine, 2)
     assert line["simulated_seconds_per_second"] == pytest.approx(0.002 * line["steps_per_second"])
     assert result["hardware"]["mujoco"] == mujoco.__version__
-    beside = engines.throughput_case(engine, 2)
-    assert beside["ratio"] == pytest.approx(
-        beside["steps_per_second"] / beside["plain_steps_per_second"], rel=0.5
+    comparison = engines.throughput_case(engine, 2)
+    assert comparison["ratio"] == pytest.approx(
+        comparison["steps_per_second"] / comparison["plain_steps_per_second"], rel=0.5
     )
-    assert set(beside) >= {"steps_per_second", "compile_s", "peak_bytes"}
+    assert set(comparison) >= {"steps_per_second", "compile_s", "peak_bytes"}
 
 
 def test_bench_shows_what_went_well_and_what_failed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -66,7 +66,7 @@ def requirement_of(module: str) -> str | None:
 
 def declared(requirements: Iterable[str]) -> set[str]:
     """Names of requirements, with their extras, without versions."""
-    matches = (re.match(r"([\w.-]+)(\[[\w,-]+\])?", match) for match in requirements)
+    matches = (re.match(r"([\w.-]+)(\[[\w,-]+\])?", requirement) for requirement in requirements)
     return {
         normalized(match[1]) + (match[2] or "")
         for match in matches
@@ -76,13 +76,16 @@ def declared(requirements: Iterable[str]) -> set[str]:
 
 def faults(modules: Iterable[str], project: Mapping[str, Any]) -> dict[str, set[str]]:
     """Requirements that are imported but not declared, and the other way round."""
-    needed = {
+    requirements = {
         requirement for module in modules if (requirement := requirement_of(module)) is not None
     }
     extras = project["optional-dependencies"].items()
     ours = [entry for name, extra in extras if name not in OTHER_EXTRAS for entry in extra]
     required, optional = declared(project["dependencies"]), declared(ours)
-    return {"undeclared": needed - required - optional, "unused": (required | optional) - needed}
+    return {
+        "undeclared": requirements - required - optional,
+        "unused": (required | optional) - requirements,
+    }
 
 
 @pytest.mark.release
@@ -138,7 +141,9 @@ def test_ci_installs_the_lowest_version_of_each_requirement() -> None:
     lowest = subprocess.run(
         ["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
-    floors = (re.match(r"([\w.-]+)[=>]=([\d.]+)", match) for match in PROJECT["dependencies"])
+    floors = (
+        re.match(r"([\w.-]+)[=>]=([\d.]+)", requirement) for requirement in PROJECT["dependencies"]
+    )
     assert lowest.split() == [f"{match[1]}=={match[2]}" for match in floors if match]
     without = declared(PROJECT["dependencies"]) - declared(lowest.split())
     assert without == {"jaxlib", "pydantic-core"}, "JAX and pydantic fix these"
@@ -150,8 +155,8 @@ def test_all_that_tests_need_is_in_one_extra() -> None:
     brought, new = set(), {"test-all"}
     while new:
         brought |= new
-        named = (re.match(r"nermo-mjx\[(.*)\]", match) for name in new for match in extras[name])
-        new = {extra for match in named if match for extra in match[1].split(",")} - brought
+        matches = (re.match(r"nermo-mjx\[(.*)\]", entry) for name in new for entry in extras[name])
+        new = {extra for match in matches if match for extra in match[1].split(",")} - brought
     assert extras.keys() - brought == {
         "dev",
         "cuda",

@@ -75,8 +75,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         str(out),
     ]
     small = os.environ | {"NERMO_MJX_SMALL": "1"}  # one page of the viewer, not fourteen
-    done = subprocess.run(words, env=small, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(words, env=small, capture_output=True, text=True, timeout=300)
+    assert process.returncode == 0, process.stderr
     return out
 
 
@@ -134,7 +134,7 @@ def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> 
             "[...document.querySelectorAll('.math-wrapper')].map(f => [f.scrollHeight, f.clientHeight])"
         )
     assert len(heights) >= 5
-    assert [(needed, available) for needed, available in heights if needed > available] == []
+    assert [(required, available) for required, available in heights if required > available] == []
 
 
 @pytest.mark.release
@@ -147,8 +147,8 @@ def test_recordings_of_the_pages_are_of_the_robot_that_there_is() -> None:
 
 
 @pytest.fixture
-def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
-    """`beside(page)`: work in a folder that holds what the page tells a reader to save."""
+def page_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
+    """`page_folder(page)`: work in a folder that holds what the page tells a reader to save."""
 
     def work(page: Path) -> None:
         monkeypatch.chdir(tmp_path)
@@ -160,9 +160,9 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], 
 
 @pytest.mark.release
 @pytest.mark.parametrize(("page", "example"), EXAMPLES)
-def test_an_example_works(page: Path, example: str, beside: Callable[[Path], None]) -> None:
+def test_an_example_works(page: Path, example: str, page_folder: Callable[[Path], None]) -> None:
     """That of the README at a small size."""
-    beside(page)
+    page_folder(page)
     short = example.replace("25)", "3)").replace("Run(cycles=6)", "Run(cycles=1, warmup_cycles=0)")
     assert (short != example) == (page == README)
     exec(compile(short, "example", "exec"), {})
@@ -195,7 +195,7 @@ def test_the_pages_name_every_command_and_no_other_option() -> None:
 @pytest.mark.parametrize(
     "page", [page for page in TRIED if blocks(page, "yaml")], ids=lambda page: page.stem
 )
-def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
+def test_a_spec_file_is_valid(page: Path, page_folder: Callable[[Path], None]) -> None:
     """One of a search has an objective, and one of a robot's log channels."""
     from nermo_mjx.hardware.log import LogFields
     from nermo_mjx.optimize import Search
@@ -203,7 +203,7 @@ def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> Non
     from nermo_mjx.specs.reading import read_text
     from nermo_mjx.sweep import Sweep
 
-    beside(page)
+    page_folder(page)
     for text in blocks(page, "yaml"):
         if text.startswith(("apiVersion", "kind")):
             continue  # for Kubernetes

@@ -195,8 +195,8 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
         )
         table = table.replace_schema_metadata(metadata)
     elif act == 5:
-        some = [None if draw.random() < 0.5 else value for value in column.to_pylist()]
-        table = table.set_column(index, field, pa.array(some, field.type))
+        incomplete = [None if draw.random() < 0.5 else value for value in column.to_pylist()]
+        table = table.set_column(index, field, pa.array(incomplete, field.type))
     else:
         table = table.slice(0, draw.choice((0, 1)))
     stream = io.BytesIO()

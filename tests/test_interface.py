@@ -95,10 +95,10 @@ def pages() -> Iterator[tuple[str, str]]:
 
 
 def test_pages_notebooks_and_examples_use_public_names_alone() -> None:
-    used = list(pages())
-    assert len({name for name, _ in used if name.endswith(".md")}) > 15
-    assert len({name for name, _ in used if name.endswith(".ipynb")}) == 8
-    assert {name: bad for name, code in used if (bad := internal(code))} == {}
+    names_of_pages = list(pages())
+    assert len({name for name, _ in names_of_pages if name.endswith(".md")}) > 15
+    assert len({name for name, _ in names_of_pages if name.endswith(".ipynb")}) == 8
+    assert {name: bad for name, code in names_of_pages if (bad := internal(code))} == {}
 
 
 @pytest.mark.parametrize(
@@ -125,10 +125,10 @@ def test_texts_of_pages_write_public_names_alone() -> None:
     wrong = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8").partition("| former name |")[0]
-        named = re.findall(
+        names_of_page = re.findall(
             r"(?<![\w/])nermo_mjx(?:\.[A-Za-z_]+)+\b(?!:)", text.replace("nermo_mjx.zip", "")
         )
-        wrong |= {page.name: bad} if (bad := [*filter(is_internal, named)]) else {}
+        wrong |= {page.name: bad} if (bad := [*filter(is_internal, names_of_page)]) else {}
     assert wrong == {}
 
 
@@ -211,13 +211,13 @@ def test_a_module_may_be_lazy_from_a_zip_archive(tmp_path: Path) -> None:
         "from room import *; print(pi, wing.__name__); warnings.simplefilter('error'); print(room.pi)\n"
         "try: room.half\nexcept DeprecationWarning as told: print(told)"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.stdout.splitlines() == [
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert process.stdout.splitlines() == [
         "('pi', 'wing')",
         "3.141592653589793 room.wing",
         "3.141592653589793",
         "room.half is a former name, which the next minor version will not accept: use math.pi.",
-    ], done.stderr
+    ], process.stderr
 
 
 # --- choices
@@ -272,15 +272,15 @@ def test_a_type_checker_rejects_an_unknown_choice(tmp_path: Path) -> None:
     """In the lines with a wrong name, and nowhere else."""
     (tmp_path / "typed.py").write_text(TYPED)
     words = [sys.executable, "-m", "mypy", "--no-error-summary", str(tmp_path / "typed.py")]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    process = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     wrong = {
         int(line): message
-        for line, message in re.findall(r"typed\.py:(\d+): error: (.*)", done.stdout)
+        for line, message in re.findall(r"typed\.py:(\d+): error: (.*)", process.stdout)
     }
     expected = [
         number
         for number, line in enumerate(TYPED.splitlines(), 1)
         if re.search('trott|late"|circ|sphere|rou|gla', line)
     ]
-    assert sorted(wrong) == expected, done.stdout + done.stderr
+    assert sorted(wrong) == expected, process.stdout + process.stderr
     assert all('expected "Literal[' in message for message in wrong.values())

@@ -38,10 +38,12 @@ INSTALL = nbformat.read(NOTEBOOKS[0], as_version=4).cells[1].source
 @pytest.fixture(scope="module")
 def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NotebookClient]:
     """One kernel for all notebooks: it imports the package, and compiles what several use, once."""
-    where = {"metadata": {"path": tmp_path_factory.mktemp("kernel")}}
+    resources = {"metadata": {"path": tmp_path_factory.mktemp("kernel")}}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("NERMO_MJX_SMALL", "1")
-        client = NotebookClient(new_notebook(), timeout=300, kernel_name="python3", resources=where)
+        client = NotebookClient(
+            new_notebook(), timeout=300, kernel_name="python3", resources=resources
+        )
         with client.setup_kernel():
             yield client
 

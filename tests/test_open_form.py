@@ -121,9 +121,9 @@ def test_the_hosted_ci_runs_each_part_and_the_parts_are_those_of_the_script() ->
     assert jobs["part"]["steps"][-1]["run"] == ".ci/run ${{ matrix.part }}"
     assert jobs["other-pythons"]["steps"][-1]["run"] == ".ci/run other-pythons"
     admitted = {
-        entry.rsplit(" ", 1)[1]
-        for entry in PROJECT["classifiers"]
-        if re.search(r":: 3\.\d+$", entry)
+        classifier.rsplit(" ", 1)[1]
+        for classifier in PROJECT["classifiers"]
+        if re.search(r":: 3\.\d+$", classifier)
     }
     assert set(matrix["python"]) == admitted
     versions = jobs["other-pythons"]["steps"][1]["with"]["python-version"].split()
@@ -131,10 +131,12 @@ def test_the_hosted_ci_runs_each_part_and_the_parts_are_those_of_the_script() ->
 
 
 def test_a_part_that_does_not_exist_is_rejected_before_any_part_runs() -> None:
-    done = subprocess.run([ROOT / ".ci" / "run", "style", "moon"], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert "no part moon: allowed are readme " in done.stderr
+    process = subprocess.run(
+        [ROOT / ".ci" / "run", "style", "moon"], capture_output=True, text=True
+    )
+    assert process.returncode == 2
+    assert process.stdout == ""
+    assert "no part moon: allowed are readme " in process.stderr
 
 
 def test_pre_commit_runs_the_two_commands_of_the_ci() -> None:

@@ -101,15 +101,15 @@ def test_the_robot_walks_sweeps_and_is_tuned_without_posix_and_extras(tmp_path: 
     arguments = [json.dumps(argument) for argument in (absent, POSIX_NAMES, commands)]
     # Its own cache: without fcntl, filelock takes the files of other processes' locks for locks.
     environment = os.environ | {"NERMO_MJX_CACHE": str(tmp_path / "cache")}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", WITHOUT, *arguments],
         cwd=tmp_path,
         env=environment,
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stderr
-    assert '"status": "ok"' in done.stdout
+    assert process.returncode == 0, process.stderr
+    assert '"status": "ok"' in process.stdout
     assert {"swept/summary.json", "tuned/best.json"} <= {
         path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.json")
     }

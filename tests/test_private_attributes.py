@@ -53,8 +53,8 @@ class Uses(ast.NodeVisitor):
             return next(
                 (scope[node.id] for scope in reversed(self._scopes) if node.id in scope), None
             )
-        before = self._name(node.value) if isinstance(node, ast.Attribute) else None
-        return before and f"{before}.{node.attr}"  # type: ignore[attr-defined]
+        prefix = self._name(node.value) if isinstance(node, ast.Attribute) else None
+        return prefix and f"{prefix}.{node.attr}"  # type: ignore[attr-defined]
 
     def visit_Import(self, node: ast.Import) -> None:
         for alias in node.names:
@@ -139,16 +139,20 @@ def test_the_list_is_complete() -> None:
         for code in codes.values()
         for name in re.findall(r"(?:self\.|cls\.|def |class |^ *)(_\w+)", code, re.M)
     }
-    where = dict[str, str]()
+    files_by_name = dict[str, str]()
     for file, code in codes.items():
         uses = uses_of(code, package_names)
-        where |= dict.fromkeys(uses.found, file)
+        files_by_name |= dict.fromkeys(uses.found, file)
         for member in uses.members:
             listed = [name for name in LISTED if name.rpartition(".")[2] == member]
-            where |= dict.fromkeys(listed or [f"(some class).{member}"], file)
-    missing = [f"{name}  # {where[name]}" for name in sorted(where.keys() - set(LISTED))]
-    gone = sorted(set(LISTED) - where.keys())
-    assert (missing, gone) == ([], []), "\n".join(["add:", *missing, "remove:", *gone])
+            files_by_name |= dict.fromkeys(listed or [f"(some class).{member}"], file)
+    missing_names = [
+        f"{name}  # {files_by_name[name]}" for name in sorted(files_by_name.keys() - set(LISTED))
+    ]
+    unused_names = sorted(set(LISTED) - files_by_name.keys())
+    assert (missing_names, unused_names) == ([], []), "\n".join(
+        ["add:", *missing_names, "remove:", *unused_names]
+    )
     assert sorted(set(LISTED)) == LISTED
 
 

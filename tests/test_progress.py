@@ -69,7 +69,8 @@ def test_in_a_notebook_a_job_writes_one_line_over_and_over(monkeypatch):
     assert states[-1].startswith("sweep: 100%, 36 of 36 runs")
     widths = [len(state) for state in states]
     assert all(
-        after >= len(state.rstrip()) for state, after in zip(states, widths[1:], strict=False)
+        next_width >= len(state.rstrip())
+        for state, next_width in zip(states, widths[1:], strict=False)
     ), "nothing is left"
 
 

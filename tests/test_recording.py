@@ -80,9 +80,9 @@ def test_another_layout_is_refused_with_its_number(
 
 def test_another_file_a_cut_one_and_a_missing_one_are_refused(tmp_path: Path) -> None:
     path = some_recording().save(tmp_path / "walk.npz")
-    whole = path.read_bytes()
+    complete_bytes = path.read_bytes()
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    for content in (b"", b"hello", whole[:-300], (tmp_path / "other.npz").read_bytes()):
+    for content in (b"", b"hello", complete_bytes[:-300], (tmp_path / "other.npz").read_bytes()):
         path.write_bytes(content)
         with pytest.raises(RecordingError, match="not a recording of nermo_mjx"):
             Recording.load(path)
@@ -92,7 +92,7 @@ def test_another_file_a_cut_one_and_a_missing_one_are_refused(tmp_path: Path) ->
 
 def test_a_failed_save_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = some_recording().save(tmp_path / "walk.npz")
-    before = path.read_bytes()
+    former_bytes = path.read_bytes()
 
     def no_space(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -100,7 +100,7 @@ def test_a_failed_save_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("os.replace", no_space)
     with pytest.raises(RecordingError, match="No space left"):
         some_recording(metadata={"other": 1}).save(path)
-    assert path.read_bytes() == before
+    assert path.read_bytes() == former_bytes
     assert [file.name for file in tmp_path.iterdir()] == ["walk.npz"]
 
 

@@ -66,15 +66,15 @@ def test_what_is_stale_is_told():
 
 def test_pages_have_the_numbers_that_were_made():
     values = results.numbers()
-    used = set()
+    used_names = set()
     for page in results.pages():
         text = page.read_text(encoding="utf-8")
         assert results.filled(text, values) == text, f"{page}: run docs/results.py"
-        used |= {match[2] for match in results.MARKED.finditer(text)}
+        used_names |= {match[2] for match in results.MARKED.finditer(text)}
         # At the beginning of a line a comment makes it HTML, and its Markdown text.
         assert not re.search(r"^<!-- [\w./]+ -->.", text, re.MULTILINE), page
-    assert len(used & values.keys()) > 20
-    assert used <= values.keys()
+    assert len(used_names & values.keys()) > 20
+    assert used_names <= values.keys()
     page, numbers = (
         "a <!-- one -->0<!-- / --> b\n<!-- two --><!-- /two -->",
         {"one": "2", "two": "| a |\n|---|"},
@@ -119,7 +119,7 @@ def test_the_counts_of_published_values_leave_none_out():
         name: sum(listed[rule] for rule in names) for name, names in rules.items()
     }
     hold, total = results.numbers()["published.hold"].split(" of the ")
-    assert sum(int(held_out) for held_out, _ in counts.values()) == int(hold)
+    assert sum(int(held_out_value) for held_out_value, _ in counts.values()) == int(hold)
     assert sum(int(listed_values) for _, listed_values in counts.values()) == int(total)
 
 
@@ -147,18 +147,18 @@ def test_a_digest_follows_what_changes_a_result(tmp_path: Path, monkeypatch: pyt
         for name, result in LISTED.items()
         if name in results.stamps() and result.robot == "nermo_lite"
     )
-    before = results.digests(LISTED[name])
+    former_digests = results.digests(LISTED[name])
     defaults = Setup.defaults
     monkeypatch.setattr(Setup, "defaults", lambda setup: defaults(setup) | {"damping.knee": 0.0253})
     results.body.cache_clear()
     now = results.digests(LISTED[name])
     results.body.cache_clear()
-    assert {what for what in now if now[what] != before[what]} == {"body"}
+    assert {part for part in now if now[part] != former_digests[part]} == {"body"}
     monkeypatch.undo()
     stamp = {
         "date": "2026-01-01",
         "version": "0",
-        "digests": before | {"metrics": "of another day"},
+        "digests": former_digests | {"metrics": "of another day"},
     }
     monkeypatch.setattr(results, "stamps", lambda: {name: stamp})
     assert results.stale(name, LISTED[name]) == ["metrics"]

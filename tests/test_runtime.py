@@ -31,11 +31,11 @@ SETTINGS = (
 def run(script: str, **environment: str) -> list[str]:
     """Lines printed by a script in a fresh interpreter, without the settings of this one."""
     clean = {key: value for key, value in os.environ.items() if key not in SETTINGS}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], env=clean | environment, capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.splitlines()
 
 
 IMPORT = """
@@ -201,6 +201,6 @@ def test_commands_take_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv(runtime.THREADS, "1")
     command = click.command()(options.engine(lambda engine: click.echo(runtime.thread_count())))
     assert CliRunner().invoke(command, ["--threads", "3"]).output == "3\n"
-    done = CliRunner().invoke(command, ["--threads", "0"])
-    assert done.exit_code == 2
-    assert "--threads" in done.output
+    result = CliRunner().invoke(command, ["--threads", "0"])
+    assert result.exit_code == 2
+    assert "--threads" in result.output

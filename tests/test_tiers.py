@@ -31,14 +31,16 @@ ELSEWHERE = {
 
 def test_the_first_line_of_each_file_names_the_modules_that_it_tests() -> None:
     """Each module is named in the folder of its room, so that its tests are easy to find."""
-    here, form = Path(__file__).parent, re.compile("# Tests of (.+)")
-    package, module_rooms = here.parent / "nermo_mjx", set[tuple[str, str]]()
-    for path in sorted(here.rglob("test_*.py")):
+    folder, form = Path(__file__).parent, re.compile("# Tests of (.+)")
+    package, module_rooms = folder.parent / "nermo_mjx", set[tuple[str, str]]()
+    for path in sorted(folder.rglob("test_*.py")):
         line = form.fullmatch(path.read_text().partition("\n")[0])
         assert line is not None, path
         for name in line[1].split(", "):
-            assert (package / name).exists() or (here.parent / name).exists(), (path, name)
-            module_rooms.add((name, path.relative_to(here).parts[0] if path.parent != here else ""))
+            assert (package / name).exists() or (folder.parent / name).exists(), (path, name)
+            module_rooms.add(
+                (name, path.relative_to(folder).parts[0] if path.parent != folder else "")
+            )
     modules = [
         path.relative_to(package) for path in package.rglob("*.py") if path.name != "__init__.py"
     ]
@@ -50,8 +52,8 @@ def test_the_first_line_of_each_file_names_the_modules_that_it_tests() -> None:
 
 def test_every_test_marked_long_is_in_the_record(request: pytest.FixtureRequest) -> None:
     """With the day when it last passed, or null: of the tests that were collected, none is forgotten."""
-    here = Path(__file__).parent
-    files = {path.relative_to(here).as_posix() for path in here.rglob("test_*.py")}
+    folder = Path(__file__).parent
+    files = {path.relative_to(folder).as_posix() for path in folder.rglob("test_*.py")}
     recorded = set(tiers.last_runs())
     assert set(request.config.stash[LONG]) <= recorded
     assert {name.partition("::")[0].removeprefix("tests/") for name in recorded} <= files

@@ -46,7 +46,7 @@ def test_no_command_that_reads_runs_the_code_of_a_directory(
     kind: str, source: str, tmp_path: Path, canary: Path
 ) -> None:
     out, code = tmp_path / "theirs", (tmp_path / "own.py").read_text()
-    named = {
+    code_fields = {
         "metrics": {"metrics": "metrics.py"},
         "controller": {"controller": "controller.py:stiff"},
         "module": {"metrics": "own"},
@@ -58,7 +58,7 @@ def test_no_command_that_reads_runs_the_code_of_a_directory(
     (out / "run.json").write_text(json.dumps({"kind": kind}))
     if kind in SPECS:
         name, spec = SPECS[kind]
-        (out / name).write_text(json.dumps(spec | named))
+        (out / name).write_text(json.dumps(spec | code_fields))
     for words in (
         ("status", out),
         ("status", out, "--json"),
@@ -155,14 +155,14 @@ def test_a_file_that_is_not_that_of_the_table_is_not_run_either(
 
 
 @pytest.mark.parametrize(
-    "named", [{"controller": "own.py:stiff"}, {"metrics": "own.py"}, {"scene": "own.xml"}]
+    "code_fields", [{"controller": "own.py:stiff"}, {"metrics": "own.py"}, {"scene": "own.xml"}]
 )
-def test_a_policy_names_no_code(named: dict[str, str], tmp_path: Path, canary: Path) -> None:
+def test_a_policy_names_no_code(code_fields: dict[str, str], tmp_path: Path, canary: Path) -> None:
     with np.load(POLICY) as file:
         arrays = {name: file[name] for name in file.files}
     for level in ("base", "top"):
         metadata = json.loads(arrays["about"].tobytes())
-        (metadata if level == "top" else metadata["base"]).update(named)
+        (metadata if level == "top" else metadata["base"]).update(code_fields)
         np.savez(
             tmp_path / "a.npz",
             **arrays | {"about": np.frombuffer(json.dumps(metadata).encode(), np.uint8)},

@@ -87,8 +87,8 @@ def in_the_log_of_a_drive(folder):
     channels = read_channels("published")
     log = LinkLog(folder / "log.csv", channels, ROBOT, lambda: 0.0)
     log.measured(0.0, None, {name: np.asarray(getattr(SENSORS, name)) for name in MESSAGE})
-    sent = dict(zip(ROBOT.servos, CTRL, strict=True))
-    log.command(0.0, np.array([sent.get(channel.servo, 0.0) for channel in channels]))
+    command_values = dict(zip(ROBOT.servos, CTRL, strict=True))
+    log.command(0.0, np.array([command_values.get(channel.servo, 0.0) for channel in channels]))
     log.end()
     names, *rows = (line.split(",") for line in log.path.read_text().splitlines())
     for row in rows:
@@ -210,9 +210,9 @@ def test_a_policy_of_a_former_version_observes_the_same_numbers():
         ("phase.cos", "phase.cos"),
     ):
         assert policy.observer.names.index(new) == metadata["observation"].index(old)
-    written = json.loads(bytes(np.load(io.BytesIO(policy.content()))["about"]))
-    assert written["observation"] == list(policy.observer.names)
-    assert not set(FORMER) & set(written["observer"]["groups"])
+    saved_metadata = json.loads(bytes(np.load(io.BytesIO(policy.content()))["about"]))
+    assert saved_metadata["observation"] == list(policy.observer.names)
+    assert not set(FORMER) & set(saved_metadata["observer"]["groups"])
 
 
 def test_specifications_of_a_former_version_are_read():

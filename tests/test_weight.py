@@ -94,12 +94,12 @@ def test_a_film_that_is_too_large_is_rejected_and_not_written(tmp_path: Path) ->
 
 
 def test_a_picture_of_few_colours_is_stored_exactly_and_others_nearly(tmp_path: Path) -> None:
-    few = np.random.default_rng(2).integers(0, 16, (30, 40, 1), dtype=np.uint8) * np.array(
+    few_colours = np.random.default_rng(2).integers(0, 16, (30, 40, 1), dtype=np.uint8) * np.array(
         [16, 8, 4], np.uint8
     )
     ramp = np.stack(np.meshgrid(np.arange(256), np.arange(256)), axis=-1).astype(np.uint8)
     colourful = np.concatenate([ramp, np.full((256, 256, 1), 90, np.uint8)], axis=-1)
-    for pixels, error in ((few, 0), (colourful, 16)):
+    for pixels, error in ((few_colours, 0), (colourful, 16)):
         path = tmp_path / "picture.webp"
         pictures.write_picture(Image.fromarray(pixels), path)
         with Image.open(path) as stored:

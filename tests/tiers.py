@@ -19,9 +19,9 @@ LAST_RUN: Final = Path(__file__).with_name("long.json")
 
 def needs(*packages: str) -> None:
     """Skip a test if one of these packages, which extras bring, is not installed; none of them is imported."""
-    missing = [name for name in packages if importlib.util.find_spec(name) is None]
-    if missing:
-        pytest.skip(f"without {' and '.join(missing)}: pip install '.[test-all]'")
+    missing_packages = [name for name in packages if importlib.util.find_spec(name) is None]
+    if missing_packages:
+        pytest.skip(f"without {' and '.join(missing_packages)}: pip install '.[test-all]'")
 
 
 def last_runs() -> dict[str, dict[str, Any] | None]:

@@ -100,9 +100,9 @@ def test_the_published_gaits_are_points_of_the_space_bit_for_bit() -> None:
 
 def test_the_foot_goes_through_each_moved_point() -> None:
     """At the quarters of its half-cycle it is where the published foot is, and as far from it as was said."""
-    moved = {f"foot.front.y{i}": 1e-4 * i for i in (2, 3, 4, 6, 7, 8)}
-    moved |= {f"foot.front_right.z{i}": -1e-3 + 1e-4 * i for i in (2, 3, 4, 6, 7, 8)}
-    params, plain = gait_with(moved), gait_with({})
+    changes = {f"foot.front.y{i}": 1e-4 * i for i in (2, 3, 4, 6, 7, 8)}
+    changes |= {f"foot.front_right.z{i}": -1e-3 + 1e-4 * i for i in (2, 3, 4, 6, 7, 8)}
+    params, plain = gait_with(changes), gait_with({})
     # The front right limb stands from phase 0 to 0.5.
     phases = np.array([0.125, 0.25, 0.375, 0.625, 0.75, 0.875])
     change = feet_of(params, phases)[:, 1] - feet_of(plain, phases)[:, 1]
@@ -142,8 +142,8 @@ def test_touch_down_and_lift_off_are_moved() -> None:
 def test_a_turn_shortens_the_whole_stride_of_a_free_path() -> None:
     """At full turn rate the inner feet step on the spot, at half of their stride they go half as far; the outer ones as
     far as before."""
-    moved = {f"foot.{pair}.y{i}": 2e-4 * i for pair in ("front", "rear") for i in range(1, 9)}
-    params = gait_with(moved | {"turning.exponent": 1.0})
+    changes = {f"foot.{pair}.y{i}": 2e-4 * i for pair in ("front", "rear") for i in range(1, 9)}
+    params = gait_with(changes | {"turning.exponent": 1.0})
 
     def reach(turn_rate: float) -> np.ndarray:
         drive = Drive(jnp.asarray(1.0), jnp.asarray(turn_rate))
@@ -218,11 +218,11 @@ def test_duty_and_phase_of_a_limb() -> None:
 
 def test_the_spines_series_holds_the_published_wave_and_has_a_derivative_at_zero() -> None:
     amplitude, psi = 0.3, 0.7
-    named = {
+    values = {
         "spine.harmonics.cos1": amplitude * np.cos(psi),
         "spine.harmonics.sin1": -amplitude * np.sin(psi),
     }
-    spine = gait_with({"spine.amplitude": amplitude, "spine.phase": psi, **named}).spine
+    spine = gait_with({"spine.amplitude": amplitude, "spine.phase": psi, **values}).spine
     np.testing.assert_allclose(harmonics(spine, PHASES), stride_extension(spine, PHASES), atol=1e-6)
     third = replace_quantities(gait_with({}), {"spine.harmonics.sin3": 0.1}).spine
     np.testing.assert_allclose(
@@ -253,9 +253,9 @@ def test_the_derivative_by_every_number_equals_differences() -> None:
             return inverse_kinematics(four_legs(ROBOT), feet, "type3").servo
 
         along = jax.jit(
-            lambda way: (
-                jax.jvp(servos, (values,), (way,))[1],
-                (servos(values + 1e-6 * way) - servos(values - 1e-6 * way)) / 2e-6,
+            lambda direction: (
+                jax.jvp(servos, (values,), (direction,))[1],
+                (servos(values + 1e-6 * direction) - servos(values - 1e-6 * direction)) / 2e-6,
             )
         )
         for seed in range(4):
@@ -285,8 +285,8 @@ def test_a_servo_table_has_trims_and_the_moved_path() -> None:
     np.testing.assert_allclose(
         change, np.tile(list(expected.values()), (len(change), 1)), atol=1e-6
     )
-    moved = servo_table(setup, {"frequency": 0.8, "foot.rear.y7": 0.003}, rate=40.0)
-    assert (np.abs(moved.angles - plain.angles).max(axis=0) > 0.5).tolist() == (
+    changed_table = servo_table(setup, {"frequency": 0.8, "foot.rear.y7": 0.003}, rate=40.0)
+    assert (np.abs(changed_table.angles - plain.angles).max(axis=0) > 0.5).tolist() == (
         [False] * 2 + [True] * 2
     ) * 2 + [False] * 2
 

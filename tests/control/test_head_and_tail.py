@@ -40,8 +40,8 @@ def sensors_at(
 
 
 def params_with(**values: float) -> ControlParameters:
-    named = {name.replace("_", ".", 1): value for name, value in values.items()}
-    return replace_quantities(ControlParameters(), named)
+    values_by_name = {name.replace("_", ".", 1): value for name, value in values.items()}
+    return replace_quantities(ControlParameters(), values_by_name)
 
 
 TILTED = [
@@ -58,8 +58,8 @@ def test_the_head_looks_along_the_course_whatever_the_torso_does(
     """Torso, neck and tilt one after the other, by SciPy: the gaze is level, and `pan` beside the course."""
     params = params_with(head_lead=0.0, head_pan=pan)
     course = torso.as_euler("ZXY")[0] + 0.2
-    begun = head_and_tail.CourseEstimate(jnp.asarray(course, jnp.float32), jnp.zeros(()))
-    _, angles = named_head("gaze").update(params, begun, sensors_at(torso), PACE, 1e-9)
+    estimate = head_and_tail.CourseEstimate(jnp.asarray(course, jnp.float32), jnp.zeros(()))
+    _, angles = named_head("gaze").update(params, estimate, sensors_at(torso), PACE, 1e-9)
     looks = (
         torso
         * Rotation.from_euler("z", float(angles.neck))
@@ -73,7 +73,7 @@ def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> 
     """At 2 rad/s a lead of 20 ms is worth 40 mrad, of which its first order leaves less than 1 mrad."""
     rate, lead = np.array([0.5, -0.7, 2.0]), 0.02
     torso = TILTED[0]
-    then = torso * Rotation.from_rotvec(rate * lead)
+    future = torso * Rotation.from_rotvec(rate * lead)
     course = head_and_tail.CourseEstimate(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
     angles = [
         np.array(
@@ -81,7 +81,7 @@ def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> 
         )
         for ahead, angle in (
             (lead, sensors_at(torso, tuple(rate))),
-            (0.0, sensors_at(then)),
+            (0.0, sensors_at(future)),
             (0.0, sensors_at(torso)),
         )
     ]
@@ -101,22 +101,22 @@ def test_the_course_goes_along_with_a_steady_turn_and_leaves_sway_out() -> None:
     def tick(
         course: head_and_tail.CourseEstimate, readings: tuple[jax.Array, jax.Array]
     ) -> tuple[head_and_tail.CourseEstimate, jax.Array]:
-        half, none = 0.5 * readings[0], jnp.zeros(())
-        turned = jnp.stack([jnp.cos(half), none, none, jnp.sin(half)])
+        half, zero = 0.5 * readings[0], jnp.zeros(())
+        turned = jnp.stack([jnp.cos(half), zero, zero, jnp.sin(half)])
         bent = still.servo_angle.at[SERVOS.index("spine")].set(readings[1])
         sensors = dataclasses.replace(still, orientation=turned, servo_angle=bent)
-        after = head_and_tail.observe_course(course, sensors, bandwidth, dt, ROBOT)
-        return after, after.heading
+        estimate = head_and_tail.observe_course(course, sensors, bandwidth, dt, ROBOT)
+        return estimate, estimate.heading
 
-    begun = head_and_tail.CourseEstimate(jnp.asarray(2.5), jnp.asarray(0.2))
+    estimate = head_and_tail.CourseEstimate(jnp.asarray(2.5), jnp.asarray(0.2))
     courses = np.asarray(
-        jax.lax.scan(tick, begun, (jnp.asarray(torso), jnp.asarray(servo)))[1], float
+        jax.lax.scan(tick, estimate, (jnp.asarray(torso), jnp.asarray(servo)))[1], float
     )[-5000:]
-    left = courses - (2.5 + 0.2 * times[-5000:])
+    residual = courses - (2.5 + 0.2 * times[-5000:])
     s = 1j * omega
     expected = 0.14 * abs((2 * bandwidth * s + bandwidth**2) / (s + bandwidth) ** 2)
-    assert abs(left.mean()) < 2e-3
-    assert np.sqrt(2.0) * left.std() == pytest.approx(expected, rel=0.02)
+    assert abs(residual.mean()) < 2e-3
+    assert np.sqrt(2.0) * residual.std() == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.release
@@ -237,9 +237,9 @@ def test_metrics_of_the_eyes_are_those_of_mujocos_head(gazing, head) -> None:
     rough = head == "tilting"
     assert metrics["head_pitch_std"] == pytest.approx(down.std(), rel=0.1 if rough else 0.03)
     assert metrics["head_pitch_mean"] == pytest.approx(down.mean(), abs=2e-3)
-    moved = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 0.01
+    speed = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 0.01
     assert metrics["picture_motion"] == pytest.approx(
-        np.sqrt((moved**2).mean()), rel=0.15 if rough else 0.08
+        np.sqrt((speed**2).mean()), rel=0.15 if rough else 0.08
     )
 
 
@@ -263,12 +263,10 @@ def test_the_eyes_look_out_of_their_lenses(robot: str) -> None:
         position, turn = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
         ahead = -turn[:, 2]
         dome = glass[side * glass[:, 0] > 0]
-        before = (dome - position) @ ahead
-        beside = np.linalg.norm(dome - position - before[:, None] * ahead, axis=1)
-        assert -0.003 < before.min() < before.max() < -0.0004, (
-            "all of the lens is behind the camera"
-        )
-        assert beside.min() < 1e-5, "its top in the middle of the view"
+        depth = (dome - position) @ ahead
+        lateral_distance = np.linalg.norm(dome - position - depth[:, None] * ahead, axis=1)
+        assert -0.003 < depth.min() < depth.max() < -0.0004, "all of the lens is behind the camera"
+        assert lateral_distance.min() < 1e-5, "its top in the middle of the view"
         assert abs(turn[2, 0]) < 1e-6, "upright"
         assert (turn[0, 0] < 0, side * ahead[0] > 0) == (True, True)
 

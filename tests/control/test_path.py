@@ -99,13 +99,15 @@ def test_where_a_course_crosses_itself_the_progress_tells_which_way():
     """The maze's path crosses itself north of the island; at the crossing, the way is that of the progress made."""
     course = maze_course()
     points = np.stack([course.x, course.y], axis=-1)
-    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
     far = np.abs(np.subtract.outer(np.arange(len(points)), np.arange(len(points)))) > 100
-    first, second = sorted(np.unravel_index(np.argmin(np.where(far, apart, np.inf)), apart.shape))
-    assert apart[first, second] < course.spacing
+    first, second = sorted(
+        np.unravel_index(np.argmin(np.where(far, distances, np.inf)), distances.shape)
+    )
+    assert distances[first, second] < course.spacing
     for node in (first, second):
-        before = course.spacing * node - 0.03
-        result = located(course, before, *points[node])
+        progress = course.spacing * node - 0.03
+        result = located(course, progress, *points[node])
         assert result.progress == pytest.approx(course.spacing * node, abs=1e-4)
         heading = course.heading[node]
         np.testing.assert_allclose(result.tangent, [np.cos(heading), np.sin(heading)], atol=1e-3)
@@ -161,12 +163,12 @@ def test_gradients_are_finite_and_point_left():
     slope = jax.jit(jax.grad(lambda position, progress: locate(course, progress, position).error))
     for node, offset in ((100, 0.0), (173, 0.02), (260, -0.03), (430, 0.01)):
         heading = course.heading[node]
-        left = np.array([-np.sin(heading), np.cos(heading)])
-        position = np.array([course.x[node], course.y[node]]) + offset * left
+        normal = np.array([-np.sin(heading), np.cos(heading)])
+        position = np.array([course.x[node], course.y[node]]) + offset * normal
         gradient = slope(
             jnp.asarray([*position, 0.0], jnp.float32), jnp.float32(course.spacing * node)
         )
-        np.testing.assert_allclose(gradient[:2], left, atol=0.02)
+        np.testing.assert_allclose(gradient[:2], normal, atol=0.02)
         assert gradient[2] == 0.0
     for position in ([1e30, 0.0, 0.0], [np.inf, -np.inf, 0.0], [0.0, 0.0, 0.0]):
         result = jitted(course)(jnp.float32(0.5), jnp.asarray(position, jnp.float32))
@@ -180,11 +182,13 @@ def test_a_batch_is_its_members():
     progress = jnp.linspace(0.0, course.length, 24).reshape(4, 6)
     positions = jnp.asarray(np.random.default_rng(3).uniform(-1, 1, (4, 6, 3)), jnp.float32)
     one_by_one = functools.partial(locate, course)
-    together = jax.jit(one_by_one)(progress, positions)
-    apart = jax.jit(jax.vmap(jax.vmap(one_by_one)))(progress, positions)
-    for nested, mapped in zip(jax.tree.leaves(together), jax.tree.leaves(apart), strict=True):
+    result_of_nested = jax.jit(one_by_one)(progress, positions)
+    result_of_mapped = jax.jit(jax.vmap(jax.vmap(one_by_one)))(progress, positions)
+    for nested, mapped in zip(
+        jax.tree.leaves(result_of_nested), jax.tree.leaves(result_of_mapped), strict=True
+    ):
         np.testing.assert_allclose(nested, mapped, atol=1e-5)
-    assert together.tangent.shape == (4, 6, 2)
+    assert result_of_nested.tangent.shape == (4, 6, 2)
 
 
 def test_a_course_is_a_value():

@@ -257,9 +257,11 @@ def test_a_sweep_runs_another_controller(bound: Simulator, tmp_path: Path) -> No
     assert np.isfinite(result.table.column("speed").to_numpy()).all()
     # The directory has a copy of the controller: it goes on where the file is not, and elsewhere.
     shutil.move(tmp_path / "there", tmp_path / "here")
-    moved = Sweep.from_file(tmp_path / "here" / "sweep.yaml")
-    assert moved.setup.controller == f"{(tmp_path / 'here' / 'controller.py').resolve()}:Bound"
-    assert moved.digest() == Sweep.from_dict(SPEC).digest()
+    sweep_of_copy = Sweep.from_file(tmp_path / "here" / "sweep.yaml")
+    assert (
+        sweep_of_copy.setup.controller == f"{(tmp_path / 'here' / 'controller.py').resolve()}:Bound"
+    )
+    assert sweep_of_copy.digest() == Sweep.from_dict(SPEC).digest()
     assert run_sweep(SPEC, tmp_path / "here", simulator=bound).chunks_run == 0
 
 
@@ -331,9 +333,9 @@ def test_the_gait_of_a_controller_with_other_parts_stands_in_the_file(tmp_path: 
             "vary": {"stride": [0.5, 1]},
         }
     )
-    again = Sweep.from_text(sweep.to_yaml())
-    assert (again.setup.gait, again.digest()) == ("lateral_walk", sweep.digest())
-    assert again.setup.defaults()["duty"] == 0.68
+    reloaded = Sweep.from_text(sweep.to_yaml())
+    assert (reloaded.setup.gait, reloaded.digest()) == ("lateral_walk", sweep.digest())
+    assert reloaded.setup.defaults()["duty"] == 0.68
 
 
 def test_a_tuning_may_tune_another_controllers_parameters() -> None:
@@ -394,18 +396,20 @@ def test_the_gradient_of_the_commands_by_the_policy_is_that_of_finite_difference
         controller, robot = load_controller(f"{EXAMPLES / 'network.py'}:Network"), Setup().load()
         loop, random = ClosedLoop(robot, controller), np.random.default_rng(0)
         parameters = controller.parameters
-        policy, way = (
+        policy, direction = (
             jax.tree.map(lambda leaf: jnp.asarray(0.1 * random.normal(size=leaf.shape)), parameters)
             for _ in "ab"
         )
-        rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
-        readings = rest + 0.1 * random.normal(size=(4, loop.steps_per_tick, rest.size))
+        rest_sensors = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
+        readings = rest_sensors + 0.1 * random.normal(
+            size=(4, loop.steps_per_tick, rest_sensors.size)
+        )
 
         def commands(share):
-            now = jax.tree.map(lambda leaf, to: leaf + share * to, policy, way)
+            now = jax.tree.map(lambda leaf, to: leaf + share * to, policy, direction)
             world = Setup(controller=controller).world({}, now)
             params = LoopParameters(world.control, world.start, Window(), Servo(speed=1000.0))
-            state = loop.init(params, rest)
+            state = loop.init(params, rest_sensors)
             return jax.lax.scan(
                 lambda state, sensors: loop.step(params, state, sensors), state, readings
             )[1][-1]
@@ -430,7 +434,9 @@ def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
             lambda leaf: jnp.asarray(leaf + 0.1 * random.normal(size=leaf.shape), float),
             controller.parameters,
         )
-        way = jax.tree.map(lambda leaf: random.normal(size=leaf.shape) / leaf.size**0.5, policy)
+        direction = jax.tree.map(
+            lambda leaf: random.normal(size=leaf.shape) / leaf.size**0.5, policy
+        )
         program = jax.jit(
             jax.grad(lambda policy: rollout({}, policy=policy)["speed"]),
             compiler_options=compiler_options(),
@@ -441,12 +447,12 @@ def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
         )  # refused where an operation is missing there
         along = sum(
             float(jnp.vdot(a, b))
-            for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(way), strict=True)
+            for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(direction), strict=True)
         )
         simulator = Simulator(engine="c", controller=controller)
         simulator.engine.model.opt.tolerance = 0.0
         policies = jax.tree.map(
-            lambda values, to: np.stack([values + eps * to, values - eps * to]), policy, way
+            lambda values, to: np.stack([values + eps * to, values - eps * to]), policy, direction
         )
         high, low = simulator({}, run, policy=policies)["speed"]
     assert all(np.abs(leaf).max() > 0.0 for leaf in jax.tree.leaves(slope))

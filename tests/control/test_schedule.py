@@ -83,10 +83,10 @@ def test_feet_and_servos_are_continuous(switches):
         _, at_phases, worlds = commanded(gaits if switches == "gaits" else modes, 1000.0, 5.0)
         every = jax.jit(jax.vmap(at_phases), compiler_options=compiler_options())
         feet, stance, servos = map(np.asarray, every(*worlds))
-    before = round(1000 * AT) - 1
-    moved = np.linalg.norm(np.diff(feet, axis=2), axis=-1)
-    steady = max(moved[:, :, :before].max(), moved[:, :, -1250:].max())
-    assert moved.max() < steady + 1e-4
+    switch_row = round(1000 * AT) - 1
+    steps = np.linalg.norm(np.diff(feet, axis=2), axis=-1)
+    steady = max(steps[:, :, :switch_row].max(), steps[:, :, -1250:].max())
+    assert steps.max() < steady + 1e-4
     top = np.asarray(Setup().world({}).model.servo.top_speed)
     assert np.abs(np.diff(servos, axis=2)).max() < top * 1e-3
     # In swing a foot is above its height in stance.
@@ -130,12 +130,12 @@ def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
     def walked(setup):
         return Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=4.0), record=True).trace
 
-    ours, theirs, after = map(walked, (switched, Setup(pilot="open_loop"), lateral))
+    ours, theirs, walk_after_switch = map(walked, (switched, Setup(pilot="open_loop"), lateral))
     for name in ("qpos", "qvel", "ctrl"):
         np.testing.assert_array_equal(getattr(ours, name)[:, :150], getattr(theirs, name)[:, :150])
     assert np.abs(ours.ctrl[:, 200:] - theirs.ctrl[:, 200:]).max() > 0.1
     # A cycle after the switch has ended the commanded servos are those of the other gait.
-    np.testing.assert_allclose(ours.ctrl[:, 390:], after.ctrl[:, 390:], atol=1e-5)
+    np.testing.assert_allclose(ours.ctrl[:, 390:], walk_after_switch.ctrl[:, 390:], atol=1e-5)
 
 
 def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approach():
@@ -145,8 +145,8 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
         .world({})
         .schedule
     )
-    within = transitions.span(schedule, jnp.asarray(1.0))
-    assert [float(column) for column in within] == [2.0, 7.0]
+    time_span = transitions.span(schedule, jnp.asarray(1.0))
+    assert [float(bound) for bound in time_span] == [2.0, 7.0]
     time = (1 + np.arange(1200)) * 0.01
     courses = {
         "ramp": np.interp(time, [2.0, 5.0], [0.1, 0.3]),
@@ -158,7 +158,7 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
 
     def tick(time, speed):
         return transitions.integrals(
-            within, time, 0.01, jnp.where(time > 7.0, 9.0, 0.06), 3.0, speed
+            time_span, time, 0.01, jnp.where(time > 7.0, 9.0, 0.06), 3.0, speed
         )
 
     ticks = jax.vmap(jax.vmap(tick), (None, 0))(jnp.asarray(time), speed)
@@ -178,13 +178,14 @@ def test_a_run_with_a_schedule_has_the_metrics_of_its_transition():
     )
     assert set(result.metrics) == set(all_metrics(setup))
     # From the recorded way, which is straight: 1.25 s before, 2.5 s of transition, 2.5 s after.
-    way = -result.trace.sensors["position"][0, :, 1]
-    before, during, after = (
-        way[end - 1] - way[begin - 1] for begin, end in ((75, 200), (200, 450), (450, 700))
+    distance = -result.trace.sensors["position"][0, :, 1]
+    first_distance, during, last_distance = (
+        distance[end - 1] - distance[begin - 1]
+        for begin, end in ((75, 200), (200, 450), (450, 700))
     )
-    late = (after - during) / (after / 2.5 - before / 1.25)
-    assert 0.3 < late < 2.5
-    assert result.metrics["transition_time"][0] == pytest.approx(late, rel=0.03)
+    delay = (last_distance - during) / (last_distance / 2.5 - first_distance / 1.25)
+    assert 0.3 < delay < 2.5
+    assert result.metrics["transition_time"][0] == pytest.approx(delay, rel=0.03)
     ticks = slice(round(100 * AT) - 1, round(100 * (AT + 2 / FREQUENCY)))
     roll = np.abs(
         np.asarray(jax.vmap(attitude)(result.trace.sensors["orientation"][0, ticks]))[:, 0]
@@ -254,8 +255,8 @@ def test_a_sweep_varies_when_a_switch_begins(tmp_path):
     path.write_text(FILE)
     sweep = Sweep.from_file(path)
     assert set(sweep.varied) == {"schedule.at.1", "spine.amplitude"}
-    written = sweep.resolved()["schedule"]
-    assert written == [
+    resolved = sweep.resolved()["schedule"]
+    assert resolved == [
         {"at": 1.5, "blend": 1.0, "gait": "lateral_walk", "spine": "stride_extension"},
         {"at": 4.0, "blend": 2.0, "set": {"stride": 0.8}},
     ]
@@ -281,6 +282,6 @@ def test_the_phase_of_a_limb_goes_the_shorter_way_around_the_cycle():
         (9.0, 0.3, 0.4),
     ):
         values = now(time)
-        apart = (values["offset.front_left"] - offset + 0.5) % 1.0 - 0.5
-        assert apart == pytest.approx(0.0, abs=1e-6), time
+        phase_error = (values["offset.front_left"] - offset + 0.5) % 1.0 - 0.5
+        assert phase_error == pytest.approx(0.0, abs=1e-6), time
         assert values["stride"] == pytest.approx(stride, abs=1e-6), time

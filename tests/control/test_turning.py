@@ -241,6 +241,6 @@ def test_the_turn_rates_derivatives_are_those_of_differences(steering, radius):
         params = jax.tree.map(np.float64, control_parameters(steering=steering))
         slopes, step = slopes_of_turn_rate(params, radius, 0.4), 1e-6
         far, near = (turn_rate(params, radius * (1 + change), 0.4) for change in (step, -step))
-        larger, less = (turn_rate(params, radius, 0.4 + change) for change in (step, -step))
-        by_radius, by_servo = (far - near) / (2 * step * radius), (larger - less) / (2 * step)
+        larger, smaller = (turn_rate(params, radius, 0.4 + change) for change in (step, -step))
+        by_radius, by_servo = (far - near) / (2 * step * radius), (larger - smaller) / (2 * step)
     np.testing.assert_allclose(slopes, [by_radius, by_servo], rtol=1e-5, atol=1e-9)

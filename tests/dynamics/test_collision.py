@@ -112,16 +112,18 @@ def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
         turn = np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, np.array(axis, float), np.deg2rad(angle))
         turns.append(turn)
-    ways = [np.array(way) for way in ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.1, 0.2, 0.97])]
+    directions = [
+        np.array(direction) for direction in ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.1, 0.2, 0.97])
+    ]
     if model.geom_type[0] not in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
-        ways += [np.array(way) for way in ([1.0, 0.0, 0.0], [0.0, -1.0, 0.0])]
-    todo = [(turn, way) for turn in turns for way in ways]
+        directions += [np.array(direction) for direction in ([1.0, 0.0, 0.0], [0.0, -1.0, 0.0])]
+    todo = [(turn, direction) for turn in turns for direction in directions]
     todo += [
         (rng.normal(size=4), np.abs(rng.normal(size=3)) + np.array([0.0, 0.0, 0.3]))
         for _ in range(20)
     ]
-    for turn, way in todo:
-        unit, turn = way / np.linalg.norm(way), turn / np.linalg.norm(turn)
+    for turn, direction in todo:
+        unit, turn = direction / np.linalg.norm(direction), turn / np.linalg.norm(turn)
         near, far = 0.0, 1.0
         for _ in range(45):
             middle = 0.5 * (near + far)

@@ -61,22 +61,22 @@ def unread() -> set[str]:
         }
 
     has = {field.name for field in mjx.Model.fields()}
-    read = {name for name in has if re.search(rf"\b{name}\b", text)}
+    named_fields = {name for name in has if re.search(rf"\b{name}\b", text)}
     options = {field.name for field in mjx.Option.fields()}
-    read |= {f"opt.{name}" for name in options} | {
+    named_fields |= {f"opt.{name}" for name in options} | {
         "opt.o_margin",
         "opt.o_solref",
         "opt.o_solimp",
         "opt.o_friction",
     }
     every = fields(mujoco.MjModel) | {f"opt.{name}" for name in fields(mujoco.MjOption)}
-    return every - read - {"opt.sdf_initpoints"}
+    return every - named_fields - {"opt.sdf_initpoints"}
 
 
 def test_no_field_of_mujoco_is_forgotten() -> None:
     """A new MuJoCo with a new field fails here: implement it, refuse it, or say why it has no effect."""
-    known_fields = re.compile("|".join(re.sub(r"\s+", "", pattern) for pattern in KNOWN.values()))
-    assert sorted(name for name in unread() if not known_fields.fullmatch(name)) == []
+    known_patterns = re.compile("|".join(re.sub(r"\s+", "", pattern) for pattern in KNOWN.values()))
+    assert sorted(name for name in unread() if not known_patterns.fullmatch(name)) == []
 
 
 def test_every_flag_of_mujoco_is_known() -> None:
@@ -104,9 +104,9 @@ HINGE = '<body name="b"><joint name="j" axis="0 1 0"/><geom name="g" size=".05" 
 BALL = '<geom name="f" type="plane" size="1 1 .1"/><body pos="0 0 .1"><freejoint/><geom name="g" size=".1" {}/></body>'
 
 
-def model_of(inside: str, rest: str = "", option: str = "") -> mujoco.MjModel:
+def model_of(inside: str, elements: str = "", option: str = "") -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(
-        f"<mujoco>{option}<worldbody>{inside}</worldbody>{rest}</mujoco>"
+        f"<mujoco>{option}<worldbody>{inside}</worldbody>{elements}</mujoco>"
     )
 
 
@@ -394,7 +394,7 @@ def test_animals_are_made_fit_for_mjx() -> None:
         assert not_simulated(ours) == []
     data = mujoco.MjData(ours)
     device = put_model(ours)
-    after = jax.jit(step)(device, make_data(device).replace(ctrl=jnp.full(ours.nu, 0.3)))
+    result = jax.jit(step)(device, make_data(device).replace(ctrl=jnp.full(ours.nu, 0.3)))
     data.ctrl[:] = 0.3
     mujoco.mj_step(ours, data)
-    np.testing.assert_allclose(after.qvel, data.qvel, atol=1e-5)
+    np.testing.assert_allclose(result.qvel, data.qvel, atol=1e-5)

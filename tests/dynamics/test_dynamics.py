@@ -210,7 +210,7 @@ def test_the_check_finds_a_derivative_that_is_cut(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(
         differentiable,
         "_solution",
-        lambda *arguments, **how: jax.lax.stop_gradient(cut(*arguments, **how)),
+        lambda *arguments, **keywords: jax.lax.stop_gradient(cut(*arguments, **keywords)),
     )
     result = checking.check_gradient(model, data, steps=2, options=options)
     assert result.is_finite

@@ -99,9 +99,9 @@ def test_one_setup_serves_programs_in_32_and_in_64_bits():
             .hip
         )
 
-    used = Setup()
-    trace = jax.jit(lambda phase: servos(used, phase)).trace(0.1)
+    shared_setup = Setup()
+    trace = jax.jit(lambda phase: servos(shared_setup, phase)).trace(0.1)
     with jax.enable_x64(True):
-        np.testing.assert_array_equal(servos(used, 0.1), servos(Setup(), 0.1))
-        assert servos(used, 0.1).dtype == np.float64
+        np.testing.assert_array_equal(servos(shared_setup, 0.1), servos(Setup(), 0.1))
+        assert servos(shared_setup, 0.1).dtype == np.float64
     assert trace.jaxpr.out_avals[0].dtype == np.float32

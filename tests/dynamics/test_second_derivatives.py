@@ -48,7 +48,7 @@ WAYS: dict[str, Callable[[Callable[[Any], Any]], Callable[[Any], Any]]] = {
 def errors(
     f: Callable[[Any], Any],
     point: np.ndarray,
-    ways: tuple[str, ...] = tuple(WAYS),
+    modes: tuple[str, ...] = tuple(WAYS),
     width: float = 1e-5,
 ) -> dict[str, float]:
     """Of second derivatives of f in float64, against differences of its gradient, as a share of the largest; and by
@@ -69,17 +69,15 @@ def errors(
         slope = np.asarray(slopes(point))
         scale = np.abs(expected).max()
         deviations = {}
-        for way in ways:
-            direction = np.asarray(
-                jax.jit(WAYS[way](f), compiler_options=compiler_options())(point)
-            )
+        for mode in modes:
+            result = np.asarray(jax.jit(WAYS[mode](f), compiler_options=compiler_options())(point))
             expected_part = (
-                expected if direction.ndim == 2 else expected @ slope / np.linalg.norm(slope)
+                expected if result.ndim == 2 else expected @ slope / np.linalg.norm(slope)
             )
-            deviations[way] = float(np.abs(direction - expected_part).max() / scale)
-            if direction.ndim == 2:
-                deviations[f"{way}, not symmetric"] = float(
-                    np.abs(direction - direction.T).max() / scale
+            deviations[mode] = float(np.abs(result - expected_part).max() / scale)
+            if result.ndim == 2:
+                deviations[f"{mode}, not symmetric"] = float(
+                    np.abs(result - result.T).max() / scale
                 )
     assert scale > 1e-6
     return deviations
@@ -101,20 +99,22 @@ def _problems() -> tuple[Layout, Callable[[Any], ConstraintProblem]]:
         np.random.default_rng(3),
     )
     lower = random.normal(size=(SIZE, SIZE))
-    among = (np.arange(rows) >= EQUALITY) & (np.arange(rows) < EQUALITY + DRY)
+    is_friction = (np.arange(rows) >= EQUALITY) & (np.arange(rows) < EQUALITY + DRY)
     first = ConstraintProblem(
         lower @ lower.T + np.eye(SIZE),
         random.normal(size=SIZE),
         random.normal(size=(rows, SIZE)),
         random.normal(size=rows),
         random.uniform(0.5, 20.0, rows),
-        np.where(among, random.uniform(0.2, 2.0, rows), 0.0),
+        np.where(is_friction, random.uniform(0.2, 2.0, rows), 0.0),
         random.uniform(0.3, 1.5, (sum(count for _, count in CONES), 6)),
     )
-    ways = jax.tree.map(lambda leaf: random.normal(size=(NUMBERS, *leaf.shape)), first)
+    directions = jax.tree.map(lambda leaf: random.normal(size=(NUMBERS, *leaf.shape)), first)
 
     def problem(numbers: Any) -> ConstraintProblem:
-        changes = jax.tree.map(lambda way: jnp.tensordot(0.1 * jnp.sin(numbers), way, 1), ways)
+        changes = jax.tree.map(
+            lambda direction: jnp.tensordot(0.1 * jnp.sin(numbers), direction, 1), directions
+        )
         turned = changes.inertia @ changes.inertia.T
         changed = jax.tree.map(lambda leaf, change: leaf * jnp.exp(change), first, changes)
         return changed._replace(
@@ -251,7 +251,7 @@ def test_second_derivatives_of_a_step(name: str) -> None:
     """By positions and velocities along some directions."""
     model = mujoco.MjModel.from_xml_string(f"<mujoco>{MODELS[name]}</mujoco>")
     random = np.random.default_rng(0)
-    moved, pushed = random.normal(size=(2, 4, model.nv))
+    shifts, pushed = random.normal(size=(2, 4, model.nv))
     with jax.enable_x64(True):
         device = put_model(model)
         data = make_data(device)
@@ -259,10 +259,10 @@ def test_second_derivatives_of_a_step(name: str) -> None:
         def value(numbers: Any) -> Any:
             velocity = jnp.asarray(pushed[0]) + numbers @ pushed
             start = data.replace(
-                qpos=positions(device, data.qpos, 1e-2 * (numbers @ moved)), qvel=velocity
+                qpos=positions(device, data.qpos, 1e-2 * (numbers @ shifts)), qvel=velocity
             )
-            after = step(device, start)
-            return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
+            end = step(device, start)
+            return jnp.sum(jnp.sin(end.qvel)) + jnp.sum(end.qpos)
 
         deviations = errors(value, np.array([0.02, -0.03, 0.01, 0.03]), ("jacfwd(jacrev)",), 1e-5)
     assert max(deviations.values()) < 1e-5, deviations
@@ -278,19 +278,19 @@ def test_second_derivatives_of_several_steps() -> None:
 
         def place(pushed: Any) -> Any:
             start = data.replace(qvel=data.qvel.at[: len(pushed)].set(pushed))
-            after = jax.lax.scan(
-                lambda state, _: (step(device, state), None), start, None, length=5
-            )[0]
-            return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
+            end = jax.lax.scan(lambda state, _: (step(device, state), None), start, None, length=5)[
+                0
+            ]
+            return jnp.sum(jnp.sin(end.qvel)) + jnp.sum(end.qpos)
 
         deviations = errors(place, np.array([0.3, -0.2]), ("jacfwd(jacrev)",))
     assert max(deviations.values()) < 1e-6, deviations
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("mode", WAYS)
 @pytest.mark.parametrize("looped", [False, True])
-def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: bool) -> None:
+def test_a_derivative_of_ones_own_holds_in_loops_and_batches(mode: str, looped: bool) -> None:
     """A square root that is known from elsewhere, against the square root."""
     root = own_derivative("root", lambda _, value, arguments, changes: changes[0] / (2.0 * value))
 
@@ -312,7 +312,7 @@ def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: b
 
     points = jnp.array([0.3, 2.0, 5.0])
     result, expected = (
-        jax.jit(WAYS[way](functools.partial(roots, is_custom=custom_derivative)))(points)
+        jax.jit(WAYS[mode](functools.partial(roots, is_custom=custom_derivative)))(points)
         for custom_derivative in (True, False)
     )
     np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-7)

@@ -211,12 +211,12 @@ def test_a_world_without_numbers_leaves_the_others_alone() -> None:
     """It takes one round and not all, and the solution beside it is the same to the last bit."""
     layout, problem, warm, _ = problems("elliptic")
     problem, warm = jax.tree.map(lambda leaf: leaf[:4].copy(), (problem, warm))
-    whole, _ = solve(layout, problem, warm, np.float32)
+    reference, _ = solve(layout, problem, warm, np.float32)
     problem.smooth[1] = np.nan
-    broken, rounds = solve(layout, problem, warm, np.float32)
+    disturbed, rounds = solve(layout, problem, warm, np.float32)
     others = [0, 2, 3]
-    np.testing.assert_array_equal(broken[others], whole[others])
-    assert np.isnan(broken[1]).all()
+    np.testing.assert_array_equal(disturbed[others], reference[others])
+    assert np.isnan(disturbed[1]).all()
     assert rounds[1] == 1
 
 

@@ -120,10 +120,10 @@ def test_a_field_that_was_zero_has_its_derivative() -> None:
             changed = device.tree_replace(fields)
 
             def advance(state: Any, _: None) -> Any:
-                after = step(
+                new_data = step(
                     changed, start.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2])
                 )
-                return (after.qpos, after.qvel, after.qacc_warmstart), None
+                return (new_data.qpos, new_data.qvel, new_data.qacc_warmstart), None
 
             state = start.qpos, start.qvel, start.qacc_warmstart
             velocity = jax.lax.scan(advance, state, None, length=2)[0][1]
@@ -158,8 +158,12 @@ def test_the_solver_is_quick_at_rest(cone: str, double: bool) -> None:
         data = make_data(model)
 
         def advance(state: Any, _: None) -> Any:
-            after = step(model, data.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2]))
-            return (after.qpos, after.qvel, after.qacc_warmstart), rows.inner(after).solver_niter
+            new_data = step(
+                model, data.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2])
+            )
+            return (new_data.qpos, new_data.qvel, new_data.qacc_warmstart), rows.inner(
+                new_data
+            ).solver_niter
 
         start = data.qpos, data.qvel, data.qacc_warmstart
         run = jax.jit(

@@ -57,10 +57,10 @@ def _compared(double: bool, states: np.ndarray = STATES) -> tuple[np.ndarray, An
         blank = make_data(device)
 
         def one(state: Any) -> Any:
-            after, verdict = step_with_verdict(
+            new_data, verdict = step_with_verdict(
                 device, blank.replace(qpos=state[: model.nq], qvel=state[model.nq :])
             )
-            return after.qvel, verdict
+            return new_data.qvel, verdict
 
         result, verdicts = jax.jit(jax.vmap(one), compiler_options=compiler_options())(
             jnp.asarray(states)
@@ -104,7 +104,7 @@ TWO = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .04
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    ("way", "joint"),
+    ("mode", "joint"),
     [
         ("closed over", ""),
         ("an argument", ""),
@@ -112,12 +112,12 @@ TWO = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .04
         ("randomized", 'frictionloss=".1" range="-10 10"'),
     ],
 )
-def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
+def test_results_pass_through_mjxs_functions(mode: str, joint: str) -> None:
     """`get_data`, `put_data` of it, a further step, kinematics and a picture's scene, with contacts that are C's."""
     model = mujoco.MjModel.from_xml_string(TWO.format(joint))
     device = put_model(model)
     start = make_data(device)
-    if way == "randomized":
+    if mode == "randomized":
         axes = jax.tree.map(lambda _: None, device).tree_replace(
             {"dof_frictionloss": 0, "body_mass": 0}
         )
@@ -136,7 +136,7 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
         after = jax.tree.map(lambda leaf: leaf[0], after)
     else:
         advance = (
-            jax.jit(step) if way == "an argument" else jax.jit(lambda _, data: step(device, data))
+            jax.jit(step) if mode == "an argument" else jax.jit(lambda _, data: step(device, data))
         )
         after = advance(device, advance(device, start))
         got = mjx.get_data(model, after)
@@ -153,8 +153,10 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
     reference = mujoco.MjData(model)
     reference.qpos[:], reference.qvel[:] = got.qpos, got.qvel
     mujoco.mj_forward(model, reference)
-    again = put_data(model, reference)
-    assert _shapes(again) == _shapes(after)
+    reference_data = put_data(model, reference)
+    assert _shapes(reference_data) == _shapes(after)
     assert np.isfinite(
-        advance(*((batched_models, batch) if way == "randomized" else (device, again))).qpos
+        advance(
+            *((batched_models, batch) if mode == "randomized" else (device, reference_data))
+        ).qpos
     ).all()

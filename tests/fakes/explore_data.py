@@ -62,8 +62,8 @@ def table(columns: dict[str, tuple[object, dict[str, str]]], **metadata: str) ->
     """A table of columns with metadata; name -> (values, metadata)."""
     arrays = {name: pa.array(values) for name, (values, _) in columns.items()}
     fields = [
-        pa.field(name, arrays[name].type, metadata=metadata)
-        for name, (_, metadata) in columns.items()
+        pa.field(name, arrays[name].type, metadata=field_metadata)
+        for name, (_, field_metadata) in columns.items()
     ]
     return pa.table(arrays, schema=pa.schema(fields, metadata=metadata))
 

@@ -88,9 +88,9 @@ class PointMass:
         terminated, tick = jnp.abs(position).max(axis=-1) > LIMIT, state.tick + 1
         truncated = (tick >= EPISODE) & ~terminated
         final = self._sensed(body)
-        key, left = jax.random.split(jax.random.wrap_key_data(state.key))
-        ended = terminated | truncated
-        body = jnp.where(ended[:, None], self._drawn(key), body)
+        key, next_key = jax.random.split(jax.random.wrap_key_data(state.key))
+        is_end = terminated | truncated
+        body = jnp.where(is_end[:, None], self._drawn(key), body)
         observation, privileged = self._sensed(body)
         reward = self.step_seconds * (terms["near"] + terms["push"]) - 5.0 * terminated
         return State(
@@ -102,8 +102,8 @@ class PointMass:
             truncated,
             *final,
             body,
-            jnp.where(ended, 0, tick),
-            jax.random.key_data(left),
+            jnp.where(is_end, 0, tick),
+            jax.random.key_data(next_key),
         )
 
     def _drawn(self, key: Any) -> Any:

@@ -31,7 +31,7 @@ def write_log(
     seconds: float = 6.0,
     rate: float = 100.0,
     delay: float = 0.0,
-    late: dict[str, float] | None = None,
+    delays: dict[str, float] | None = None,
     noise: float = 0.002,
     lost: float = 0.0,
     quantum: float = 0.0,
@@ -53,19 +53,19 @@ def write_log(
         for sensor_name in ("gyro", "accelerometer")
     }
     every, rows = round(1 / rate / model.opt.timestep), []
-    history = {sensor_name: [] for sensor_name in names}
+    history = {servo: [] for servo in names}
     data.ctrl[:] = commanded(0.0, model)
     mujoco.mj_step(model, data, nstep=1000)  # it comes to rest on its feet
     for step in range(round(seconds / model.opt.timestep)):
         now = step * model.opt.timestep
         data.ctrl[:] = commanded(max(0.0, now - delay), model)
-        for sensor_name, joint in zip(names, joints, strict=True):
-            history[sensor_name].append(data.qpos[joint])
+        for servo, joint in zip(names, joints, strict=True):
+            history[servo].append(data.qpos[joint])
         if step % every == 0:
             angles = []
-            for sensor_name in names:
-                back = round((late or {}).get(sensor_name, 0.0) / model.opt.timestep)
-                angles.append(history[sensor_name][max(0, len(history[sensor_name]) - 1 - back)])
+            for servo in names:
+                back = round((delays or {}).get(servo, 0.0) / model.opt.timestep)
+                angles.append(history[servo][max(0, len(history[servo]) - 1 - back)])
             angles = np.array(angles) + noise * random.standard_normal(model.nu)
             angles = np.round(angles / quantum) * quantum if quantum else angles
             gyro, felt = (data.sensordata[address : address + 3] for address in places.values())
@@ -91,8 +91,8 @@ def write_log(
         mujoco.mj_step(model, data)
     columns = [
         "t_ms",
-        *(f"cmd_{sensor_name}" for sensor_name in names),
-        *(f"pos_{sensor_name}" for sensor_name in names),
+        *(f"cmd_{servo}" for servo in names),
+        *(f"pos_{servo}" for servo in names),
     ]
     columns += ["gx", "gy", "gz", "ax", "ay", "az", "x", "y", "heading"]
     csv = folder / f"{name}.csv"

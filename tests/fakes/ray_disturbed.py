@@ -101,7 +101,7 @@ def disturbed(options, out, log):
         [],
     )
     told(log, "driver")
-    driver, looked, draw = started(options, cluster.address), time.monotonic(), random.Random(0)
+    driver, last_look, draw = started(options, cluster.address), time.monotonic(), random.Random(0)
     kill_driver = options.kill_driver
     try:
         while driver.poll() is None:
@@ -120,8 +120,8 @@ def disturbed(options, out, log):
                 driver.wait()
                 told(log, "driver")
                 driver = started(options, cluster.address)
-            if chunks and time.monotonic() - looked > options.every:
-                looked = time.monotonic()
+            if chunks and time.monotonic() - last_look > options.every:
+                last_look = time.monotonic()
                 node = others.pop(draw.randrange(len(others)))
                 told(log, "killed", node.node_id)
                 cluster.remove_node(node, allow_graceful=False)
@@ -139,21 +139,21 @@ def account(log):
     A beginning that was not its chunk's last is explained if its node was killed, or its driver, and it was the last
     one of its process, or the last but one, whose result was on its way.
     """
-    killed, drivers, ended, by_chunk, by_process = set(), 0, 0, {}, {}
-    for what, *entries in map(json.loads, log.read_text().splitlines()):
-        drivers, ended = drivers + (what == "driver"), ended + (what == "ended")
-        if what == "killed":
+    killed, drivers, ended_count, by_chunk, by_process = set(), 0, 0, {}, {}
+    for event, *entries in map(json.loads, log.read_text().splitlines()):
+        drivers, ended_count = drivers + (event == "driver"), ended_count + (event == "ended")
+        if event == "killed":
             killed.add(entries[0])
-        if what == "begun":
+        if event == "begun":
             node, process, chunk = entries
             by_chunk.setdefault(chunk, []).append((drivers, node, process))
             by_process.setdefault((drivers, node, process), []).append(chunk)
-    again = [
+    repeated = [
         (chunk, process_id) for chunk, several in by_chunk.items() for process_id in several[:-1]
     ]
     unexplained = [
         chunk
-        for chunk, process_id in again
+        for chunk, process_id in repeated
         if not (process_id[1] in killed or process_id[0] < drivers)
         or chunk not in by_process[process_id][-2:]
     ]
@@ -161,8 +161,8 @@ def account(log):
         "nodes_killed": len(killed),
         "drivers_lost": drivers - 1,
         "chunks": len(by_chunk),
-        "ended": ended,
-        "in_flight": len(again),
+        "ended": ended_count,
+        "in_flight": len(repeated),
         "unexplained": len(unexplained),
         "processes": len(by_process),
     }
@@ -197,11 +197,11 @@ def main():
     from nermo_mjx.sweep import read_table
 
     log, began = Path(f"{out}.log"), time.monotonic()
-    alone = started(options, "alone").wait()
+    exit_code = started(options, "alone").wait()
     between = time.monotonic()
     disturbed(options, out, log)
     report = {
-        "same": not alone and same(read_table(reference), read_table(out)),
+        "same": not exit_code and same(read_table(reference), read_table(out)),
         "rows": options.rows,
         **account(log),
         "one_process_s": round(between - began, 1),

@@ -65,7 +65,7 @@ def nodes(out):
     from nermo_mjx.optimize import Tuning, run_tuning
     from nermo_mjx.sweep import run_sweep
 
-    tuning, killed, ended = Tuning.from_dict(STARTS), [], {}
+    tuning, killed, reports = Tuning.from_dict(STARTS), [], {}
     with cluster_of(2) as (cluster, others):
 
         def swept(progress):
@@ -92,7 +92,7 @@ def nodes(out):
                 simulator=simulator,
                 watch=Watch(swept),
             )
-        ended["sweep"] = {
+        reports["sweep"] = {
             "complete": result.complete,
             "said": messages,
             "chunks_run": result.chunks_run,
@@ -103,11 +103,11 @@ def nodes(out):
             result = run_tuning(
                 tuning, f"{out}/tuning", problem=problem, workers=workers, watch=Watch(tuned)
             )
-        ended["tuning"] = {"said": messages, "iterations": result.iterations_run}
+        reports["tuning"] = {"said": messages, "iterations": result.iterations_run}
         command = f"sweep {out}/sweep.yaml --out {out}/command --engine c --workers ray --json --ray-address"
         result = CliRunner().invoke(main, [*command.split(), cluster.address])
-        ended["command"] = json.loads(result.stdout) if result.exit_code == 0 else result.stderr
-    print(json.dumps(ended))
+        reports["command"] = json.loads(result.stdout) if result.exit_code == 0 else result.stderr
+    print(json.dumps(reports))
 
 
 def real(out):
@@ -115,13 +115,13 @@ def real(out):
     from nermo_mjx.experiments import run
 
     run.AT_ONCE = 1
-    done, names = [], ["balance", "body"]
+    finished, names = [], ["balance", "body"]
     with cluster_of(1) as (cluster, _), ray_workers.RayWorkers(cluster.address) as workers:
-        watch = Watch(lambda now: done.append(now.what))
-        how = {"engine": "c", "quick": True, "bodies": 3, "workers": workers, "watch": watch}
-        result = run.run_experiments(names, f"{out}/experiments", **how)
-    named = [run_result.name for run_result in result.results]
-    print(json.dumps({"names": named, "done": sorted(set(done))}))
+        watch = Watch(lambda now: finished.append(now.what))
+        options = {"engine": "c", "quick": True, "bodies": 3, "workers": workers, "watch": watch}
+        result = run.run_experiments(names, f"{out}/experiments", **options)
+    result_names = [run_result.name for run_result in result.results]
+    print(json.dumps({"names": result_names, "done": sorted(set(finished))}))
 
 
 def driver(out, log):
@@ -142,11 +142,11 @@ class Doubling:
         self.flaw, self.home = flaw, os.getpid()
 
     def stamp(self):
-        here = stamp("numbers", "c")
+        local_stamp = stamp("numbers", "c")
         return (
-            dataclasses.replace(here, package="9.9.9")
+            dataclasses.replace(local_stamp, package="9.9.9")
             if self.flaw == "code" and os.getpid() != self.home
-            else here
+            else local_stamp
         )
 
     def warm(self):
@@ -178,18 +178,18 @@ def listening():
 
 def tasks():
     """Results of tasks, by the flaw of their computer."""
-    ended, messages = {}, []
+    outcomes, messages = {}, []
     with ray_workers.RayWorkers(say=messages.append) as workers:
         for flaw in (None, 3, "dies", "code", "cold"):
             workers.begin(Doubling(flaw))
             try:
-                ended[str(flaw)] = dict(workers.results(((k, k) for k in range(6)), print))
+                outcomes[str(flaw)] = dict(workers.results(((k, k) for k in range(6)), print))
             except TaskFailed as error:
-                ended[str(flaw)] = f"{error.key}: {error.__cause__!r}"
+                outcomes[str(flaw)] = f"{error.key}: {error.__cause__!r}"
             except WorkersLost as error:
-                ended[str(flaw)] = str(error)
+                outcomes[str(flaw)] = str(error)
         addresses = listening()
-    print(json.dumps({"ended": ended, "said": messages, "addresses": sorted(addresses)}))
+    print(json.dumps({"ended": outcomes, "said": messages, "addresses": sorted(addresses)}))
 
 
 if __name__ == "__main__":

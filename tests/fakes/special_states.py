@@ -428,15 +428,17 @@ def compiled(cases: Sequence[Case]) -> mujoco.MjModel:
         model = mujoco.MjModel.from_xml_string(_xml(cases[0].option, cases[0].body))
     else:
         assert len({case.option for case in cases}) == 1
-        whole = mujoco.MjSpec.from_string(_xml(cases[0].option))
+        combined_spec = mujoco.MjSpec.from_string(_xml(cases[0].option))
         for index, case in enumerate(cases):
-            alone = compiled([case])
-            data = mujoco.MjData(alone)
-            mujoco.mj_forward(alone, data)
+            single_model = compiled([case])
+            data = mujoco.MjData(single_model)
+            mujoco.mj_forward(single_model, data)
             assert data.ncon == 0
             part = mujoco.MjSpec.from_string(_xml(case.option, case.body))
-            whole.attach(part, prefix=f"{index}_", frame=whole.worldbody.add_frame())
-        model = whole.compile()
+            combined_spec.attach(
+                part, prefix=f"{index}_", frame=combined_spec.worldbody.add_frame()
+            )
+        model = combined_spec.compile()
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     model.opt.iterations, model.opt.tolerance, model.opt.ls_tolerance = 200, 0, 1e-10
     model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-13, 1000
@@ -448,8 +450,8 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
     model, steps = compiled(cases), max(case.steps for case in cases)
     starts, owners, state_owners = [], [], []
     for index, case in enumerate(cases):
-        alone = compiled([case])
-        data = mujoco.MjData(alone)
+        single_model = compiled([case])
+        data = mujoco.MjData(single_model)
         starts.append(
             [
                 np.array(getattr(data, name) if arrays is None else arrays, float)
@@ -461,8 +463,15 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
                 )
             ]
         )
-        owners.append([np.full(n, index) for n in (alone.nv, alone.nv, alone.na, alone.nu)])
-        state_owners.append([np.full(n, index) for n in (alone.nq, alone.nv, alone.na)])
+        owners.append(
+            [
+                np.full(n, index)
+                for n in (single_model.nv, single_model.nv, single_model.na, single_model.nu)
+            ]
+        )
+        state_owners.append(
+            [np.full(n, index) for n in (single_model.nq, single_model.nv, single_model.na)]
+        )
     start = [np.concatenate(parts) for parts in zip(*starts, strict=True)]
     owner, state_owner = (
         np.concatenate([np.concatenate(parts) for parts in zip(*parts, strict=True)])
@@ -490,11 +499,11 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
             dq, dv, da, du = jnp.split(point, cuts)
 
             def advance(state: Any, _: None) -> Any:
-                after = step(
+                new_data = step(
                     device,
                     blank.replace(qpos=state[0], qvel=state[1], act=state[2], ctrl=start[3] + du),
                 )
-                return (after.qpos, after.qvel, after.act), None
+                return (new_data.qpos, new_data.qvel, new_data.act), None
 
             first = positions(device, jnp.asarray(start[0]), dq), start[1] + dv, start[2] + da
             return jnp.concatenate(jax.lax.scan(advance, first, None, length=steps)[0])
@@ -504,31 +513,35 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
             compiler_options=compiler_options(),
         )
         (_, end), slopes = values_and_slopes(np.zeros(size))
-    end, slopes, here = np.asarray(end), np.asarray(slopes), in_c(np.zeros(size))
+    end, slopes, reference = np.asarray(end), np.asarray(slopes), in_c(np.zeros(size))
     value = max(
-        np.abs(end - here)[among].max() / max(1.0, np.abs(here[among]).max())
-        for among in (state_owner == index for index in range(len(cases)))
+        np.abs(end - reference)[is_of_case].max() / max(1.0, np.abs(reference[is_of_case]).max())
+        for is_of_case in (state_owner == index for index in range(len(cases)))
     )
     # Differences to both sides, at two widths.
     sides = np.array(
         [
             [
-                [weights @ (in_c(sign * h * parts) - here) / (sign * h) for parts in np.eye(size)]
+                [
+                    weights @ (in_c(sign * h * direction) - reference) / (sign * h)
+                    for direction in np.eye(size)
+                ]
                 for h in (width, width / 4)
             ]
             for sign in (1, -1)
         ]
     )
     middle = sides[:, 0].mean(axis=0)
-    scale = np.array([max(1.0, np.abs(middle[owner == index]).max()) for index in owner])
+    scale = np.array([max(1.0, np.abs(middle[owner == case_index]).max()) for case_index in owner])
     error = np.abs(slopes - middle) / scale
     converged = np.abs(sides[:, 0] - sides[:, 1]) < 1e-2 * np.maximum(1.0, np.abs(sides[:, 0]))
     jump = ~converged.any(axis=0)
     # At a kink: the derivative of one side, or between both.
     beyond = np.maximum(np.minimum(*sides[:, 0]) - slopes, slopes - np.maximum(*sides[:, 0]))
-    apart = np.where(converged, np.abs(slopes - sides[:, 0]), np.inf).min(axis=0)
+    difference = np.where(converged, np.abs(slopes - sides[:, 0]), np.inf).min(axis=0)
     settled = (
-        np.minimum(apart, np.where(converged.all(axis=0), np.maximum(beyond, 0.0), np.inf)) / scale
+        np.minimum(difference, np.where(converged.all(axis=0), np.maximum(beyond, 0.0), np.inf))
+        / scale
     )
     kink = ~jump & (error > 1e-4) & (settled < 1e-4)
     error = np.where(jump, 0.0, np.where(kink, settled, error))

@@ -75,8 +75,8 @@ class FakeProblem:
         self.batches, self.compiled = [], 0
 
         def metrics(point):
-            apart = {"trajectory_error": (point[0] - BEST[0]) ** 2} if tuning.recording else {}
-            return {"speed": speed(*point[:2]), "roll_std": 0.1 + 0.1 * point[0] ** 2} | apart
+            errors = {"trajectory_error": (point[0] - BEST[0]) ** 2} if tuning.recording else {}
+            return {"speed": speed(*point[:2]), "roll_std": 0.1 + 0.1 * point[0] ** 2} | errors
 
         def value(point):
             values_of_metrics = metrics(point)

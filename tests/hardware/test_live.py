@@ -66,7 +66,7 @@ def test_the_rigid_tail_is_given_what_is_missing() -> None:
 def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
     """Three cycles: each row at its time, and after the last one the first."""
     clock, packets = wires.Clock(), []
-    sent = send_table(
+    report = send_table(
         published,
         lambda angles, angles_of_packet: packets.append((clock.now - 100.0, angles_of_packet)),
         3 / 0.8,
@@ -74,7 +74,7 @@ def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
         wait=clock.wait,
     )
     rows = len(published.time)
-    assert (sent.messages, sent.skipped, len(packets)) == (3 * rows, 0, 3 * rows)
+    assert (report.messages, report.skipped, len(packets)) == (3 * rows, 0, 3 * rows)
     np.testing.assert_allclose(
         [time for time, _ in packets], np.arange(3 * rows) / published.rate, atol=1e-9
     )
@@ -86,14 +86,14 @@ def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
 def test_what_is_late_is_left_out(published) -> None:
     """After half a second in which nothing could be sent the gait is where it would be without."""
     clock, packets = wires.Clock(jump_at=0.5, jump=0.5), []
-    sent = send_table(
+    report = send_table(
         published,
         lambda angles, angles_of_packet: packets.append((clock.now - 100.0, angles_of_packet)),
         2.0,
         clock=clock,
         wait=clock.wait,
     )
-    assert sent.skipped == pytest.approx(0.5 * published.rate, abs=1)
+    assert report.skipped == pytest.approx(0.5 * published.rate, abs=1)
     for time, angles_of_packet in packets:
         row = int(time * published.rate + 1e-6)
         np.testing.assert_array_equal(angles_of_packet, published.given[row % len(published.time)])
@@ -120,15 +120,15 @@ def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
     listener.subscribe("q_values")
     assert listening.wait(10)
     with connected(f"mqtt://127.0.0.1:{broker}") as send:
-        sent = send_table(published, send, 0.5)
-    wires.until(lambda: len(payloads) >= sent.messages, 10.0)
+        report = send_table(published, send, 0.5)
+    wires.until(lambda: len(payloads) >= report.messages, 10.0)
     listener.disconnect()
     listener.loop_stop()
-    assert sent.messages + sent.skipped == int(np.ceil(0.5 * published.rate))
-    assert len(payloads) == sent.messages
-    if not sent.skipped:
+    assert report.messages + report.skipped == int(np.ceil(0.5 * published.rate))
+    assert len(payloads) == report.messages
+    if not report.skipped:
         assert [json.loads(payload) for payload in payloads] == published.given[
-            : sent.messages
+            : report.messages
         ].astype(int).tolist()
     assert payloads[0] == json.dumps(published.given[0].astype(int).tolist()).encode()
 
@@ -177,8 +177,8 @@ def test_nobody_there_is_a_sentence(url: str, sentence: str) -> None:
 
 def test_the_command_sends_and_says_how_it_went(broker) -> None:
     send = ("--send", f"mqtt://127.0.0.1:{broker}", "--seconds", "0.19")
-    sent = json_of("servos", "--channels", "published", *send)["sent"]
-    assert sent["messages"] + sent["skipped"] == 6
+    report = json_of("servos", "--channels", "published", *send)["sent"]
+    assert report["messages"] + report["skipped"] == 6
 
 
 class Broker(threading.Thread):
@@ -195,8 +195,8 @@ class Broker(threading.Thread):
         self.got = peer.recv(1024)
         peer.sendall(bytes([0x20, 2, 0, 0]))
         peer.settimeout(self.life)
-        gone = threading.Timer(self.life, lambda: peer.shutdown(socket.SHUT_RDWR))
-        gone.start()
+        timer = threading.Timer(self.life, lambda: peer.shutdown(socket.SHUT_RDWR))
+        timer.start()
         while peer.recv(4096):
             pass
         peer.close()
@@ -208,16 +208,16 @@ def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
     pytest.importorskip("paho.mqtt.client")
     broker = Broker(0.5)
     url = f"mqtt://us%40er:p%2Fss@127.0.0.1:{broker.port}"
-    done = run_command(["servos", "--channels", "published", "--seconds", "2", "--send", url])
-    assert done.returncode == 1, done.stderr
-    sent, lost = map(
+    process = run_command(["servos", "--channels", "published", "--seconds", "2", "--send", url])
+    assert process.returncode == 1, process.stderr
+    sent_count, lost_count = map(
         int,
         re.search(
-            r"broker is gone: (\d+) messages were sent, (\d+) were not", done.stderr
+            r"broker is gone: (\d+) messages were sent, (\d+) were not", process.stderr
         ).groups(),
     )
-    assert sent > 3
-    assert lost > 20
+    assert sent_count > 3
+    assert lost_count > 20
     assert b"us@er\x00\x04p/ss" in broker.got
 
 

@@ -40,13 +40,13 @@ def test_values_are_in_si_units_by_sign_and_zero(tmp_path):
             "channels": {"a": servo, "track": track, "n": count},
         },
     )
-    spine, marker, counted = log.channels
+    spine, marker, count_channel = log.channels
     assert (spine.quantity, spine.of, spine.unit) == ("command", "spine", "rad")
     np.testing.assert_allclose(spine.times, 0.01 * np.arange(5), atol=1e-12)
     np.testing.assert_allclose(spine.values, -np.radians(np.arange(5)), atol=1e-12)
     np.testing.assert_allclose(marker.values, 1e-3 * np.outer(np.arange(5), [1, 2]), atol=1e-12)
     assert (marker.of, marker.unit) == ("torso", "m")
-    np.testing.assert_allclose(counted.values, 0.005 * np.arange(5), atol=1e-12)
+    np.testing.assert_allclose(count_channel.values, 0.005 * np.arange(5), atol=1e-12)
     assert log.findings == ()
     assert log.duration == pytest.approx(0.04)
     assert log.channel("position") is marker
@@ -102,9 +102,9 @@ def test_forms_of_csv_and_parquet(tmp_path):
     np.testing.assert_allclose(log.channels[0].values, [1.5, 2.5, 4.5])
     table = tmp_path / "log.parquet"
     pq.write_table(pa.table({"t": [0.0, 0.1, 0.2, 0.3], "a": [1.5, 2.5, None, 4.5]}), table)
-    same = read_log(table, told(a=ANGLE))
-    np.testing.assert_array_equal(same.channels[0].times, log.channels[0].times)
-    np.testing.assert_array_equal(same.channels[0].values, log.channels[0].values)
+    parquet_log = read_log(table, told(a=ANGLE))
+    np.testing.assert_array_equal(parquet_log.channels[0].times, log.channels[0].times)
+    np.testing.assert_array_equal(parquet_log.channels[0].values, log.channels[0].values)
 
 
 ROWS = [(0.01 * i, 0.1 * (i % 7)) for i in range(60)]

@@ -187,8 +187,8 @@ def test_the_command_writes_the_table(tmp_path: Path) -> None:
     out = tmp_path / "new" / "gait.csv"
     words = f"servos --gait lateral_walk --frequency 0.5 --turn-rate 0.3 --rate 40 --cycles 2 --out {out} --json"
     command = [sys.executable, "-m", "nermo_mjx", *words.split()]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    report = json.loads(done.stdout)
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    report = json.loads(process.stdout)
     table = servo_table(
         Setup(gait="lateral_walk"), {"frequency": 0.5, "pilot.turn_rate": 0.3}, rate=40.0, cycles=2
     )
@@ -215,14 +215,14 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
     between = recorded_table(recording, setup.load(), rate=200.0)
     middle = 0.5 * (ticks.angles[:-1] + ticks.angles[1:])
     np.testing.assert_allclose(between.angles[1::2], middle, atol=1e-4)
-    sent, clock = [], iter(np.arange(10_000) * 0.001)
+    commands, clock = [], iter(np.arange(10_000) * 0.001)
     send_table(
         ticks,
-        lambda angles, channels: sent.append(angles),
+        lambda angles, channels: commands.append(angles),
         clock=lambda: next(clock),
         wait=lambda seconds: None,
     )
-    assert len(sent) == len(ticks.time)  # once, and not in a loop
+    assert len(commands) == len(ticks.time)  # once, and not in a loop
 
     path, out = tmp_path / "walk.npz", tmp_path / "walk.csv"
     recording.save(path)

@@ -27,8 +27,8 @@ def log_with(lag=0.012, seed=0, noise=0.003, quantum=0.0175, rate=100.0, **fault
     """Commands and angles of five servos, gyro and accelerometer; a fault is a function of a servo's angles."""
     random, times, channels = np.random.default_rng(seed), np.arange(0.0, 12.0, 1.0 / rate), []
     for k, servo in enumerate(SERVOS):
-        late = faults.get(f"late_{servo}", 0.0)
-        angles = sines(times - lag - late, k) + noise * random.standard_normal(len(times))
+        delay = faults.get(f"late_{servo}", 0.0)
+        angles = sines(times - lag - delay, k) + noise * random.standard_normal(len(times))
         angles = faults.get(servo, lambda values: values)(np.round(angles / quantum) * quantum)
         channels.append(Channel(f"cmd_{servo}", "command", servo, times, sines(times, k), "rad"))
         channels.append(Channel(f"pos_{servo}", "angle", servo, times, angles, "rad"))
@@ -169,13 +169,13 @@ def test_a_clock_that_drifts_is_found(drift):
         log, channels=(*log.channels, Channel("yaw", "yaw", "torso", turning.times, yaw, "rad"))
     )
     quantities = ("angle", "yaw")
-    moved = [
+    shifted = [
         dataclasses.replace(channel, times=channel.times * (1 + drift) + 1e-4)
         for channel in log.channels
     ]
     channels = [
         new if channel.quantity in quantities else channel
-        for channel, new in zip(log.channels, moved, strict=True)
+        for channel, new in zip(log.channels, shifted, strict=True)
     ]
     findings = [
         finding
@@ -191,8 +191,10 @@ def test_a_clock_that_drifts_is_found(drift):
         "yaw",
     ]
     assert scales == pytest.approx([1 / (1 + drift)] * 2, abs=0.004 / end)
-    late = [dataclasses.replace(each, times=each.times * (1 + drift)) for each in log.channels]
-    assert findings_of(dataclasses.replace(log, channels=tuple(late))) == ()
+    delayed = [
+        dataclasses.replace(channel, times=channel.times * (1 + drift)) for channel in log.channels
+    ]
+    assert findings_of(dataclasses.replace(log, channels=tuple(delayed))) == ()
 
 
 def test_a_track_is_compared_in_its_own_frame():
@@ -229,9 +231,14 @@ def test_a_track_is_compared_in_its_own_frame():
 def test_gaps_are_not_compared():
     times = np.concatenate([np.arange(0, 2, 0.01), np.arange(3, 5, 0.01)])
     full = Channel("a", "angle", "x", times, sines(times), "rad")
-    whole = np.arange(0, 5, 0.01)
+    full_times = np.arange(0, 5, 0.01)
     partial = Channel(
-        "a", "angle", "x", whole, np.where((whole > 2) & (whole < 3), 9.0, sines(whole)), "rad"
+        "a",
+        "angle",
+        "x",
+        full_times,
+        np.where((full_times > 2) & (full_times < 3), 9.0, sines(full_times)),
+        "rad",
     )
     assert channel_differences(Log((full,), ""), Log((partial,), ""))[0].rms < 1e-9
     assert channel_differences(Log((partial,), ""), Log((full,), ""))[0].rms < 1e-9
@@ -275,10 +282,10 @@ def test_two_rates_are_compared_at_the_coarser_stamps_in_either_order(rates) -> 
 def test_the_order_of_two_tracks_changes_signs_alone_in_either_order(rates, axes) -> None:
     """Noisy tracks with other stamps, frames and numbers of axes; the second one is 30 ms late."""
     random, channels = np.random.default_rng(4), list[Channel]()
-    for rate, number, late, turn in zip(rates, axes, (0.0, 0.03), (0.0, 0.7), strict=True):
+    for rate, number, delay, turn in zip(rates, axes, (0.0, 0.03), (0.0, 0.7), strict=True):
         count = round(4.0 * rate)
         times = np.sort((np.arange(count) + random.uniform(-0.2, 0.2, count)) / rate) + 1.0
-        phase = 3.0 * (times - late)
+        phase = 3.0 * (times - delay)
         track = np.stack([np.sin(phase), 0.5 * np.cos(1.7 * phase), 0.1 * np.sin(phase)], axis=-1)
         track[:, :2] @= np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         track += random.normal(0.0, 0.01, track.shape)

@@ -170,10 +170,12 @@ def test_mass_model_may_be_batched():
     batch = MassModel(
         0.1647 * scale, np.full(3, 0.1053), np.tile(FRONT_COM, (3, 1)), np.tile(REAR_COM, (3, 1))
     )
-    together = body.centre_of_mass(batch, 0.05, ROBOT)
+    batch_result = body.centre_of_mass(batch, 0.05, ROBOT)
     for i in range(3):
         single = MassModel(0.1647 * scale[i], 0.1053, np.array(FRONT_COM), np.array(REAR_COM))
-        np.testing.assert_allclose(together[i], body.centre_of_mass(single, 0.05, ROBOT), atol=1e-7)
+        np.testing.assert_allclose(
+            batch_result[i], body.centre_of_mass(single, 0.05, ROBOT), atol=1e-7
+        )
 
 
 def test_diagonal_distance_is_published_and_signed():

@@ -107,12 +107,12 @@ def test_without_an_action_the_published_controller_walks(environment):
 @pytest.mark.release
 def test_a_world_does_not_depend_on_the_others_nor_on_the_number_of_threads(states):
     """Bit for bit, over the beginning of a second episode."""
-    for few, many_worlds in zip(
+    for small_batch, many_worlds in zip(
         states, walked(Environment(SETUP, worlds=40, task=TASK, threads=2)), strict=True
     ):
-        np.testing.assert_array_equal(few.observation, many_worlds.observation[:3])
-        np.testing.assert_array_equal(few.privileged, many_worlds.privileged[:3])
-        np.testing.assert_array_equal(few.reward, many_worlds.reward[:3])
+        np.testing.assert_array_equal(small_batch.observation, many_worlds.observation[:3])
+        np.testing.assert_array_equal(small_batch.privileged, many_worlds.privileged[:3])
+        np.testing.assert_array_equal(small_batch.reward, many_worlds.reward[:3])
 
 
 @pytest.mark.release
@@ -162,7 +162,7 @@ def test_staggered_worlds_do_not_end_their_episodes_together():
 def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
     """How long they are to last; steps that wait for their ends would compile physics for a minute."""
     environment = Environment(SETUP, engine="mjx", worlds=12, task=TASK, staggered=staggered)
-    whole = round(TASK.episode_length / 0.01)
+    whole_episode = round(TASK.episode_length / 0.01)
 
     @jax.jit
     def lengths():
@@ -171,12 +171,12 @@ def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
         return first.params.ticks, jax.vmap(environment._worlds.begin)(first.key).params.ticks
 
     first, later = map(np.asarray, lengths())
-    np.testing.assert_array_equal(later, whole)
+    np.testing.assert_array_equal(later, whole_episode)
     if staggered:
         assert len(set(first)) > 6
-        assert 1 <= first.min() < 8 < 14 < first.max() <= whole
+        assert 1 <= first.min() < 8 < 14 < first.max() <= whole_episode
     else:
-        np.testing.assert_array_equal(first, whole)
+        np.testing.assert_array_equal(first, whole_episode)
 
 
 @pytest.mark.release
@@ -207,9 +207,9 @@ def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(envi
     np.testing.assert_array_equal(state.terminated, [False, True, False])
     np.testing.assert_array_equal(state.terms["failed"], [0.0, 1.0, 0.0])
     np.testing.assert_allclose(state.privileged[:, height], start.privileged[:, height], rtol=0.05)
-    after = environment.step(state, np.zeros((3, 9)))
-    assert not after.terminated.any()
-    np.testing.assert_allclose(after.episode["duration"], [0.02, 0.01, 0.02], rtol=1e-5)
+    next_state = environment.step(state, np.zeros((3, 9)))
+    assert not next_state.terminated.any()
+    np.testing.assert_allclose(next_state.episode["duration"], [0.02, 0.01, 0.02], rtol=1e-5)
 
 
 def test_a_policy_sees_the_servos_currents():
@@ -272,10 +272,10 @@ def test_actions_move_servo_targets_or_parameters_by_their_ranges():
         leg_servos(jnp.array([[0.01, -0.04]] * 4)),
     )
     action = jnp.array([0.1, 0.2, 0.3, 0.4, -0.5, 0.0, 0.0, 1.0, -1.0])
-    moved = Residual(hip=0.3, knee=0.2, spine=0.1).servo(servo, home, action)
-    np.testing.assert_allclose(moved.hip - servo.hip, [0.03, 0.06, 0.09, 0.12], atol=1e-6)
-    np.testing.assert_allclose(moved.knee - servo.knee, [-0.1, 0.0, 0.0, 0.2], atol=1e-6)
-    np.testing.assert_allclose(moved.spine, -0.1)
+    commanded_servo = Residual(hip=0.3, knee=0.2, spine=0.1).servo(servo, home, action)
+    np.testing.assert_allclose(commanded_servo.hip - servo.hip, [0.03, 0.06, 0.09, 0.12], atol=1e-6)
+    np.testing.assert_allclose(commanded_servo.knee - servo.knee, [-0.1, 0.0, 0.0, 0.2], atol=1e-6)
+    np.testing.assert_allclose(commanded_servo.spine, -0.1)
     np.testing.assert_allclose(Targets(knee=0.0).servo(servo, home, action[:5]).knee, home.knee)
     ranges = {"frequency": (0.4, 1.67), "pilot.turn_rate": (-1.0, 0.5)}
     acting = Acting(base, Modulation(ranges))
@@ -332,11 +332,11 @@ def test_a_term_that_gives_no_number_is_refused_before_anything_runs(value, mess
 def test_headway_saturates_so_that_being_stuck_costs_more_than_haste_earns():
     """Of a second: nothing at rest, nearly all of it at 0.15 m/s, and a loss of the same size backward."""
     (term,) = chosen_terms({"headway": 1.0}, ())
-    rest, slow, fast, back = (
+    standstill, slow, fast, back = (
         float(term.value(types.SimpleNamespace(seconds=1.0, speed=speed)))
         for speed in (0.0, 0.05, 0.15, -0.05)
     )
-    assert (rest, back) == (0.0, -slow)
+    assert (standstill, back) == (0.0, -slow)
     np.testing.assert_allclose(
         [slow, fast], [0.76159, 0.99505], atol=1e-4
     )  # tanh(1) and tanh(3), from tables

@@ -185,9 +185,9 @@ def test_stable_baselines_takes_its_form(door):
     first, returned = env.reset(), 0.0
     assert env.action_space.shape == (9,)
     for _ in range(3):
-        observation, reward, ended, infos = env.step(np.zeros((1, 9), np.float32))
+        observation, reward, is_end, infos = env.step(np.zeros((1, 9), np.float32))
         returned += reward[0]
-    assert ended.all()
+    assert is_end.all()
     assert infos[0]["TimeLimit.truncated"]
     assert infos[0]["episode"]["r"] == pytest.approx(returned, rel=1e-5)
     assert infos[0]["episode"]["l"] == 3

@@ -67,17 +67,17 @@ def test_heights_are_those_that_rays_meet_on_a_grid_that_turns_with_the_torso(sc
         lying = np.array(
             [np.cos(yaw / 2), 0.1, -0.05, np.sin(yaw / 2)]
         )  # leans, too: the grid stays level
-        read = sensors(
+        sensor_readings = sensors(
             position=jnp.array([x, y, 0.3]), orientation=jnp.asarray(lying / np.linalg.norm(lying))
         )
         turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, np.asarray(read.orientation, float))
+        mujoco.mju_quat2Mat(turn, np.asarray(sensor_readings.orientation, float))
         nose = -turn.reshape(3, 3)[:2, 1] / np.linalg.norm(turn.reshape(3, 3)[:2, 1])
-        left = np.array([-nose[1], nose[0]])
+        left_direction = np.array([-nose[1], nose[0]])
         met = fallen_rays(
-            robot, np.array([[x, y], *([x, y] + a * left + b * nose for a, b in SCANNED)])
+            robot, np.array([[x, y], *([x, y] + a * left_direction + b * nose for a, b in SCANNED)])
         )
-        heights = height_scan(read, robot.terrain.height)
+        heights = height_scan(sensor_readings, robot.terrain.height)
         np.testing.assert_allclose(heights, np.clip(met[1:] - met[0], -0.05, 0.05), atol=2e-6)
         uneven |= bool(np.any(np.abs(heights) > 1e-3))
     assert uneven == (scene != "flat")

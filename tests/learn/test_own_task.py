@@ -82,7 +82,7 @@ def small(folder: Path, **task: Any) -> Path:
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
+def training_result(tmp_path_factory):
     """A finished training of it."""
     folder = tmp_path_factory.mktemp("own")
     return run_training(small(folder), folder / "out")
@@ -330,16 +330,18 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
         Training.from_dict(fields | {"task": {"terminations": terminations}})
         for terminations in ([], ["my.py:always"])
     )
-    for which, share in ((training, 1.0), (ending, 0.0)):
-        table = PolicyEvaluator(which, "c")(None, draws=Draws(2, UNSEEN), walkers=("alone",))
+    for spec, share in ((training, 1.0), (ending, 0.0)):
+        table = PolicyEvaluator(spec, "c")(None, draws=Draws(2, UNSEEN), walkers=("alone",))
         assert table["success"].to_pylist() == [bool(share)] * 2
 
 
 @pytest.mark.release
-def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_path, done):
+def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(
+    tmp_path, training_result
+):
     """Killed in its second section: the same bits. The copy is the code that counts, and changed code is refused."""
-    assert set(done.history.names) >= {"term.bending", "term.speed"}
-    assert 0.05 <= done.summary["scenes"]["flat"]["policy"]["speed"] < 1.0
+    assert set(training_result.history.names) >= {"term.bending", "term.speed"}
+    assert 0.05 <= training_result.summary["scenes"]["flat"]["policy"]["speed"] < 1.0
 
     def kill(progress):
         if progress.done > 2 * 4 * 2:
@@ -356,10 +358,10 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_
     ):
         run_training(path, out)
     code.unlink()
-    moved = Path(shutil.move(out, tmp_path / "moved"))
-    result = run_training(moved / "training.yaml", moved)
+    new_directory = Path(shutil.move(out, tmp_path / "moved"))
+    result = run_training(new_directory / "training.yaml", new_directory)
     assert result.iterations_run == 2
-    assert bits(result) == bits(done)
+    assert bits(result) == bits(training_result)
     speeds = unseen_bodies(result.training, result.training.task, Draws(50, UNSEEN))[
         "command.speed"
     ]
@@ -368,17 +370,17 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_
 
 
 @pytest.mark.release
-def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
+def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, training_result):
     """Its file runs no code: whoever wants to use it names the code, and it must be that of the training."""
-    code = done.out / "own_task.py"
-    named = f"{done.policy}:{code}"
+    code = training_result.out / "own_task.py"
+    named_policy = f"{training_result.policy}:{code}"
     with pytest.raises(
         ParameterError,
         match=r"observes lean of own_task.py, code that is run only where you name it",
     ):
-        load_policy(done.policy)
-    for how in ("walk", "drive"):
-        result = call(how, "--controller", done.policy)
+        load_policy(training_result.policy)
+    for command in ("walk", "drive"):
+        result = call(command, "--controller", training_result.policy)
         assert result.exit_code in (1, 2), result.output
         assert "observes lean of own_task.py" in result.stderr
     changed_code = tmp_path / "own_task.py"
@@ -386,35 +388,37 @@ def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
     with pytest.raises(
         ParameterError, match=r"with the digest \w+; that of .* give the file with which"
     ):
-        load_policy(done.policy, str(changed_code))
+        load_policy(training_result.policy, str(changed_code))
     with pytest.raises(ParameterError, match=r"^controller is 'away.py': away.py cannot be read"):
-        load_policy(done.policy, "away.py")
+        load_policy(training_result.policy, "away.py")
     plain = SWEEPS.parent / "tests" / "data" / "former_policy.npz"
     with pytest.raises(ParameterError, match=r"observes nothing of one's own: leave 'away.py' out"):
         load_policy(plain, "away.py")
-    policy = load_policy(done.policy, str(code))
+    policy = load_policy(training_result.policy, str(code))
     assert policy.observer.names[-1] != "lean"
     assert "lean" in policy.observer.names
     run = Run(duration=0.1, warmup=0.0)
     walked = [
         Simulator(SETUP, engine="c", controller=loaded)({}, run)["distance"]
-        for loaded in (policy, named)
+        for loaded in (policy, named_policy)
     ]
     assert walked[0] == walked[1]
     from nermo_mjx.sweep import Sweep
 
     sweep = Sweep.from_dict(
-        {"controller": named, "physics": "fast", "vary": {"contact.friction": [0.9, 1.1]}}
+        {"controller": named_policy, "physics": "fast", "vary": {"contact.friction": [0.9, 1.1]}}
     )
     assert Sweep.from_text(sweep.to_yaml()) == sweep
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("module", [False, True])
-def test_what_only_reads_runs_no_own_code_of_a_training(tmp_path, monkeypatch, done, module):
+def test_what_only_reads_runs_no_own_code_of_a_training(
+    tmp_path, monkeypatch, training_result, module
+):
     """Status, plot and page of a stranger's directory."""
     out = tmp_path / "theirs"
-    shutil.copytree(done.out, out)
+    shutil.copytree(training_result.out, out)
     canary = tmp_path / "run by mistake"
     code = (
         f"import pathlib\npathlib.Path({str(canary)!r}).write_text('run')\n"

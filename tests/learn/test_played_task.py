@@ -45,8 +45,8 @@ def way(recording) -> float:
 @pytest.mark.release
 def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     world_values = {
-        name: float(speed[0])
-        for name, speed in unseen_bodies(training, training.task, Draws(1, UNSEEN)).items()
+        name: float(column[0])
+        for name, column in unseen_bodies(training, training.task, Draws(1, UNSEEN)).items()
     }
     slow, fast = (
         played_task(training, "zero", seconds=4.0, values={"command.speed": speed})
@@ -57,21 +57,21 @@ def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     uncommanded = Training.from_dict(FILE | {"randomize": {"start.phase": [0.0, 1.0]}})
     walk = played_task(uncommanded, "zero", seconds=0.5)
     start = {"start.phase": world_values["start.phase"]}
-    alone = (
+    reference_walk = (
         Simulator(training.setup, engine="c")
         .run(start, Run(duration=0.5, warmup=0.0), record=True)
         .recording()
     )
-    np.testing.assert_allclose(walk.qpos, alone.qpos, atol=1e-5)
+    np.testing.assert_allclose(walk.qpos, reference_walk.qpos, atol=1e-5)
 
 
 @pytest.mark.release
 def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
-    first, again = (
+    first, repeated = (
         played_task(training, "random", scene="planks", values={"terrain.height": 0.003})
         for _ in range(2)
     )
-    np.testing.assert_array_equal(first.qpos, again.qpos)
+    np.testing.assert_array_equal(first.qpos, repeated.qpos)
     assert np.ptp(np.diff(first.ctrl[5:, 0])) > 0.02
     environment = training.environment("c")
     policy = RandomPolicy(**vars(Policy.of(environment, PPO().begin(environment, 0))))
@@ -131,8 +131,8 @@ def test_a_video_shows_the_policy_of_each_checkpoint(at_work):
     videos = sorted(at_work.glob("videos/*"))
     assert [video.name for video in videos] == ["000000000008.mp4", "000000000016.mp4"]
     frames = [iio.imread(video) for video in videos]
-    assert [len(video) for video in frames] == [13, 13]
-    assert all(video.std() > 10 for video in frames)
+    assert [len(images) for images in frames] == [13, 13]
+    assert all(images.std() > 10 for images in frames)
 
 
 @pytest.mark.release

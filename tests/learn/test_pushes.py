@@ -63,10 +63,10 @@ def test_a_push_moves_the_robot_as_the_same_push_does_in_a_drive():
     for tick in range(40):
         for world, drive in enumerate(drives):
             push = jax.tree.map(lambda leaf, world=world: leaf[world], pushes)
-            now, before = (
+            now, previous = (
                 np.asarray(push.at(jnp.int32(index), 0.01)) for index in (tick, tick - 1)
             )
-            if now.any() and not (tick and (now == before).all()):
+            if now.any() and not (tick and (now == previous).all()):
                 drive.push(torso, (*now.tolist(), 0.0), 0.1)
                 worlds_of_steps.append(world)
             drive.tick()
@@ -96,15 +96,15 @@ def test_a_pushed_world_does_not_depend_on_the_others_nor_on_the_number_of_threa
             states.append(environment.step(states[-1], action))
         return np.stack([state.privileged[:3] for state in states])
 
-    few = walked(3, 1)
-    np.testing.assert_array_equal(few, walked(40, 2))
-    np.testing.assert_array_equal(few, walked(3, 1))
-    assert (few != walked(3, 1, seed=4)).any()
+    small_batch = walked(3, 1)
+    np.testing.assert_array_equal(small_batch, walked(40, 2))
+    np.testing.assert_array_equal(small_batch, walked(3, 1))
+    assert (small_batch != walked(3, 1, seed=4)).any()
 
 
 @pytest.mark.release
 def test_a_push_is_the_same_on_mjx():
-    ways = {}
+    distances = {}
     for engine in ("c", "mjx"):
         simulator = Simulator(SETUP, engine=engine)
         batch = simulator.prepare({"start.phase": [0.0, 0.5]}, Run(duration=0.3))
@@ -116,8 +116,8 @@ def test_a_push_is_the_same_on_mjx():
             mjx_batch = dataclasses.replace(
                 batch, params=dataclasses.replace(batch.params, push=pushes)
             )
-            ways[engine, force] = simulator.run_batch(mjx_batch, record=True).trace.qpos[:, 29]
-    by = {engine: ways[engine, 3.0] - ways[engine, 0.0] for engine in ("c", "mjx")}
+            distances[engine, force] = simulator.run_batch(mjx_batch, record=True).trace.qpos[:, 29]
+    by = {engine: distances[engine, 3.0] - distances[engine, 0.0] for engine in ("c", "mjx")}
     assert (np.linalg.norm(by["c"][:, :2], axis=1) > 0.003).all()
     np.testing.assert_allclose(by["mjx"][:, :2], by["c"][:, :2], atol=1e-5)
 
@@ -132,10 +132,11 @@ def test_an_evaluation_pushes_policy_and_controller_alike_unless_it_says_otherwi
     pushed, calm = table(), table(evaluate={"bodies": 4, "set": {"push.force": 0.0}})
     never = table(task={}, randomize={})
     # An untrained policy leaves the controller as it is.
-    policy, alone = (
-        pushed[pushed.controller == who].distance.to_numpy() for who in ("policy", "alone")
+    policy, controller_distances = (
+        pushed[pushed.controller == controller].distance.to_numpy()
+        for controller in ("policy", "alone")
     )
-    np.testing.assert_allclose(policy, alone, atol=2e-4)
+    np.testing.assert_allclose(policy, controller_distances, atol=2e-4)
     assert (np.abs(pushed.distance - never.distance) > 1e-3).all()
     np.testing.assert_allclose(calm.distance, never.distance, atol=1e-5)
     np.testing.assert_array_equal(pushed["push.interval"][:4], pushed["push.interval"][4:])

@@ -67,8 +67,8 @@ SPEC = {
 EFFORT = ("environment_cpu", "learner_cpu", "wall_seconds")
 
 
-def train(out, fields=None, **how):
-    return run_training(SPEC | (fields or {}), out, environment=PointMass(8, pure=False), **how)
+def train(out, fields=None, **options):
+    return run_training(SPEC | (fields or {}), out, environment=PointMass(8, pure=False), **options)
 
 
 def lasting(out):
@@ -82,7 +82,7 @@ def bits(result):
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
+def training_result(tmp_path_factory):
     """A finished training."""
     out = tmp_path_factory.mktemp("training") / "out"
     return train(out)
@@ -104,10 +104,12 @@ def policy():
 
 
 @pytest.mark.release
-def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, monkeypatch):
+def test_its_page_has_curves_evaluation_and_the_policy_in_3d(
+    tmp_path, training_result, monkeypatch
+):
     """Of an unfinished training what there is; the directory is only read."""
     out = tmp_path / "walker"
-    shutil.copytree(done.out, out)
+    shutil.copytree(training_result.out, out)
     page = show(out).html
     assert [f'alt="{name}"' in page for name in ("curves", "rewards", "evaluation")] == [
         True,
@@ -123,7 +125,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     numbers["electrical_cost_of_transport"] = 91.23
     (out / "policy.npz").touch()
     (out / "evaluation.parquet").touch()
-    before = sorted(path.name for path in out.rglob("*"))
+    former_names = sorted(path.name for path in out.rglob("*"))
     for name, replacement in {
         "load_policy": None,
         "recorded": [("flat", falling())],
@@ -141,7 +143,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     )
     assert row in page.html
     assert page.samples == 50
-    assert sorted(path.name for path in out.rglob("*")) == before
+    assert sorted(path.name for path in out.rglob("*")) == former_names
     run = CliRunner().invoke(
         main, ["view", str(out), "--out", str(tmp_path / "page.html"), "--no-open", "--json"]
     )
@@ -149,7 +151,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
 
 
 @pytest.mark.release
-def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
+def test_a_killed_training_ends_with_the_same_numbers(tmp_path, training_result):
     """Killed in its first section, and again in its second: weights, moments and history, bit for bit."""
     for stop in (2, 5):
 
@@ -161,16 +163,16 @@ def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
             train(tmp_path, watch=Watch(progress=kill))
     result = train(tmp_path)
     assert result.iterations_run == 4
-    assert bits(result) == bits(done)
-    np.testing.assert_equal(lasting(tmp_path).to_pydict(), lasting(done.out).to_pydict())
+    assert bits(result) == bits(training_result)
+    np.testing.assert_equal(lasting(tmp_path).to_pydict(), lasting(training_result.out).to_pydict())
     assert result.summary["steps"] == SPEC["steps"]
     # Nothing is left to do: the same call changes nothing.
     assert train(tmp_path).iterations_run == 0
 
 
 @pytest.mark.release
-def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
-    out = Path(shutil.copytree(done.out, tmp_path / "copy"))
+def test_another_training_is_refused_and_more_steps_are_not(tmp_path, training_result):
+    out = Path(shutil.copytree(training_result.out, tmp_path / "copy"))
     with pytest.raises(
         WrongDirectory, match=r"holds another training, with another seed \(0 there, 3 here\)"
     ):
@@ -179,7 +181,9 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
         train(out, {"randomize": {"start.phase": [0.0, 0.5]}})
     longer = train(out, {"steps": 8 * 4 * 9})
     assert longer.iterations_run == 2
-    np.testing.assert_equal(lasting(out).slice(0, 7).to_pydict(), lasting(done.out).to_pydict())
+    np.testing.assert_equal(
+        lasting(out).slice(0, 7).to_pydict(), lasting(training_result.out).to_pydict()
+    )
 
 
 @pytest.mark.release
@@ -197,9 +201,9 @@ def test_a_resolved_file_is_the_same_training():
         "set": {"contact.friction": 1.2},
     }
     for training in (Training.from_dict(fields), *map(Training.from_file, SHIPPED)):
-        again = Training.from_text(training.to_yaml())
-        assert again == training
-        assert again.digest() == training.digest()
+        reloaded = Training.from_text(training.to_yaml())
+        assert reloaded == training
+        assert reloaded.digest() == training.digest()
 
 
 @pytest.mark.release
@@ -318,7 +322,7 @@ def choosing(policy, tmp_path):
         50: (0.85, 0.85),
     }
     walked = []
-    after = {
+    policies_by_steps = {
         steps: dataclasses.replace(
             policy[0], about={"trained": {"steps": steps, "training": "0a1b"}}
         )
@@ -334,7 +338,7 @@ def choosing(policy, tmp_path):
             lambda warned=None: BestPolicy(
                 directory, walks, ([] if warned is None else warned).append
             ),
-            after,
+            policies_by_steps,
             walked,
         )
 
@@ -351,49 +355,63 @@ def chosen(policy):
 
 def test_the_best_of_all_checkpoints_is_the_policy(choosing, tmp_path):
     """Of equals the earliest; each walks once, also when the training is resumed."""
-    begin, after, walked = choosing
-    assert [chosen(begin().of(after[steps])) for steps in (0, 10, 20, 30)] == [0, 10, 10, 10]
-    assert (tmp_path / "policy.npz").read_bytes() == after[10].content()
-    assert begin().of(after[30]).content() == after[10].content()
+    begin, policies_by_steps, walked = choosing
+    assert [chosen(begin().of(policies_by_steps[steps])) for steps in (0, 10, 20, 30)] == [
+        0,
+        10,
+        10,
+        10,
+    ]
+    assert (tmp_path / "policy.npz").read_bytes() == policies_by_steps[10].content()
+    assert begin().of(policies_by_steps[30]).content() == policies_by_steps[10].content()
     assert walked == [0, 10, 20, 30]
     table = pq.read_table(tmp_path / "validation.parquet").to_pydict()
     assert table == {"steps": walked, "planks": [0.5, 0.8, 0.8, 0.6], "ramp": [1.0] * 4}
-    assert chosen(begin().of(after[40])) == 40
+    assert chosen(begin().of(policies_by_steps[40])) == 40
 
 
 def test_what_counts_is_success_where_it_fails_most(choosing):
     """As in the summary; the mean decides between equals."""
-    begin, after, _ = choosing
-    assert [chosen(begin().of(after[steps])) for steps in (10, 50, 20, 40)] == [10, 50, 50, 40]
+    begin, policies_by_steps, _ = choosing
+    assert [chosen(begin().of(policies_by_steps[steps])) for steps in (10, 50, 20, 40)] == [
+        10,
+        50,
+        50,
+        40,
+    ]
 
 
 def test_a_choice_by_other_rules_stands(choosing, tmp_path):
     """A directory's policy was once the best by the mean: it is kept until a checkpoint is better than it."""
-    begin, after, _ = choosing
+    begin, policies_by_steps, _ = choosing
     warned = []
     for steps in (50, 10):
-        begin(warned).of(after[steps])
-    (tmp_path / "policy.npz").write_bytes(after[10].content())
-    assert [chosen(begin(warned).of(after[steps])) for steps in (10, 30, 40)] == [10, 10, 40]
+        begin(warned).of(policies_by_steps[steps])
+    (tmp_path / "policy.npz").write_bytes(policies_by_steps[10].content())
+    assert [chosen(begin(warned).of(policies_by_steps[steps])) for steps in (10, 30, 40)] == [
+        10,
+        10,
+        40,
+    ]
     assert not warned
 
 
 def test_a_choice_that_was_killed_is_made_again(choosing, tmp_path):
     """Between the policy's file and the table: the same policy walks once more. Without its file, it begins anew."""
-    begin, after, walked = choosing
+    begin, policies_by_steps, walked = choosing
     table, warned = tmp_path / "validation.parquet", []
     for steps in (0, 10, 30):
-        begin(warned).of(after[steps])
-    before = table.read_bytes()
-    begin(warned).of(after[40])
-    whole = table.read_bytes()
-    table.write_bytes(before)
-    assert chosen(begin(warned).of(after[40])) == 40
+        begin(warned).of(policies_by_steps[steps])
+    table_bytes = table.read_bytes()
+    begin(warned).of(policies_by_steps[40])
+    complete_table = table.read_bytes()
+    table.write_bytes(table_bytes)
+    assert chosen(begin(warned).of(policies_by_steps[40])) == 40
     assert walked == [0, 10, 30, 40, 40]
-    assert table.read_bytes() == whole
+    assert table.read_bytes() == complete_table
     assert not warned
     (tmp_path / "policy.npz").unlink()
-    assert chosen(begin(warned).of(after[20])) == 20
+    assert chosen(begin(warned).of(policies_by_steps[20])) == 20
     assert "the choice begins anew" in warned[0]
 
 
@@ -411,8 +429,12 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "nermo_mjx.learn.run._Learning._policy", lambda self, learned: _policy_after(robot, learned)
     )
-    whole = run_training(SPEC | fields, tmp_path / "whole", environment=point)
-    assert (whole.iterations_run, whole.summary["policy_steps"], whole.summary["complete"]) == (
+    complete_result = run_training(SPEC | fields, tmp_path / "whole", environment=point)
+    assert (
+        complete_result.iterations_run,
+        complete_result.summary["policy_steps"],
+        complete_result.summary["complete"],
+    ) == (
         6,
         192,
         True,
@@ -431,8 +453,8 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
         killed.setattr(TrainingDirectory, "keep", stopped)
         with pytest.raises(KeyboardInterrupt):
             run_training(SPEC | fields, tmp_path / "killed", environment=point)
-    again = run_training(SPEC | fields, tmp_path / "killed", environment=point)
-    assert (again.iterations_run, bits(again)) == (0, bits(whole))
+    repeated = run_training(SPEC | fields, tmp_path / "killed", environment=point)
+    assert (repeated.iterations_run, bits(repeated)) == (0, bits(complete_result))
     for name in ("policy.npz", "validation.parquet"):
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
@@ -465,9 +487,9 @@ def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool)
         unseen_bodies(training, training.task, Draws(count, key)) for count in (200, 1)
     )
     for count in (100, 3, 1):
-        few = unseen_bodies(training, training.task, Draws(count, key))
-        assert few.keys() == many_walks.keys()
-        for name, column in few.items():
+        smaller_walks = unseen_bodies(training, training.task, Draws(count, key))
+        assert smaller_walks.keys() == many_walks.keys()
+        for name, column in smaller_walks.items():
             np.testing.assert_array_equal(column, many_walks[name][:count], err_msg=name)
     assert one_walk.keys() == many_walks.keys() >= randomize.keys()
     other_key = unseen_bodies(training, training.task, Draws(200, UNSEEN + _KEY - key))
@@ -563,7 +585,7 @@ def test_a_policys_evaluation_is_made_again_from_its_file(tmp_path):
     out = tmp_path / "out"
     result = run_training(fields, out, engine="c")
     assert result.summary["judged"] == {"physics": "fast", "timestep": pytest.approx(0.01 / 3)}
-    again = """
+    program = """
 import sys, json
 from nermo_mjx.learn import load_policy
 policy = load_policy(sys.argv[1] + "/policy.npz")
@@ -577,14 +599,16 @@ found = Simulator(setup, engine="c").run({"contact.friction": table["contact.fri
 for name in ("speed", "distance", "servo_work"):
     np.testing.assert_array_equal(found.metrics[name], table[name].to_numpy(), err_msg=name)
 """
-    subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", again, str(out)], check=True)
+    subprocess.run(
+        [sys.executable, "-W", "error::UserWarning", "-c", program, str(out)], check=True
+    )
 
 
 @pytest.mark.release
 def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):
     """As a directory from before has it."""
-    before = pa.Table.from_pandas(evaluated[0].drop(columns=["cross_track_peak", "slip"]))
-    assert summary_of(before)["flat"]["alone"]["distance"] > 0.0
+    former_table = pa.Table.from_pandas(evaluated[0].drop(columns=["cross_track_peak", "slip"]))
+    assert summary_of(former_table)["flat"]["alone"]["distance"] > 0.0
 
 
 @pytest.mark.release
@@ -660,25 +684,25 @@ def test_a_mixture_is_its_parts_side_by_side():
     ]
     parts = [(Setup(physics="fast"), tasks[0]), (Setup(physics="fast", pilot="arc"), tasks[1])]
     mixture, key = Mixture(parts, worlds=3, threads=2), jax.random.key(5)
-    alone = [
+    environments = [
         Environment(*part[:1], worlds=n, task=part[1])
         for part, n in zip(parts, (2, 1), strict=True)
     ]
-    states = [environment.reset(jax.random.fold_in(key, i)) for i, environment in enumerate(alone)]
+    states = [
+        environment.reset(jax.random.fold_in(key, i)) for i, environment in enumerate(environments)
+    ]
     state, action = mixture.reset(key), np.linspace(-1, 1, 27).reshape(3, 9).astype(np.float32)
     for _ in range(4):
         state = mixture.step(state, action)
         states = [
             environment.step(part_state, part)
             for environment, part_state, part in zip(
-                alone, states, (action[:2], action[2:]), strict=True
+                environments, states, (action[:2], action[2:]), strict=True
             )
         ]
     for name in ("observation", "reward", "truncated", "final_observation", "status"):
-        together = np.concatenate(
-            [np.asarray(getattr(environment, name)) for environment in states]
-        )
-        np.testing.assert_array_equal(getattr(state, name), together)
+        expected = np.concatenate([np.asarray(getattr(part_state, name)) for part_state in states])
+        np.testing.assert_array_equal(getattr(state, name), expected)
     privileged = dict(zip(mixture.privileged_names, state.privileged.T, strict=True))
     assert privileged["part.0"].tolist() == [1, 1, 0]
     assert privileged["part.1"].tolist() == [0, 0, 1]
@@ -694,7 +718,7 @@ def test_parts_that_do_not_wait_for_each_other_step_as_together():
         [(Setup(physics="fast"), task), (Setup(physics="fast"), other_task)], worlds=3, threads=2
     )
     learned, key, steps = PPO(std=0.5).begin(mixture, 0), jax.random.key(7), 3
-    after, experience = collector(mixture, steps)(
+    final_state, experience = collector(mixture, steps)(
         learned.actor, learned.statistics, mixture.reset(4), key
     )
     state = mixture.reset(4)
@@ -707,10 +731,12 @@ def test_parts_that_do_not_wait_for_each_other_step_as_together():
         state = mixture.step(state, experience.action[t])
         np.testing.assert_array_equal(experience.reward[t], state.reward)
         np.testing.assert_array_equal(experience.truncated[t], state.truncated)
-        then = np.concatenate([state.final_observation, state.final_privileged], axis=1)
-        np.testing.assert_array_equal(experience.then[t], then)
+        final_observations = np.concatenate(
+            [state.final_observation, state.final_privileged], axis=1
+        )
+        np.testing.assert_array_equal(experience.then[t], final_observations)
     assert experience.truncated.any()
-    np.testing.assert_array_equal(after.privileged, state.privileged)
+    np.testing.assert_array_equal(final_state.privileged, state.privileged)
 
 
 def test_a_policy_follows_another_path(policy, tmp_path):
@@ -804,14 +830,16 @@ def test_a_training_of_the_robot_survives_a_kill_of_the_command(tmp_path):
         time.sleep(0.002)
     killed.kill()
     assert killed.wait() == -signal.SIGKILL
-    begun = pq.read_table(tmp_path / "killed" / "history.parquet").num_rows
-    assert begun < 8
+    iterations = pq.read_table(tmp_path / "killed" / "history.parquet").num_rows
+    assert iterations < 8
     subprocess.run(command("killed"), check=True)
     np.testing.assert_equal(
         lasting(tmp_path / "killed").to_pydict(), lasting(tmp_path / "whole").to_pydict()
     )
-    whole, again = (load_policy(tmp_path / out / "policy.npz") for out in ("whole", "killed"))
-    assert whole.content() == again.content()
+    complete_policy, resumed_policy = (
+        load_policy(tmp_path / out / "policy.npz") for out in ("whole", "killed")
+    )
+    assert complete_policy.content() == resumed_policy.content()
     tables = [
         pq.read_table(tmp_path / out / "validation.parquet").to_pydict()
         for out in ("whole", "killed")

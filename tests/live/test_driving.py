@@ -46,7 +46,7 @@ def running() -> Driving:
 
 
 def walked(
-    driving: Driving, ticks: int, commands=(), after=lambda: None
+    driving: Driving, ticks: int, commands=(), callback=lambda: None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions (ticks, nq) and servo targets (ticks, n_servos) under commands; `after` is called after each tick."""
     driving.reset()
@@ -55,7 +55,7 @@ def walked(
             if tick_of_switch == tick:
                 driving.command(switch)
         driving.tick()
-        after()
+        callback()
     recording = driving.recording()
     return recording.qpos, recording.ctrl
 
@@ -90,10 +90,10 @@ def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_b
         (150, Switch(0, spine="none", blend=0.3)),
     ]
     first = walked(running, 250, commands)
-    again = list(running.commands)
-    assert [tick for tick, _ in again] == [50, 80, 120, 150]
+    switch_commands = list(running.commands)
+    assert [tick for tick, _ in switch_commands] == [50, 80, 120, 150]
     steady = np.abs(np.diff(walked(running, 250)[1], axis=0)).max()
-    for first_array, second_array in zip(first, walked(running, 250, again), strict=True):
+    for first_array, second_array in zip(first, walked(running, 250, switch_commands), strict=True):
         np.testing.assert_array_equal(first_array, second_array)
     assert np.abs(np.diff(first[1], axis=0)).max() < 2 * steady
     spine = first[1][:, running.simulator.robot.servos.index("spine")]
@@ -154,7 +154,7 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
     ],
 )
 def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
-    before = walked(running, 30)[1]
+    reference = walked(running, 30)[1]
     with pytest.raises(ParameterError, match=sentence):
         running.command(switch)
     assert running.commands == []
@@ -162,7 +162,7 @@ def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
     with pytest.raises(ParameterError):
         running.command(switch)
     running.tick()
-    np.testing.assert_array_equal(running.recording().ctrl[0], before[0])
+    np.testing.assert_array_equal(running.recording().ctrl[0], reference[0])
 
 
 @pytest.fixture(scope="module")
@@ -259,11 +259,11 @@ def test_only_its_own_page_gets_in(drive):
     ],
 )
 def test_garbage_is_refused_in_a_sentence_and_changes_nothing(drive, page, message, sentence):
-    before = len(drive.driving.commands), len(drive.driving.pushes), drive.speed
+    counts = len(drive.driving.commands), len(drive.driving.pushes), drive.speed
     state = said(page, message, lambda state: "refused" in state)["refused"]
     assert sentence in state
     assert state.endswith(".")
-    assert (len(drive.driving.commands), len(drive.driving.pushes), drive.speed) == before
+    assert (len(drive.driving.commands), len(drive.driving.pushes), drive.speed) == counts
     assert not drive.paused
 
 
@@ -285,9 +285,9 @@ def closed(page) -> int:
 def paused(drive: LiveDrive) -> bool:
     """Whether it pauses soon, and stands still then."""
     until(lambda: drive.paused, 10.0)
-    before = drive.driving.ticks
+    ticks = drive.driving.ticks
     time.sleep(0.2)
-    return drive.paused and drive.driving.ticks == before
+    return drive.paused and drive.driving.ticks == ticks
 
 
 def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
@@ -314,8 +314,8 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
             driving.push(1, (1.5, 0.0, 0.5), 0.2)
         driving.tick()
     recording = Recording.load(driving.recording().save(tmp_path / "drive.npz"))
-    again = replayed(recording)
-    assert difference(recording, again) is None
+    replayed_recording = replayed(recording)
+    assert difference(recording, replayed_recording) is None
     assert json_of("replay", tmp_path / "drive.npz")["equal"]
     # What happened mattered.
     calm = dict(recording.metadata["driven"]) | {"pushes": []}
@@ -402,8 +402,8 @@ def test_a_switch_that_comes_due_is_refused_as_a_command_is_and_the_drive_goes_o
     assert (
         "stride is 1.2" in said(page, '{"speed": 1.0}', lambda state: "refused" in state)["refused"]
     )
-    before = drive.driving.ticks
-    until(lambda: drive.driving.ticks > before + 5)
+    ticks = drive.driving.ticks
+    until(lambda: drive.driving.ticks > ticks + 5)
 
 
 @pytest.mark.release
@@ -430,7 +430,7 @@ def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(
         sender = threading.Thread(target=flood)
         sender.start()
         time.sleep(1.0)
-        before = drive.driving.ticks
+        ticks = drive.driving.ticks
         with socket(drive) as second:
             until(
                 lambda: (
@@ -438,7 +438,7 @@ def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(
                 ),
                 10,
             )
-            until(lambda: drive.driving.ticks > before + 30, 10)
+            until(lambda: drive.driving.ticks > ticks + 30, 10)
             stop.set()
             said(second, speed=0.5)
         sender.join(10)
@@ -557,9 +557,12 @@ def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
     for k, (ticks, content) in enumerate(copies):
         torn = content + (b"\0" * 4096 if k % 2 else b'{"commands": [[1')
         (tmp_path / "cut.jsonl").write_bytes(torn)
-        again = replayed(tmp_path / "cut.jsonl")
-        assert ticks - 100 <= len(again.time) <= len(recording.time)
-        assert difference(recording.between(0.0, again.time[-1]), again) is None
+        replayed_recording = replayed(tmp_path / "cut.jsonl")
+        assert ticks - 100 <= len(replayed_recording.time) <= len(recording.time)
+        assert (
+            difference(recording.between(0.0, replayed_recording.time[-1]), replayed_recording)
+            is None
+        )
     assert len(recording.metadata["driven"]["commands"]) == 6
     answer = call("replay", tmp_path / "cut.jsonl", "--record", tmp_path / "cut.npz", "--quiet")
     assert answer.exit_code == 0, answer.stderr
@@ -677,12 +680,14 @@ def test_a_drive_outlives_every_signal(number, tmp_path):
                 process.wait(30)
         finally:
             process.kill()
-    left = tmp_path / ("d.jsonl" if number == signal.SIGKILL else "d.npz")
-    assert [path.name for path in tmp_path.iterdir()] == [left.name]
+    remaining_file = tmp_path / ("d.jsonl" if number == signal.SIGKILL else "d.npz")
+    assert [path.name for path in tmp_path.iterdir()] == [remaining_file.name]
     assert process.returncode == (-9 if number == signal.SIGKILL else 0)
-    again = replayed(left if number == signal.SIGKILL else Recording.load(left))
-    assert again.time[-1] > driven - 1.0
-    assert again.metadata["driven"]["commands"][0][1]["set"] == {"stride": 0.8}
+    replayed_recording = replayed(
+        remaining_file if number == signal.SIGKILL else Recording.load(remaining_file)
+    )
+    assert replayed_recording.time[-1] > driven - 1.0
+    assert replayed_recording.metadata["driven"]["commands"][0][1]["set"] == {"stride": 0.8}
 
 
 @pytest.mark.release
@@ -719,8 +724,8 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
             "navigator.getGamepads = () => [window.pad], 1)"
         )
         tab.wait('viewer.drive.state.values["pilot.turn_rate"] < -0.7')
-        before = tab.evaluate("yaw()")
-        tab.wait(f"yaw() < {before - 10}")
+        initial_yaw = tab.evaluate("yaw()")
+        tab.wait(f"yaw() < {initial_yaw - 10}")
         tab.evaluate(
             "(window.pad = {connected: true, axes: [0, 0], buttons: [{pressed: true}]}, 1)"
         )
@@ -752,14 +757,14 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
         tab.key(" ")
         tab.wait("viewer.drive.state.paused")
         # What comes long after the last row is joined to it by no line.
-        joined = """((later) => {
+        check_script = """((later) => {
             const {clip} = viewer.drive, before = clip.time.length, row = new Float32Array(clip.width);
             row[0] = clip.end + later;
             clip.append(row);
             return [clip.time.length - before, clip.lines.every(({values}) => Number.isNaN(values.at(-2)))];
         })"""
-        assert tab.evaluate(f"{joined}(0.09)") == [1, False]
-        assert tab.evaluate(f"{joined}(0.2)") == [2, True]
+        assert tab.evaluate(f"{check_script}(0.09)") == [1, False]
+        assert tab.evaluate(f"{check_script}(0.2)") == [2, True]
         assert tab.complaints() == []
         loaded = tab.requests() if module is chromium else []
         assert [url for url in loaded if not url.startswith(drive.address)] == []

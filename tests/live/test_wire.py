@@ -152,10 +152,10 @@ def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
 )
 def test_what_is_no_measurement_is_left_out_and_counted(message: Any, why: str) -> None:
     measured = Measured(load_robot(), CHANNELS)
-    before = measured.sensordata
+    sensordata = measured.sensordata
     measured.receive(message)
     assert measured.counts == {"taken": 0, why: 1}
-    assert measured.sensordata is before
+    assert measured.sensordata is sensordata
     assert not measured.told
 
 
@@ -240,16 +240,20 @@ def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(drivi
 def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> None:
     link_pair = Together(driving)
     link_pair.walk(1.0)
-    link_pair.silent, sent, before = True, len(link_pair.commands), link_pair.body.about["distance"]
+    link_pair.silent, command_count, distance = (
+        True,
+        len(link_pair.commands),
+        link_pair.body.about["distance"],
+    )
     link_pair.walk(2.0)
-    assert len(link_pair.commands) - sent <= link_pair.measured.watchdog / driving.dt + 2
+    assert len(link_pair.commands) - command_count <= link_pair.measured.watchdog / driving.dt + 2
     assert driving.driven.holds == 1
     assert driving.driven.held == pytest.approx(2.0, abs=0.05), "with the wait at the start"
-    assert link_pair.body.about["distance"] - before < 0.05
+    assert link_pair.body.about["distance"] - distance < 0.05
     assert link_pair.body.about["tilt"] < 0.2
     link_pair.silent = False
     link_pair.walk(1.0)
-    assert link_pair.body.about["distance"] > before + 0.03
+    assert link_pair.body.about["distance"] > distance + 0.03
     assert np.abs(np.diff(link_pair.commands, axis=0)).max() < 0.2, (
         "no jump: where it was, slowly to where it held"
     )
@@ -268,18 +272,18 @@ def test_after_a_pause_the_robot_is_approached_from_where_it_is(
     link_pair = Together(driving)
     link_pair.walk(2.0)
     assert driving.driven.walked > 1.0
-    rest = np.array(Measured(link_pair.body.robot, CHANNELS).sensordata)
+    rest_sensors = np.array(Measured(link_pair.body.robot, CHANNELS).sensordata)
     for k in range(300):
         link_pair.clock.now += driving.dt
         if not silent or k > 200:
             link_pair.measured.receive(
-                sensor_message(link_pair.body.robot, CHANNELS, rest, link_pair.clock())
+                sensor_message(link_pair.body.robot, CHANNELS, rest_sensors, link_pair.clock())
             )
         if watched:
             driving.watch()
-    sent = len(link_pair.commands)
+    command_count = len(link_pair.commands)
     driving.step()
-    assert len(link_pair.commands) == sent + 1
+    assert len(link_pair.commands) == command_count + 1
     assert np.abs(driving.pose - link_pair.measured.pose).max() <= APPROACH * driving.dt + 1e-6
 
 
@@ -321,10 +325,12 @@ def test_the_journal_of_a_robots_drive_has_its_samples(driving, tmp_path) -> Non
         link_pair.body.tick(link_pair.clock())
         link_pair.clock.now += driving.dt
     journal.end(keep=True)
-    recording, again = driving.recording(), replayed(tmp_path / "d.jsonl")
+    recording, replayed_recording = driving.recording(), replayed(tmp_path / "d.jsonl")
     for name in ("time", "qpos", "qvel", "ctrl"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(recording, name))
-    np.testing.assert_array_equal(again.sensors["position"], recording.sensors["position"])
+        np.testing.assert_array_equal(getattr(replayed_recording, name), getattr(recording, name))
+    np.testing.assert_array_equal(
+        replayed_recording.sensors["position"], recording.sensors["position"]
+    )
 
 
 @pytest.mark.release
@@ -355,16 +361,18 @@ def test_a_command_beyond_the_limits_of_a_servo_is_sent_at_its_limit() -> None:
         "spine": {"channel": 0, "direction": -1, "zero": 90, "low": 80, "high": 100},
         "neck": {"channel": 1},
     }
-    robot, sent, drive = load_robot(), list[list[float]](), Posed("mqtt://localhost")
+    robot, angles_of_commands, drive = load_robot(), list[list[float]](), Posed("mqtt://localhost")
     measured = Measured(robot, read_channels(wired))
-    drive.connect(measured, sent.append)
+    drive.connect(measured, angles_of_commands.append)
     for spine, neck in ((5.0, 40.0), (25.0, 40.0), (-25.0, 40.0)):
         drive.pose = np.zeros(len(robot.servos))
         drive.pose[[robot.servos.index(name) for name in ("spine", "neck")]] = np.radians(
             [spine, neck]
         )
         drive._send(measured)
-    np.testing.assert_allclose(sent, [[85.0, 40.0], [80.0, 40.0], [100.0, 40.0]], atol=1e-3)
+    np.testing.assert_allclose(
+        angles_of_commands, [[85.0, 40.0], [80.0, 40.0], [100.0, 40.0]], atol=1e-3
+    )
     assert (drive.driven.sent, drive.driven.limited) == (3, 2)
 
 
@@ -404,11 +412,11 @@ def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
 def test_an_angle_that_is_not_a_number_is_not_sent(driving, monkeypatch) -> None:
     link_pair = Together(driving)
     link_pair.walk(0.5)
-    sent = len(link_pair.commands)
+    command_count = len(link_pair.commands)
     monkeypatch.setattr(driving, "targets", lambda readings: np.full(10, np.nan))
     driving.step()
     assert driving.driven.ended == "the controller asks for an angle that is not a number"
-    assert len(link_pair.commands) == sent
+    assert len(link_pair.commands) == command_count
 
 
 @pytest.mark.release
@@ -438,7 +446,7 @@ def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) ->
     """And the recording has what the robot measured. A reset leads the robot back slowly; no page is no message."""
     driving.reset()
     link_pair = Together(driving)
-    sent = link_pair.commands
+    commands = link_pair.commands
 
     def drive(seconds: float) -> None:
         for _ in range(round(seconds / driving.dt)):
@@ -452,7 +460,9 @@ def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) ->
     assert link_pair.body.about["distance"] > 0.1
     walked = np.linalg.norm((recording.qpos[-1] - recording.qpos[0])[:2])
     assert walked == pytest.approx(link_pair.body.about["distance"], rel=0.1)
-    np.testing.assert_allclose(recording.ctrl[-1][[0, 8]], [sent[-1][0], sent[-1][11]], atol=1e-5)
+    np.testing.assert_allclose(
+        recording.ctrl[-1][[0, 8]], [commands[-1][0], commands[-1][11]], atol=1e-5
+    )
     np.testing.assert_array_equal(
         recording.sensors["position"][-1], link_pair.measured.sensordata[:3]
     )
@@ -461,7 +471,7 @@ def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) ->
         replayed(recording)
     driving.reset()
     drive(0.5)
-    assert np.abs(np.diff(sent, axis=0)).max() < 0.2, (
+    assert np.abs(np.diff(commands, axis=0)).max() < 0.2, (
         "no jump, but for what servos differ from what they were told"
     )
     monkeypatch.setattr(driving, "operator", lambda: 0.3)
@@ -501,8 +511,8 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
     commands = np.degrees(link_pair.commands)
     for servo, channel in measured_log.of_quantity("command").items():
         column = [servo_channel.servo for servo_channel in channels].index(servo)
-        sent = -(commands[:, column] - 90.0) if signed else commands[:, column]
-        np.testing.assert_allclose(np.degrees(channel.values), sent, atol=1e-3)
+        expected_angles = -(commands[:, column] - 90.0) if signed else commands[:, column]
+        np.testing.assert_allclose(np.degrees(channel.values), expected_angles, atol=1e-3)
     angles = measured_log.of_quantity("angle")["spine"]
     assert len(angles.times) > 390
     np.testing.assert_allclose(
@@ -545,9 +555,9 @@ def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) 
     link_pair.walk(3.0)
     log.end()
     times = read_log(log.path, log.about).channel("angle", "spine").times
-    apart = np.diff(times) / link_pair.body.dt
-    np.testing.assert_allclose(apart, np.round(apart), atol=1e-6)
-    assert (np.round(apart) > 1).sum() > 10
+    intervals = np.diff(times) / link_pair.body.dt
+    np.testing.assert_allclose(intervals, np.round(intervals), atol=1e-6)
+    assert (np.round(intervals) > 1).sum() > 10
 
 
 @pytest.mark.release
@@ -598,9 +608,11 @@ def test_sentences_of_both_sides(driving) -> None:
         heard
         == f"{link_pair.measured.counts['taken']} messages of the robot were taken; left out: 1 garbage."
     )
-    body_sentences, taken = link_pair.body.sentences()
+    body_sentences, command_sentence = link_pair.body.sentences()
     assert body_sentences.startswith("The simulated robot was there for ")
-    assert re.fullmatch(r"\d+ commands were taken, the last one \d\.\d s before the end\.", taken)
+    assert re.fullmatch(
+        r"\d+ commands were taken, the last one \d\.\d s before the end\.", command_sentence
+    )
 
 
 @pytest.mark.release
@@ -612,7 +624,7 @@ def test_a_robot_that_says_nothing_is_told_at_the_start(
     messages = []
 
     @contextlib.contextmanager
-    def linked(url, topic, kind, where, receive, field):
+    def linked(url, topic, kind, link_address, receive, field):
         if heard:
             receive(AUTHORS)
         yield lambda message: None
@@ -697,11 +709,11 @@ def test_two_processes_walk_together(wire, channels) -> None:
         .recording()
         .sensors["position"]
     )
-    measured, sent = Measured(load_robot(), CHANNELS), list[float]()
+    measured, times = Measured(load_robot(), CHANNELS), list[float]()
     with (
         linked(wire, "listener", ROS_TYPE, SENSORS_TOPIC, measured.receive) as _,
         linked(
-            wire, "listener", ROS_TYPE, TOPIC, lambda message: sent.append(time.monotonic())
+            wire, "listener", ROS_TYPE, TOPIC, lambda message: times.append(time.monotonic())
         ) as _,
         process(
             "--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels
@@ -722,7 +734,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
     assert served["commands"]["taken"] > 750
     assert served["commands"]["lost"] > 0
     assert served["tilt"] < 0.2
-    if (gap := np.quantile(np.diff(sent), 0.99)) > 0.04:
+    if (gap := np.quantile(np.diff(times), 0.99)) > 0.04:
         pytest.skip(f"this machine is too busy for real time: commands were {gap:.3f} s apart")
     assert served["distance"] == pytest.approx(
         np.linalg.norm((history[-1] - history[0])[:2]), rel=0.05
@@ -802,8 +814,8 @@ def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
         ) as drive,
     ):
         assert drive.stderr is not None
-        where = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))
-        begin = where.removesuffix("/").rpartition("/")[0]
+        url = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))
+        begin = url.removesuffix("/").rpartition("/")[0]
 
         def show(page: Any, seconds: float) -> None:
             end = time.monotonic() + seconds
@@ -812,7 +824,7 @@ def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
                     if isinstance(message := page.recv(timeout=0.1), bytes):
                         page.send(json.dumps({"shown": int.from_bytes(message[:4], "little")}))
 
-        with connect(f"ws{where[4:]}socket", origin=begin, max_size=None) as page:
+        with connect(f"ws{url[4:]}socket", origin=begin, max_size=None) as page:
             until(lambda: show(page, 0.2) or np.ptp(commands[-50:] or [0]) > 5.0)
             time.sleep(1.0)  # hangs
             number = len(commands)

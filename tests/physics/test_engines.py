@@ -53,19 +53,21 @@ def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(
     batch = sim.prepare(
         {name: values[:2] for name, values in WALKS.items()}, Run(cycles=3, warmup_cycles=1)
     )
-    broken, whole = (sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2))
-    for session in (broken, whole):
+    disturbed, reference = (
+        sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2)
+    )
+    for session in (disturbed, reference):
         session.advance(200)
-    broken._blocks[0].batch.bind("qvel")[1] = np.nan
+    disturbed._blocks[0].batch.bind("qvel")[1] = np.nan
     monkeypatch.chdir(tmp_path)
-    for session in (broken, whole):
+    for session in (disturbed, reference):
         session.advance(100)
     assert list(tmp_path.iterdir()) == []  # no log file of MuJoCo's
     assert capfd.readouterr().err == ""
-    np.testing.assert_array_equal(broken.loop_state.metrics.diverged, [False, True])
-    np.testing.assert_array_equal(broken.qpos[0], whole.qpos[0])
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.loop_state.metrics))
-    assert broken.loop_state.metrics.time[1] == pytest.approx(
+    np.testing.assert_array_equal(disturbed.loop_state.metrics.diverged, [False, True])
+    np.testing.assert_array_equal(disturbed.qpos[0], reference.qpos[0])
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(disturbed.loop_state.metrics))
+    assert disturbed.loop_state.metrics.time[1] == pytest.approx(
         0.75, abs=0.03
     )  # measured from 1.25 s to 2.0 s
 
@@ -102,20 +104,20 @@ def test_mjx_makes_each_tick_of_a_walk_as_c_does(walks, simulator):
     model = sim.robot.model
     data = mujoco.MjData(model)
     worlds, ticks = trace.qpos.shape[:2]
-    apart = np.zeros((2, worlds, ticks - 1))
+    differences = np.zeros((2, worlds, ticks - 1))
     for world, tick in np.ndindex(worlds, ticks - 1):
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = trace.qpos[world, tick], trace.qvel[world, tick]
         data.ctrl[:] = trace.ctrl[world, tick + 1]
         mujoco.mj_step(model, data, sim.loop.steps_per_tick)
-        apart[0, world, tick] = np.abs(trace.qpos[world, tick + 1] - data.qpos).max()
-        apart[1, world, tick] = np.abs(trace.qvel[world, tick + 1] - data.qvel).max()
-    position, velocity = np.quantile(apart, 0.99, axis=(1, 2))
+        differences[0, world, tick] = np.abs(trace.qpos[world, tick + 1] - data.qpos).max()
+        differences[1, world, tick] = np.abs(trace.qvel[world, tick + 1] - data.qvel).max()
+    position, velocity = np.quantile(differences, 0.99, axis=(1, 2))
     assert position < 1e-5
     assert velocity < 1e-2
     # In one tick of two hundred a tendon goes taut, or a foot lands, a step earlier or later by a rounding error.
-    assert np.mean(apart[0] > 1e-5) < 0.01
-    assert apart[0].max() < 5e-3
+    assert np.mean(differences[0] > 1e-5) < 0.01
+    assert differences[0].max() < 5e-3
 
 
 @pytest.mark.release
@@ -184,8 +186,8 @@ def test_a_run_that_may_end_early_measures_its_last_tick(walks, simulator, engin
     for result, end in zip(results, (alike, mixed), strict=True):
         np.testing.assert_allclose(result.metrics["duration"], end - warmup, atol=1e-6)
     for name in results[0].metrics:
-        same = [result.metrics[name][alike == mixed] for result in results]
-        np.testing.assert_allclose(*same, rtol=1e-5, atol=1e-7, err_msg=name)
+        selected = [result.metrics[name][alike == mixed] for result in results]
+        np.testing.assert_allclose(*selected, rtol=1e-5, atol=1e-7, err_msg=name)
 
 
 @pytest.mark.release
@@ -237,10 +239,10 @@ def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str,
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
     command = [sys.executable, "-c", CACHED.format(engine=engine, worlds=worlds)]
-    done = subprocess.run(
+    process = subprocess.run(
         command, capture_output=True, text=True, env=environment, check=True, timeout=540
     )
-    return json.loads(done.stdout)
+    return json.loads(process.stdout)
 
 
 @pytest.mark.release
@@ -286,9 +288,11 @@ def test_worlds_do_not_disturb_each_other(simulator):
     """A world alone walks as it does in a batch, up to what vectorised float32 arithmetic of the controller leaves."""
     sim = simulator(spine="stride_extension")
     run = Run(cycles=1, warmup_cycles=0)
-    together = sim.run(WALKS, run, record=True).trace
-    alone = sim.run({name: values[4:5] for name, values in WALKS.items()}, run, record=True).trace
-    np.testing.assert_allclose(alone.qpos[0, :40], together.qpos[4, :40], atol=1e-5)
+    batch_trace = sim.run(WALKS, run, record=True).trace
+    single_trace = sim.run(
+        {name: values[4:5] for name, values in WALKS.items()}, run, record=True
+    ).trace
+    np.testing.assert_allclose(single_trace.qpos[0, :40], batch_trace.qpos[4, :40], atol=1e-5)
 
 
 @pytest.mark.release

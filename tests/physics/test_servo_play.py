@@ -79,10 +79,10 @@ def test_no_torque_passes_until_the_motor_has_crossed_the_play(backlash):
     """At full drive the motor takes b / 2 v from the middle; the step in which it arrives counts with its rest."""
     _, torque = moved(1.0, 0.0, 12, backlash=backlash)
     steps = backlash / 2 / SPEED / STEP
-    whole = int(steps)
-    np.testing.assert_allclose(torque[:whole], 0.0, atol=1e-12)
-    assert torque[whole] == pytest.approx(STALL * (1.0 - (steps - whole)), rel=1e-9)
-    np.testing.assert_allclose(torque[whole + 1 :], STALL, rtol=1e-9)
+    whole_steps = int(steps)
+    np.testing.assert_allclose(torque[:whole_steps], 0.0, atol=1e-12)
+    assert torque[whole_steps] == pytest.approx(STALL * (1.0 - (steps - whole_steps)), rel=1e-9)
+    np.testing.assert_allclose(torque[whole_steps + 1 :], STALL, rtol=1e-9)
 
 
 @pytest.mark.release
@@ -149,9 +149,11 @@ def test_the_profile_as_built_is_its_values_named(simulator):
     """It walks as the default does with the controller's and the body's values named, and values named override it."""
     run = Run(duration=1.0, warmup=0.0)
     built = simulator(profile="as_built", spine="stride_extension")
-    named = simulator(spine="stride_extension")({**AS_BUILT, **body_values("as_built")}, run)
+    explicit_metrics = simulator(spine="stride_extension")(
+        {**AS_BUILT, **body_values("as_built")}, run
+    )
     metrics = built({"build.spine_slack": [AS_BUILT_BODY["build.spine_slack"], 0.0]}, run)
     for name in ("speed", "roll_std", "servo_work"):
-        assert metrics[name][0] == pytest.approx(named[name][0], rel=1e-5)
+        assert metrics[name][0] == pytest.approx(explicit_metrics[name][0], rel=1e-5)
     assert metrics["speed"][1] != pytest.approx(metrics["speed"][0], rel=1e-3)
     np.testing.assert_array_equal(built({}, run)["speed"][0], metrics["speed"][0])

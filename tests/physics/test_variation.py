@@ -357,7 +357,9 @@ def test_a_slope_turns_gravity_in_mjx_and_has_a_derivative():
         fields = {"opt.gravity": gravity_vector(*ground, jnp)}
         return differentiable.step(model.tree_replace(fields), blank).qvel[:3]
 
-    push = jax.vmap(lambda way: jax.jvp(velocity, (point,), (way,)), out_axes=(None, -1))
+    push = jax.vmap(
+        lambda direction: jax.jvp(velocity, (point,), (direction,)), out_axes=(None, -1)
+    )
     value, slopes = jax.jit(push)(np.eye(3))
     np.testing.assert_allclose(value, dt * gravity_vector(*point), rtol=1e-5)
     differences = [

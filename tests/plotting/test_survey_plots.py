@@ -88,10 +88,10 @@ def test_nothing_beats_a_point_of_the_front_and_all_else_is_beaten(seed: int) ->
     random = np.random.default_rng(seed)
     x, y = random.integers(0, 40, (2, 300)).astype(float)
     best = front(x, y)
-    lost = beaten(x, y)
-    assert not lost[best].any()
+    is_beaten = beaten(x, y)
+    assert not is_beaten[best].any()
     on_it = {(x[i], y[i]) for i in best}
-    assert {(x[i], y[i]) for i in np.flatnonzero(~lost)} == on_it
+    assert {(x[i], y[i]) for i in np.flatnonzero(~is_beaten)} == on_it
     assert len(on_it) == len(best), "points that are best in both count once"
     assert (np.diff(x[best]) > 0).all()
     assert (np.diff(y[best]) < 0).all()
@@ -120,8 +120,10 @@ def test_the_front_names_its_best_points_with_their_parameters() -> None:
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed [mm/s]", "roll, standard deviation [deg]")
     points, best = [c for c in ax.collections if isinstance(c, PathCollection)]
     np.testing.assert_allclose(np.sort(points.get_offsets()[:, 0]), np.sort(1e3 * speed[well]))
-    lost = beaten(-speed[well], roll[well])
-    np.testing.assert_allclose(np.sort(best.get_offsets()[:, 0]), np.sort(1e3 * speed[well][~lost]))
+    is_beaten = beaten(-speed[well], roll[well])
+    np.testing.assert_allclose(
+        np.sort(best.get_offsets()[:, 0]), np.sort(1e3 * speed[well][~is_beaten])
+    )
     fastest = int(np.argmax(np.where(well, speed, -1)))
     text = texts(figure)
     assert (
@@ -154,12 +156,12 @@ def test_each_line_goes_through_its_variants_values() -> None:
     data = table()
     figure = figures(data)["speed-parallel"]
     ax = figure.axes[0]
-    rest, _, best = [c for c in ax.collections if isinstance(c, LineCollection)]
+    other_lines, _, best = [c for c in ax.collections if isinstance(c, LineCollection)]
     well = np.array(data.column("status").to_pylist()) == "ok"
     columns = [data.column(name).to_numpy()[well] for name in (*PARAMETERS, "speed")]
     shares = np.stack([(c - c.min()) / np.ptp(c) for c in columns], axis=-1)
     order = np.argsort(columns[-1])
-    values_of_lines = np.array([path.vertices[:, 1] for path in rest.get_paths()])
+    values_of_lines = np.array([path.vertices[:, 1] for path in other_lines.get_paths()])
     np.testing.assert_allclose(values_of_lines, shares[order][:-BEST_LINES], atol=1e-9)
     thick = np.array([path.vertices[:, 1] for path in best.get_paths()])
     np.testing.assert_allclose(thick, shares[order][-BEST_LINES:], atol=1e-9)

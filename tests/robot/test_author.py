@@ -146,9 +146,9 @@ def neutral(spine: float = 0.0) -> np.ndarray:
 
 def settled(model: mujoco.MjModel, order: list[int], angles: np.ndarray) -> mujoco.MjData:
     """The robot at rest, after the servos of its legs have turned there within a second, and then the spine's."""
-    data, late = mujoco.MjData(model), np.arange(9) == 8
+    data, is_late = mujoco.MjData(model), np.arange(9) == 8
     for step in range(4000):
-        data.ctrl[order] = angles * np.clip(step / 500 - late, 0.0, 1.0)
+        data.ctrl[order] = angles * np.clip(step / 500 - is_late, 0.0, 1.0)
         mujoco.mj_step(model, data)
     return data
 
@@ -218,7 +218,7 @@ def walked(
 @pytest.mark.release
 def test_compensation_lowers_the_roll_under_his_own_commands():
     """His model: 87 mm/s and roll 4.6 and 3.3 degrees, a ratio of 0.72; published 0.85. As drawn it was 1.9."""
-    (speed, roll), (_, compensated) = (walked(*body(), which) for which in (0, 1))
+    (speed, roll), (_, compensated) = (walked(*body(), compensation) for compensation in (0, 1))
     assert speed == pytest.approx(86.6, rel=0.06)
     assert roll == pytest.approx(4.62, rel=0.12)
     assert compensated == pytest.approx(3.30, rel=0.18)
@@ -315,7 +315,7 @@ def grid():
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    ("measure", "spines", "correlation", "deviation", "within"),
+    ("measure", "spines", "correlation", "deviation", "fraction"),
     [
         ("speed_mm_s", (0, 1), 0.985, 0.035, 0.9),
         # The level of the roll is 15 % too high (docs/published_set_up.md): 8 % and 40 % were asked for.
@@ -325,7 +325,7 @@ def grid():
     ],
 )
 def test_walks_agree_with_the_authors_model_where_nobody_published(
-    grid, measure, spines, correlation, deviation, within
+    grid, measure, spines, correlation, deviation, fraction
 ):
     """A median of ratios alone hides that walks are ordered wrongly, so that agreement is threefold: r within each
     setting of the spine, the median deviation, and the share of the walks within 10 %. Yaw without the spine is below a
@@ -339,7 +339,7 @@ def test_walks_agree_with_the_authors_model_where_nobody_published(
     selection = rows["spine"].isin(spines)
     error = np.abs(ours[selection][measure] / rows[selection][measure] - 1.0)
     assert np.median(error) <= deviation
-    assert np.mean(error <= 0.1) >= within
+    assert np.mean(error <= 0.1) >= fraction
 
 
 def test_the_profile_is_what_his_repository_held():

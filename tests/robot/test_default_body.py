@@ -92,20 +92,20 @@ def trotting_in_place() -> tuple[Budget, Sensors]:
     for step in range(600):
         data.ctrl[:] = neutral
         data.ctrl[:8] += shares[:, step]
-        before = data.qvel.copy()
+        initial_velocity = data.qvel.copy()
         mujoco.mj_step(model, data)  # all forces in `data` are those of the state before
-        after, mean = data.qvel.copy(), 0.5 * (before + data.qvel)
+        final_velocity, mean = data.qvel.copy(), 0.5 * (initial_velocity + data.qvel)
         if step >= 100:
             pushed = np.zeros(data.nefc)
             mujoco.mj_mulJacVec(model, data, pushed, mean)
-            lost = -model.opt.timestep * data.efc_force * pushed
+            work = -model.opt.timestep * data.efc_force * pushed
             tendon = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON
-            damped = model.opt.timestep * model.dof_damping * after * mean
+            damped = model.opt.timestep * model.dof_damping * final_velocity * mean
             budget.servos += model.opt.timestep * data.qfrc_actuator @ mean
             budget.servo_dampers += damped[of_servo].sum()
             budget.other_dampers += damped[~of_servo].sum()
-            budget.contact += lost[~tendon].sum()
-            budget.tendons += lost[tendon].sum()
+            budget.contact += work[~tendon].sum()
+            budget.tendons += work[tendon].sum()
             readings.append(data.sensordata.copy())
         elif step == 99:
             energy = energies(model, data)
@@ -124,7 +124,7 @@ def energies(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
     """Servos' work is what dampers, contact and tendons take and what the robot gains; the metrics have its parts."""
     budget, sensors = trotting_in_place()
-    taken = (
+    work = (
         budget.servo_dampers
         + budget.other_dampers
         + budget.contact
@@ -132,18 +132,18 @@ def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
         + budget.gained
     )
     assert budget.servos > 0.1
-    assert taken == pytest.approx(budget.servos, rel=1e-3)
+    assert work == pytest.approx(budget.servos, rel=1e-3)
     body = ModelParameters()
     readings = sensors.servo_torque, sensors.servo_velocity, sensors.joint_velocity
-    before, now = (tuple(reading[i] for reading in readings) for i in (0, slice(1, None)))
-    spent = electrical.spent(before, now, body.servo)
+    start, now = (tuple(reading[i] for reading in readings) for i in (0, slice(1, None)))
+    spent = electrical.spent(start, now, body.servo)
     sums = {name: 0.998 * np.asarray(value) for name, value in spent.items()}
     expected = electrical.budget(sums, 0.998, electrical.Supply.of(body, load_robot()))
     assert expected["servo_net_work"] == pytest.approx(budget.servos, rel=0.01)
     assert expected["servo_damper_work"] == pytest.approx(budget.servo_dampers, rel=0.01)
     assert expected["joint_damper_work"] == pytest.approx(budget.other_dampers, rel=0.01)
-    left = budget.contact + budget.tendons + budget.gained
-    assert expected["constraint_work"] == pytest.approx(left, abs=0.01 * budget.servos)
+    balance = budget.contact + budget.tendons + budget.gained
+    assert expected["constraint_work"] == pytest.approx(balance, abs=0.01 * budget.servos)
     torque = np.abs(np.asarray(sensors.servo_torque[1:]))
     assert expected["limited_rear_knees"] == pytest.approx(
         (torque[:, 6:8] > 0.1569).mean(), abs=1e-6

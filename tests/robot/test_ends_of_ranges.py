@@ -89,9 +89,9 @@ def accepted(setup: Setup, values: dict[str, float]) -> bool:
 def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
     """Run worlds, and hold what is `ok` to what is true of every walk."""
     defaults, simulator = setup.defaults(), Simulator(setup, engine="c")
-    named = sorted({name for world in worlds for name in world})
+    names = sorted({name for world in worlds for name in world})
     values = {
-        name: np.array([world.get(name, defaults[name]) for world in worlds]) for name in named
+        name: np.array([world.get(name, defaults[name]) for world in worlds]) for name in names
     }
     result = simulator.run(values, Run(duration=seconds, warmup=0.2 * seconds), record=True)
     metrics, trace, model, parameters = (
@@ -102,14 +102,14 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
     )
     low, high = model.actuator_ctrlrange.T
     knees = np.array(["knee" in model.actuator(i).name for i in range(model.nu)])
-    further = knees * np.asarray(parameters["servo.knee_range"])[:, None, None]
-    low, high = low - further, high + further
+    margin = knees * np.asarray(parameters["servo.knee_range"])[:, None, None]
+    low, high = low - margin, high + margin
     assert ((trace.ctrl >= low - 1e-6) & (trace.ctrl <= high + 1e-6)).all()
     for i, world in enumerate(worlds):
         if result.status[i] != "ok":
             continue
-        missing = [name for name, column in metrics.items() if not np.isfinite(column[i])]
-        assert all(name.startswith(WITHOUT) for name in missing), (world, missing)
+        undefined = [name for name, column in metrics.items() if not np.isfinite(column[i])]
+        assert all(name.startswith(WITHOUT) for name in undefined), (world, undefined)
         assert np.isfinite(trace.qpos[i]).all(), world
         assert np.isfinite(trace.qvel[i]).all(), world
         # A walk is no faster than its feet go back; on a slope without friction it slides as fast as it may.
@@ -136,8 +136,8 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
         energy = (
             0.5 * sum(body) * np.sum(np.linalg.norm(trace.sensors["linear_velocity"][i, -1]) ** 2)
         )
-        way = np.linalg.norm(trace.qpos[i, -1, :2] - trace.qpos[i, 0, :2])
-        fallen = 0.2 + way * abs(np.sin(world_parameters["ground.slope"]))
+        distance = np.linalg.norm(trace.qpos[i, -1, :2] - trace.qpos[i, 0, :2])
+        fallen = 0.2 + distance * abs(np.sin(world_parameters["ground.slope"]))
         assert energy < metrics["servo_work"][i] / 0.8 + fallen * weight, world
 
 
@@ -176,9 +176,9 @@ def combined(choices: dict[str, str], count: int, seed: int) -> None:
     """Worlds of which from three parameters to half of all are at an end."""
     setup, draw = Setup(physics="fast", **choices), random.Random(seed)
     bounds = ends(setup)
-    apart = ("terrain.", "geometry.", "start.x", "start.y")
-    apart += () if setup.trajectory == "free" else ("foot.", "limb.", "trim.")
-    pool = [name for name in bounds if not name.startswith(apart)]
+    excluded = ("terrain.", "geometry.", "start.x", "start.y")
+    excluded += () if setup.trajectory == "free" else ("foot.", "limb.", "trim.")
+    pool = [name for name in bounds if not name.startswith(excluded)]
     worlds: list[dict[str, float]] = []
     while len(worlds) < count:
         names = draw.sample(pool, draw.choice([3, 6, 12, len(pool) // 2]))

@@ -100,11 +100,11 @@ def test_a_chain_approaches_the_arc_of_a_leaf():
                 if chain_of(model.joint(i).name) == "spine_joint_1":
                     data.qpos[model.jnt_qposadr[i]] = bend / number
             mujoco.mj_kinematics(model, data)
-            before, after = data.site("spine_left_0"), data.body("spine_vertebra_1")
-            places.append(before.xmat.reshape(3, 3).T @ after.xpos)
-        moved = places[1] - places[0]
-        assert moved[2] == pytest.approx(0.0, abs=1e-12)
-        missed.append(np.linalg.norm(np.abs(moved[:2]) - expected))
+            site, vertebra = data.site("spine_left_0"), data.body("spine_vertebra_1")
+            places.append(site.xmat.reshape(3, 3).T @ vertebra.xpos)
+        shift = places[1] - places[0]
+        assert shift[2] == pytest.approx(0.0, abs=1e-12)
+        missed.append(np.linalg.norm(np.abs(shift[:2]) - expected))
     # Second order: the error of n hinges falls as 1 / n^2.
     assert missed[0] < 0.3 * np.linalg.norm(expected)
     assert missed[0] / missed[-1] == pytest.approx((MOST_HINGES / CHAINS[1]) ** 2, rel=0.05)
@@ -118,8 +118,8 @@ def test_the_standing_robot_is_the_same_with_chains():
         data = mujoco.MjData(robot.model)
         mujoco.mj_forward(robot.model, data)
         places.append((data.site_xpos.copy(), data.ten_length.copy()))
-    for before, after in zip(*places, strict=True):
-        np.testing.assert_allclose(after, before, atol=1e-9)
+    for hinged_value, chained_value in zip(*places, strict=True):
+        np.testing.assert_allclose(chained_value, hinged_value, atol=1e-9)
     assert chained.model.body_mass.sum() == pytest.approx(hinged.model.body_mass.sum(), rel=1e-12)
     assert chained.model.nv == hinged.model.nv + 3 * 12
     assert np.shape(chained.joints.knee) == (4, 4)

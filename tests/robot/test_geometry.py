@@ -209,7 +209,9 @@ def test_constants_and_their_derivatives_are_those_of_assembled_models():
         )
 
     with jax.enable_x64(True):
-        push = jax.vmap(lambda way: jax.jvp(fields, (first,), (way,)), out_axes=(None, -1))
+        push = jax.vmap(
+            lambda direction: jax.jvp(fields, (first,), (direction,)), out_axes=(None, -1)
+        )
         constants, slopes = jax.jit(push)(np.eye(len(names)))
     width, default = 1e-5, compiled(first)
     for i in range(len(names)):
@@ -270,9 +272,11 @@ def test_a_sweep_over_legs_spine_and_amplitude_is_one_batch_and_compiles_once(
     assert np.isfinite(speed).all()
     assert np.ptp(speed) > 1e-3
     compilations.clear()
-    again = sim.run({name: 0.99 * values for name, values in SWEPT.items()}, run).metrics["speed"]
+    changed_speed = sim.run({name: 0.99 * values for name, values in SWEPT.items()}, run).metrics[
+        "speed"
+    ]
     assert compilations == []
-    assert not np.array_equal(again, speed)
+    assert not np.array_equal(changed_speed, speed)
 
 
 @pytest.mark.release
@@ -280,8 +284,8 @@ def test_a_world_with_the_published_numbers_is_the_published_robot(simulator):
     """Named with its default, a length changes a walk by rounding only; without one, controllers have constants."""
     sim, run = simulator(spine="stride_extension"), Run(cycles=1, warmup_cycles=0)
     plain = sim.run({"spine.amplitude": 0.3}, run).metrics
-    named = sim.run({"spine.amplitude": 0.3, "geometry.hip.x": 0.0428}, run).metrics
-    assert named["speed"] == pytest.approx(plain["speed"], rel=1e-4)
+    published = sim.run({"spine.amplitude": 0.3, "geometry.hip.x": 0.0428}, run).metrics
+    assert published["speed"] == pytest.approx(plain["speed"], rel=1e-4)
     assert Setup().world({}).control.geometry is None
 
 

@@ -159,13 +159,13 @@ def test_the_right_legs_meshes_are_mirror_images():
             left, right = (meshes_of(model, f"{pair}_{side}_{part}") for side in ("left", "right"))
             assert len(left) == len(right) > 0
             for name, geom in left.items():
-                (here, faces), (right_points, mirrored) = (
+                (left_points, faces), (right_points, mirrored) = (
                     surface(model, data, g) for g in (geom, right[name.replace("left", "right")])
                 )
                 np.testing.assert_allclose(
-                    right_points * [-1.0, 1.0, 1.0], here, atol=1e-7, err_msg=name
+                    right_points * [-1.0, 1.0, 1.0], left_points, atol=1e-7, err_msg=name
                 )
-                assert volume(here, faces) > 0
+                assert volume(left_points, faces) > 0
                 assert volume(right_points, mirrored) > 0
 
 
@@ -225,8 +225,8 @@ def test_the_light_from_above_leaves_white_plastic_below_white():
     model = load_robot(scene="maze").model
     head = model.vis.headlight
     light = np.array(head.ambient) + np.array(head.diffuse)
-    for diffuse, way in zip(model.light_diffuse, model.light_dir, strict=True):
-        light = light + diffuse * -way[2] / np.linalg.norm(way)
+    for diffuse, direction in zip(model.light_diffuse, model.light_dir, strict=True):
+        light = light + diffuse * -direction[2] / np.linalg.norm(direction)
     colour = light * model.mat("torso_plastic").rgba[:3]
     assert colour.min() > 0.8
     assert colour.max() < 1.0
@@ -241,11 +241,11 @@ def test_one_file_holds_the_meshes(tail, tmp_path, monkeypatch):
     assert "meshdir" not in text
     assert len(text) < 1_000_000
     monkeypatch.chdir(tmp_path)
-    again = mujoco.MjModel.from_xml_string(text)
+    loaded = mujoco.MjModel.from_xml_string(text)
     for count in ("nmesh", "nmeshvert", "nmeshface"):
-        assert getattr(again, count) == getattr(robot.model, count)
-    np.testing.assert_allclose(again.geom_pos, robot.model.geom_pos, atol=1e-6)
-    assert mjx.put_model(again).nmesh == again.nmesh
+        assert getattr(loaded, count) == getattr(robot.model, count)
+    np.testing.assert_allclose(loaded.geom_pos, robot.model.geom_pos, atol=1e-6)
+    assert mjx.put_model(loaded).nmesh == loaded.nmesh
 
 
 @pytest.mark.parametrize("tail", ["rigid", "articulated"])

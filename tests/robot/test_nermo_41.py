@@ -200,9 +200,9 @@ def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    ("mode", "least", "upper"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)]
+    ("mode", "lower", "upper"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)]
 )
-def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, least, upper):
+def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, lower, upper):
     """It neither falls nor stands. At 0.4 rad of servo the vertical joints bend by about 0.1 rad; held, they give way
     to the feet's impacts by a third of that at most: of docs/model.md's identified body (the default's by 0.042)."""
     sim = simulator(**BOUND, spine=mode)
@@ -211,7 +211,7 @@ def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mo
     assert result.metrics["fell"][0] == 0.0
     assert result.metrics["speed"][0] > 0.015
     bent = np.abs(result.recording().qpos[:, np.ravel(sim.robot.joints.spine_vertical)])
-    assert least < bent.max() < upper
+    assert lower < bent.max() < upper
 
 
 @pytest.mark.release
@@ -263,8 +263,10 @@ def test_mjx_walks_as_c_does_and_its_slopes_are_those_of_c():
             return rollout(dict(zip(point, values, strict=True)))["speed"]
 
         def with_slopes(values):
-            ways = jnp.eye(len(point))
-            return jax.vmap(lambda way: jax.jvp(speed, (values,), (way,)), out_axes=(None, 0))(ways)
+            directions = jnp.eye(len(point))
+            return jax.vmap(
+                lambda direction: jax.jvp(speed, (values,), (direction,)), out_axes=(None, 0)
+            )(directions)
 
         value, slopes = jax.jit(with_slopes, compiler_options=compiler_options())(
             jnp.asarray(first)

@@ -233,8 +233,8 @@ def test_a_sweep_finds_a_scene_beside_its_file_and_keeps_it(tmp_path):
     sweep = Sweep.from_file(path)
     assert sweep.setup == Setup(scene=YARD)
     (tmp_path / "yard.xml").unlink()
-    again = Sweep.from_text(sweep.to_yaml())
-    assert (again, again.digest()) == (sweep, sweep.digest())
+    reloaded = Sweep.from_text(sweep.to_yaml())
+    assert (reloaded, reloaded.digest()) == (sweep, sweep.digest())
     (tmp_path / "yard.xml").write_text(YARD.replace("0.51", "0.52"))
     assert Sweep.from_file(path).digest() != sweep.digest()
     assert (
@@ -337,8 +337,8 @@ def test_the_defaults_of_the_ground_are_the_scenes_gravity():
         0.0,
     ]
     sim = Simulator(Setup(scene=text), "c")
-    (named,) = sim.prepare({"ground.slope": rise}).fields["opt.gravity"]
-    np.testing.assert_allclose(named, sim.robot.model.opt.gravity, atol=1e-6)
+    (varied_gravity,) = sim.prepare({"ground.slope": rise}).fields["opt.gravity"]
+    np.testing.assert_allclose(varied_gravity, sim.robot.model.opt.gravity, atol=1e-6)
 
 
 @pytest.mark.release

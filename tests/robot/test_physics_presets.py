@@ -151,8 +151,11 @@ def test_only_the_soles_touch_the_ground_in_fast(scene):
 
 def test_the_default_is_the_reference():
     """Nothing named is `reference` at 2 ms, the same robot as with both named."""
-    named = load_robot(physics="reference", timestep=0.002)
-    assert (load_robot().config, load_robot().fingerprint) == (named.config, named.fingerprint)
+    explicit = load_robot(physics="reference", timestep=0.002)
+    assert (load_robot().config, load_robot().fingerprint) == (
+        explicit.config,
+        explicit.fingerprint,
+    )
     assert Setup() == Setup(physics="reference", timestep=0.002)
 
 
@@ -191,8 +194,8 @@ def test_tendons_of_fast_yield_as_the_docs_say():
         for _ in range(round(1.0 / model.opt.timestep)):
             data.ctrl[:] = standing(load_robot(physics=physics))
             mujoco.mj_step(model, data)
-        past = data.ten_length - model.tendon_range[:, 1]
-        yields[physics] = past[
+        stretch = data.ten_length - model.tendon_range[:, 1]
+        yields[physics] = stretch[
             [i for i in range(model.ntendon) if model.tendon(i).name.startswith("rear")]
         ].mean()
     assert yields["reference"] == pytest.approx(7.9e-5, abs=5e-6)

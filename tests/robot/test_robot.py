@@ -316,14 +316,14 @@ def test_left_and_right_mirror_each_other(tail):
             tensor(image), MIRROR @ tensor(name) @ MIRROR, atol=1e-15, err_msg=name
         )
     for joint in (model.joint(i).name for i in range(1, model.njnt)):
-        here, right = data.joint(joint), data.joint(other_side(joint))
-        np.testing.assert_allclose(right.xanchor, MIRROR @ here.xanchor, atol=1e-12, err_msg=joint)
+        left, right = data.joint(joint), data.joint(other_side(joint))
+        np.testing.assert_allclose(right.xanchor, MIRROR @ left.xanchor, atol=1e-12, err_msg=joint)
         # Limbs hinge about x on both sides, with one sign convention; the axes of all others lie in the mirror plane.
         if joint == other_side(joint):
-            assert here.xaxis[0] == pytest.approx(0.0, abs=1e-12), joint
+            assert left.xaxis[0] == pytest.approx(0.0, abs=1e-12), joint
         else:
-            np.testing.assert_allclose(np.abs(here.xaxis), (1, 0, 0), atol=1e-12, err_msg=joint)
-            np.testing.assert_allclose(right.xaxis, here.xaxis, atol=1e-12, err_msg=joint)
+            np.testing.assert_allclose(np.abs(left.xaxis), (1, 0, 0), atol=1e-12, err_msg=joint)
+            np.testing.assert_allclose(right.xaxis, left.xaxis, atol=1e-12, err_msg=joint)
         for field in ("stiffness", "damping", "armature", "range", "qpos0", "qpos_spring"):
             values = (
                 getattr(model.joint(joint), field),
@@ -344,11 +344,11 @@ def test_mirrored_commands_give_the_mirrored_motion():
     robot = load_robot()
     ctrl = targets(robot.n_servos, 300)
     image = ctrl[:, [1, 0, 3, 2, 5, 4, 7, 6, 8, 9]] * ([1] * 8 + [-1] * 2)
-    here, mirrored = simulate(robot.model, ctrl), simulate(robot.model, image)
-    np.testing.assert_allclose(mirrored[:, 0], -here[:, 0], atol=1e-9)
-    np.testing.assert_allclose(mirrored[:, 1:3], here[:, 1:3], atol=1e-9)
-    np.testing.assert_allclose(mirrored[:, 3:7], here[:, 3:7] * [1, 1, -1, -1], atol=1e-9)
-    assert np.ptp(here[:, 0]) > 1e-3  # something happened that could differ
+    original, mirrored = simulate(robot.model, ctrl), simulate(robot.model, image)
+    np.testing.assert_allclose(mirrored[:, 0], -original[:, 0], atol=1e-9)
+    np.testing.assert_allclose(mirrored[:, 1:3], original[:, 1:3], atol=1e-9)
+    np.testing.assert_allclose(mirrored[:, 3:7], original[:, 3:7] * [1, 1, -1, -1], atol=1e-9)
+    assert np.ptp(original[:, 0]) > 1e-3  # something happened that could differ
 
 
 @pytest.mark.parametrize("tail", TAILS)
@@ -591,11 +591,11 @@ def test_sensors_are_read_by_meaning(tail):
         for name in ("position", "orientation", "linear_velocity", "gyro", "accelerometer")
     }
     expected |= {
-        f"servo_{what}": [f"{servo}_{what}" for servo in servos]
-        for what in ("angle", "velocity", "torque")
+        f"servo_{quantity}": [f"{servo}_{quantity}" for servo in servos]
+        for quantity in ("angle", "velocity", "torque")
     }
-    for what in ("knee_angle", "foot_force", "foot_position", "foot_velocity"):
-        expected[what] = [f"{limb}_{what}" for limb in LIMBS]
+    for quantity in ("knee_angle", "foot_force", "foot_position", "foot_velocity"):
+        expected[quantity] = [f"{limb}_{quantity}" for limb in LIMBS]
     for name, sources in expected.items():
         readings = np.concatenate([data.sensor(source).data for source in sources])
         got = np.asarray(getattr(single, name))
@@ -735,26 +735,26 @@ def test_it_moves_bit_for_bit_like_the_whole_model(scene, tail):
 def test_ids_that_engines_use_are_those_of_the_whole_model(scene):
     """Bodies, joints, actuators, tendons, sensors and contact pairs."""
     robot = load_robot(scene=scene)
-    whole, lean = robot.model, robot.physical
+    complete, lean = robot.model, robot.physical
     for kind in ("body", "joint", "actuator", "tendon", "sensor", "pair"):
         count = {"body": "nbody", "joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}")
         names = [
-            [getattr(m, kind)(i).name for i in range(getattr(m, count))] for m in (whole, lean)
+            [getattr(m, kind)(i).name for i in range(getattr(m, count))] for m in (complete, lean)
         ]
         assert names[0] == names[1], kind
-    assert whole.nu > 0
+    assert complete.nu > 0
 
 
 def test_nothing_that_is_only_drawn_is_left():
     """Every geom touches something or leads a tendon, and every site is on a tendon or read."""
     robot = load_robot()
     model = robot.physical
-    used = {
+    geoms = {
         *model.pair_geom1.tolist(),
         *model.pair_geom2.tolist(),
         *model.wrap_objid[model.wrap_type == 5].tolist(),
     }
-    assert used == set(range(model.ngeom))
+    assert geoms == set(range(model.ngeom))
     assert model.ngeom < 20 < robot.model.ngeom
     assert (model.ncam, model.nlight) == (0, 0)
     assert {model.site(i).name for i in range(model.nsite)} >= {
@@ -808,8 +808,8 @@ def test_what_a_pair_or_a_sensor_names_is_not_left_out_as_visual():
         <contact><pair geom1="floor" geom2="a"/></contact>
         <sensor><framepos objtype="geom" objname="b"/>
           <framepos objtype="site" objname="read" reftype="geom" refname="c"/></sensor></mujoco>""")
-    whole = spec.compile()
-    lean = physical_model(spec, whole)
+    complete = spec.compile()
+    lean = physical_model(spec, complete)
     assert [lean.geom(i).name for i in range(lean.ngeom)] == ["floor", "a", "b", "c"]
     assert [lean.site(i).name for i in range(lean.nsite)] == ["read"]
-    np.testing.assert_array_equal(lean.body_mass, whole.body_mass)
+    np.testing.assert_array_equal(lean.body_mass, complete.body_mass)

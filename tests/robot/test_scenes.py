@@ -87,8 +87,8 @@ def test_every_scene_steps_and_looks_like_the_flat_one(name):
 def test_a_scene_stands_alone_as_one_file(name):
     """The MJCF that `model --xml` writes needs no included file, and gives the same model."""
     robot = scene(name)
-    again = mujoco.MjModel.from_xml_string(robot.to_xml())
-    assert (again.ngeom, again.npair, again.nq) == (
+    reloaded = mujoco.MjModel.from_xml_string(robot.to_xml())
+    assert (reloaded.ngeom, reloaded.npair, reloaded.nq) == (
         robot.model.ngeom,
         robot.model.npair,
         robot.model.nq,
@@ -111,8 +111,8 @@ def test_only_obstacles_add_contact_pairs_and_the_walk_in_the_open_is_the_same_t
         data = mujoco.MjData(model)
         mujoco.mj_step(model, data, 300)
         ends.append((data.qpos.copy(), data.sensordata.copy(), [c.dist for c in data.contact]))
-    for here, obstructed in zip(*ends, strict=True):
-        np.testing.assert_array_equal(here, obstructed)
+    for free, obstructed in zip(*ends, strict=True):
+        np.testing.assert_array_equal(free, obstructed)
 
 
 def test_the_straight_line_is_two_metres_with_a_tick_every_half():
@@ -289,20 +289,20 @@ EXTREMITIES = {
 def test_a_part_of_the_body_that_enters_a_box_is_noticed(part):
     """The part's farthest visible point is put 3 mm inside a box's face, as if the robot had come from outside."""
     robot = scene("maze")
-    body, way = EXTREMITIES[part]
+    body, direction = EXTREMITIES[part]
     model, data = robot.model, standing(robot.model)
     visual_geoms = np.flatnonzero(
         (model.geom_bodyid == model.body(body).id) & (model.geom_group == 2)
     ).tolist()
     box = robot.obstacles[LONELY]
     # The distance to the part of this box, moved before it, tells how far the part reaches.
-    side = np.array([*way, 0.0])
+    side = np.array([*direction, 0.0])
     lateral = np.mean([data.geom_xpos[g] for g in visual_geoms], axis=0) * (1.0 - np.abs(side))
-    moved = copy.copy(model)
-    moved.geom_pos[box] = [*(lateral + 0.35 * side)[:2], 0.05]
-    mujoco.mj_kinematics(moved, data)
-    gap = min(mujoco.mj_geomDistance(moved, data, box, g, 1.0, None) for g in visual_geoms)
-    shift = model.geom_pos[box] - moved.geom_pos[box] + (gap + 0.003) * side
+    shifted_model = copy.copy(model)
+    shifted_model.geom_pos[box] = [*(lateral + 0.35 * side)[:2], 0.05]
+    mujoco.mj_kinematics(shifted_model, data)
+    gap = min(mujoco.mj_geomDistance(shifted_model, data, box, g, 1.0, None) for g in visual_geoms)
+    shift = model.geom_pos[box] - shifted_model.geom_pos[box] + (gap + 0.003) * side
     data = standing(model, *shift[:2])
     assert min(
         mujoco.mj_geomDistance(model, data, box, g, 1.0, None) for g in visual_geoms

@@ -55,13 +55,13 @@ def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
         model = compile_model(robot, values)
         places = np.random.default_rng(0).uniform([-0.5, -3.0], [0.5, 0.4], (150, 2))
         heights = np.asarray(robot.terrain.height(*places.T, tree_of(values)))
-        before = np.asarray(robot.terrain.height(*places.T))
+        default_heights = np.asarray(robot.terrain.height(*places.T))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(
         heights, [ray_height(model, data, scene, *position) for position in places], atol=1e-7
     )
-    assert np.abs(heights - before).max() > 1e-3
+    assert np.abs(heights - default_heights).max() > 1e-3
 
 
 @pytest.mark.release

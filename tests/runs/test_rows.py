@@ -30,8 +30,8 @@ def keys(values):
     return keys_of("walk", {"a": np.asarray(values, float)}, len(values))
 
 
-def opened(directory, group="aa", also=(), **how):
-    return Runs(directory.out, group, also, held=directory, **how)
+def opened(directory, group="aa", also=(), **options):
+    return Runs(directory.out, group, also, held=directory, **options)
 
 
 def add(runs, values, first=0, series=False):
@@ -92,20 +92,20 @@ def test_parts_of_another_job_leave_the_folder_that_is_read_whole_and_come_back(
     assert first.path.exists()
 
 
-@pytest.mark.parametrize("moved", [0, 1, 2])
-def test_a_process_killed_while_it_moves_parts_loses_none(directory, monkeypatch, moved):
+@pytest.mark.parametrize("move_number", [0, 1, 2])
+def test_a_process_killed_while_it_moves_parts_loses_none(directory, monkeypatch, move_number):
     """Of runs and of their series, which are moved one after the other: both jobs find all of them."""
     add(opened(directory), [1.0], series=True)
     moves, rename = itertools.count(), Path.rename
 
     def killed(path, target):
-        if next(moves) == moved:
+        if next(moves) == move_number:
             raise KeyboardInterrupt
         return rename(path, target)
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", killed)
-        if moved < 2:
+        if move_number < 2:
             with pytest.raises(KeyboardInterrupt):
                 retire(directory, "bb")
         else:
@@ -149,13 +149,13 @@ def test_without_the_directory_nothing_is_written(tmp_path):
         path = add(opened(directory), [1.0]).path
         retire(directory, "bb")
         add(opened(directory, "bb"), [2.0])
-    moved = next(tmp_path.glob("out/former/results/*"))
-    moved.write_bytes(b"half")
-    before = contents(tmp_path)
+    retired_path = next(tmp_path.glob("out/former/results/*"))
+    retired_path.write_bytes(b"half")
+    former_contents = contents(tmp_path)
     warned = []
     assert len(Runs(tmp_path / "out", "aa", warn=warned.append).numbers) == 0
-    assert warned == [f"{moved} is damaged; its runs are not used."]
-    assert before == contents(tmp_path)
+    assert warned == [f"{retired_path} is damaged; its runs are not used."]
+    assert former_contents == contents(tmp_path)
     assert not path.exists()
 
 
@@ -235,12 +235,12 @@ def test_a_full_disk_leaves_nothing_half_written(directory, monkeypatch, folder)
     assert sorted(opened(directory, series=True).numbers.tolist()) == [0, 1]
 
 
-@pytest.mark.parametrize("lost", ["rename", "bytes"])
-def test_what_a_disk_loses_is_missing_when_it_is_looked_at_again(directory, monkeypatch, lost):
+@pytest.mark.parametrize("operation", ["rename", "bytes"])
+def test_what_a_disk_loses_is_missing_when_it_is_looked_at_again(directory, monkeypatch, operation):
     replace = os.replace
 
     def loses(source, target):
-        if lost == "rename":
+        if operation == "rename":
             os.unlink(source)
         else:
             Path(source).write_bytes(Path(source).read_bytes()[:-1])

@@ -64,7 +64,9 @@ def test_rows_of_other_code_are_refused_until_they_are_accepted(tmp_path):
 def test_who_goes_on_under_another_python_or_numpy_is_told(tmp_path):
     """Not of what the stamp of the code decides, and not where nothing is known of the former session."""
     first = {"versions": {"python": "3.11.7", "numpy": "2.4.6", "jax": "0.10.2"}}
-    then = {"versions": {"python": "3.12.1", "numpy": "2.3.0", "jax": "0.9.0", "scipy": "1.17.1"}}
+    session_of_old_versions = {
+        "versions": {"python": "3.12.1", "numpy": "2.3.0", "jax": "0.9.0", "scipy": "1.17.1"}
+    }
     with RunDirectory(tmp_path, "sweep") as directory, warnings.catch_warnings():
         warnings.simplefilter("error")
         for session in ({}, first, first, {"versions": {"jax": "0.9.0"}}, {"versions": {}}, first):
@@ -72,8 +74,8 @@ def test_who_goes_on_under_another_python_or_numpy_is_told(tmp_path):
         with pytest.raises(
             UserWarning, match=r"with python 3\.12\.1, not 3\.11\.7, numpy 2\.3\.0, not 2\.4\.6: "
         ):
-            directory.note_session(then)
-        directory.note_session(then)
+            directory.note_session(session_of_old_versions)
+        directory.note_session(session_of_old_versions)
 
 
 def test_a_directory_without_rows_is_begun_anew_by_who_holds_it_alone(tmp_path):

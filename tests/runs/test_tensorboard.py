@@ -30,7 +30,7 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     table = read_table(tmp_path)
     well = np.array(table.column("status").to_pylist()) == "ok"
     speed = table.column("speed").to_numpy()[well]
-    known_values = {
+    expected_values = {
         "best/speed": speed.max(),
         "mean/speed": speed.mean(),
         "rows": 36,
@@ -49,7 +49,7 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
             for value in event.summary.value:
                 series.setdefault(value.tag, {})[event.step] = value.simple_value
     assert sorted(series["rows"]) == [9, 18, 27, 36]
-    for name, value in known_values.items():
+    for name, value in expected_values.items():
         assert series[name][36] == pytest.approx(value, rel=1e-6)
     # Of every chunk, however fast the machine: a chunk of a fake simulator takes less than a millisecond.
     assert sorted(series["steps_per_second"]) == [9, 18, 27, 36]

@@ -162,10 +162,10 @@ def test_a_wrong_controller_is_refused_with_file_and_line(tmp_path: Path, case: 
 @pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
 def test_angles_that_become_nan_are_a_divergence(tmp_path: Path, engine: str) -> None:
     """Whether servos, and not only the body, lose their numbers."""
-    late = UPDATE.replace(
+    code = UPDATE.replace(
         "self.servos(params, phase)", "self.servos(params, jnp.sqrt(params.lag - phase) ** 2)"
     )
-    (tmp_path / "own.py").write_text(BOUND.replace(UPDATE, late))
+    (tmp_path / "own.py").write_text(BOUND.replace(UPDATE, code))
     simulator = Simulator(
         Setup(controller=f"{tmp_path / 'own.py'}:Bound", physics="fast"), engine=engine
     )

@@ -22,7 +22,7 @@ from nermo_mjx.sweep import Sweep, run_sweep
 
 
 @pytest.mark.parametrize(
-    ("read", "spec", "message"),
+    ("function", "spec", "message"),
     [
         (
             Sweep.from_dict,
@@ -57,11 +57,11 @@ from nermo_mjx.sweep import Sweep, run_sweep
         ),
         *(
             (
-                read,
+                function,
                 spec | {"pilot": {"waypoints": {"points": [[0.0, 0.0], [0.0, -0.5], [far, -1.0]]}}},
                 message,
             )
-            for read, spec in (
+            for function, spec in (
                 (Sweep.from_dict, {"vary": {"frequency": [0.8]}}),
                 (Search.from_dict, SEARCH),
                 (Tuning.from_dict, TUNE),
@@ -74,10 +74,10 @@ from nermo_mjx.sweep import Sweep, run_sweep
     ],
 )
 def test_a_batch_that_does_not_fit_and_a_run_without_end_are_refused(
-    read: Any, spec: Any, message: str
+    function: Any, spec: Any, message: str
 ) -> None:
     with pytest.raises(SpecError, match=re.escape(message)):
-        read(spec)
+        function(spec)
 
 
 def test_the_ticks_of_a_sweep_have_a_limit(tmp_path: Path) -> None:

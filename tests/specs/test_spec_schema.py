@@ -37,9 +37,9 @@ def schemas() -> dict[str, dict[str, Any]]:
 def kind_of(path: Path) -> str:
     """Which command a shipped file is for."""
     data = read_file(path).data
-    named = next((name for name in ("tune", "task") if name in data), "")
-    if named:
-        return {"tune": "tune", "task": "train"}[named]
+    section = next((name for name in ("tune", "task") if name in data), "")
+    if section:
+        return {"tune": "tune", "task": "train"}[section]
     return "search" if {"objective", "pareto"} & set(data) else "sweep"
 
 
@@ -73,8 +73,8 @@ def test_resolved_files_are_valid(schemas, path):
     from nermo_mjx.sweep import Sweep
 
     kind = kind_of(path)
-    read = {"tune": Tuning, "search": Search, "sweep": Sweep, "train": Training}[kind]
-    assert faults(schemas[kind], read.from_file(path).resolved()) == []
+    spec_class = {"tune": Tuning, "search": Search, "sweep": Sweep, "train": Training}[kind]
+    assert faults(schemas[kind], spec_class.from_file(path).resolved()) == []
 
 
 SWEEP, TUNE = "vary: {frequency: [0.5]}\n", "tune: {duty: }\nobjective: [{maximize: speed}]\n"
@@ -158,9 +158,9 @@ def test_what_is_wrong_in_a_field_is_not_valid(schemas, kind, wrong):
     field = wrong.partition(":")[0]
     text = re.sub(rf"(?m)^{field}:.*\n", "", base) + wrong
     data = read_text(text, "s.yaml").data
-    read = {"sweep": Sweep.from_dict, "tune": Tuning.from_dict, "servos": read_channels}[kind]
+    reader = {"sweep": Sweep.from_dict, "tune": Tuning.from_dict, "servos": read_channels}[kind]
     with pytest.raises(SpecError):
-        read(data)
+        reader(data)
     assert faults(schemas[kind], data) != []
 
 
@@ -258,7 +258,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
         CmaMe: (SearchFile, lambda value: {"method": {"cma_me": value}}),
     }
     for section, (file, placed) in places.items():
-        for name in [message.name for message in dataclasses.fields(section)]:
+        for name in [field.name for field in dataclasses.fields(section)]:
             for odd in ODD:
                 try:
                     read(read_mapping(placed({name: odd})), file)

@@ -121,9 +121,9 @@ def test_a_sweep_begins_with_the_gain_that_its_file_asks_for(swept: Path, tmp_pa
         runs.columns["speed_gain"].description
         == "speed relative to the mean of none, all else equal"
     )
-    none = runs.columns["spine"].values == "none"
-    assert np.isnan(runs.columns["speed_gain"].values[none]).all()
-    assert np.isfinite(runs.columns["speed_gain"].values[~none]).all()
+    is_none = runs.columns["spine"].values == "none"
+    assert np.isnan(runs.columns["speed_gain"].values[is_none]).all()
+    assert np.isfinite(runs.columns["speed_gain"].values[~is_none]).all()
     assert (start_of(runs)["x"], start_of(runs)["colour"]) == ("frequency", "speed_gain")
 
 
@@ -206,8 +206,8 @@ def test_bodies_and_tendons_come_back_from_their_frames(dropped: Recording) -> N
         np.stack(places, axis=1) + origin[:, None], motion.position[:, frames.bodies], atol=1e-9
     )
     for tendon in motion.tendons:
-        within, points = frames.fixed(tendon.path - origin[:, None])
-        for k, frame in enumerate(within):
+        frame_ids, points = frames.fixed(tendon.path - origin[:, None])
+        for k, frame in enumerate(frame_ids):
             points_in_world = (
                 points[:, k] if frame < 0 else places[frame] + turns[frame].apply(points[:, k])
             )
@@ -237,9 +237,9 @@ def test_recordings_share_one_robot_and_damaged_ones_are_named(swept: Path, tmp_
     assert page.html.count('"eyes":') == 1
     assert len(notes) == 1
     assert "row-000007.npz is left out" in notes[0]
-    few: list[str] = []
-    assert explore(path, recordings=1, notify=few.append).recordings == 1
-    assert few[0].startswith("1 of 3 recordings")
+    messages: list[str] = []
+    assert explore(path, recordings=1, notify=messages.append).recordings == 1
+    assert messages[0].startswith("1 of 3 recordings")
     assert repr(explore(path, recordings=0)).endswith("36 rows, 0 recordings)")
 
 

@@ -115,8 +115,8 @@ def test_a_gain_is_white_at_none_and_red_where_it_is_a_loss(tab: Any, page: Path
         script = f"explorer.chart.colouring.css(explorer.chart.colouring.level({value}))"
         return [int(tab.evaluate(script)[i : i + 2], 16) for i in (1, 3, 5)]
 
-    none, loss, gain = map(rgb, (0, low, high))
-    assert min(none) > 235
+    neutral, loss, gain = map(rgb, (0, low, high))
+    assert min(neutral) > 235
     assert loss[0] > loss[2]
     assert gain[2] > gain[0]
     groups = tab.evaluate(
@@ -166,13 +166,17 @@ def test_cells_have_the_best_the_mean_and_the_worst_of_their_runs(
         )
         assert len(cell_positions) == 12
         across, up = (sorted({round(item[i], 1) for item in cell_positions}) for i in (0, 1))
-        for x, y, value, count, lost in cell_positions:
+        for x, y, value, count, lost_runs in cell_positions:
             frequency = np.unique(rows["frequency"])[across.index(round(x, 1))]
             amplitude = np.unique(rows["spine.amplitude"])[::-1][up.index(round(y, 1))]
             inside = (rows["frequency"] == frequency) & (rows["spine.amplitude"] == amplitude)
             well = inside & (rows["status"] == "ok")
             assert value == pytest.approx(function(rows["speed"][well]), rel=1e-5)
-            assert (count, lost) == (inside.sum(), inside.sum() - well.sum()) == (3, 3 - well.sum())
+            assert (
+                (count, lost_runs)
+                == (inside.sum(), inside.sum() - well.sum())
+                == (3, 3 - well.sum())
+            )
 
 
 def test_an_atlas_shows_its_cells_where_its_measures_are(tab: Any, tmp_path: Path) -> None:
@@ -194,9 +198,9 @@ def test_an_atlas_shows_its_cells_where_its_measures_are(tab: Any, tmp_path: Pat
     commands = tab.evaluate(
         "[...document.querySelectorAll('#row code')].map((code) => code.textContent)"
     )
-    again, walk = commands
-    assert again.startswith("nermo-mjx replay ")
-    assert again.endswith(f" --row {values['row'][0]}")
+    replay_command, walk = commands
+    assert replay_command.startswith("nermo-mjx replay ")
+    assert replay_command.endswith(f" --row {values['row'][0]}")
     assert (
         walk
         == f"nermo-mjx walk --gait lateral_walk --cycles 8 --warmup 2 --set frequency={values['frequency'][0]}"
@@ -262,7 +266,7 @@ def test_keys_walk_choose_and_let_go(tab: Any, page: Path, rows: dict[str, Any])
     assert f"row {ranked[1]}," in tab.evaluate(TOLD)
     tab.key("Enter")
     assert tab.evaluate(SELECTED) == ranked[1]
-    here = {name: rows[name][ranked[1]] for name in ("frequency", "spine.amplitude")}
+    parameters = {name: rows[name][ranked[1]] for name in ("frequency", "spine.amplitude")}
     for key, name, next_one in (
         ("ArrowLeft", "frequency", -1),
         ("ArrowDown", "spine.amplitude", -1),
@@ -270,9 +274,11 @@ def test_keys_walk_choose_and_let_go(tab: Any, page: Path, rows: dict[str, Any])
     ):
         tab.key(key)
         values = np.unique(rows[name])
-        here[name] = values[np.searchsorted(values, here[name]) + next_one]
+        parameters[name] = values[np.searchsorted(values, parameters[name]) + next_one]
         row = int(tab.evaluate("explorer.table.rows[explorer.chart.current.place]"))
-        assert {column_name: rows[column_name][row] for column_name in here} == here, key
+        assert {column_name: rows[column_name][row] for column_name in parameters} == parameters, (
+            key
+        )
     assert tab.evaluate(SELECTED) == ranked[1], "walking chooses nothing"
     tab.key("End")
     assert f"row {ranked[-1]}," in tab.evaluate(TOLD)

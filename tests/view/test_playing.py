@@ -40,9 +40,9 @@ def test_mujocos_forward_gives_the_recorded_readings(recording: Recording, sampl
         ("servo_angle", "servo_velocity"),
         ("foot_position", "foot_velocity"),
     ):
-        before = np.asarray(getattr(now, name)) - step * np.asarray(getattr(now, rate))
+        integrated = np.asarray(getattr(now, name)) - step * np.asarray(getattr(now, rate))
         span = step * np.abs(recording.sensors[rate][sample]).max() + 1e-6
-        np.testing.assert_allclose(before, recording.sensors[name][sample], atol=0.25 * span)
+        np.testing.assert_allclose(integrated, recording.sensors[name][sample], atol=0.25 * span)
     assert data.time == recording.time[sample]
 
 

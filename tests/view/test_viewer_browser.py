@@ -125,11 +125,11 @@ def test_tensions_and_forces_arrive_as_they_were(
     opened(tab, page_path)
     motion = motion_of(pair[0], robot_of(pair[0]).model)
     for i, tendon in enumerate(motion.tendons):
-        read = tab.evaluate(f"Array.from(viewer.clips[0].tendons[{i}].tension)")
-        np.testing.assert_allclose(read, tendon.tension, atol=1e-3)
+        values_of_page = tab.evaluate(f"Array.from(viewer.clips[0].tendons[{i}].tension)")
+        np.testing.assert_allclose(values_of_page, tendon.tension, atol=1e-3)
     for i, contact in enumerate(motion.contacts):
-        read = tab.evaluate(f"Array.from(viewer.clips[0].contacts[{i}].force)")
-        np.testing.assert_allclose(np.reshape(read, (-1, 3)), contact.force, atol=1e-3)
+        values_of_page = tab.evaluate(f"Array.from(viewer.clips[0].contacts[{i}].force)")
+        np.testing.assert_allclose(np.reshape(values_of_page, (-1, 3)), contact.force, atol=1e-3)
 
 
 # --- time
@@ -246,12 +246,12 @@ def test_a_tick_is_not_cut_where_values_hardly_differ(tab: chromium.Tab, page_pa
 def test_keys_change_the_picture_and_change_it_back(tab: chromium.Tab, page_path: Path) -> None:
     opened(tab, page_path)
     tab.evaluate("viewer.player.seek(1.2)")
-    before = stage_picture(tab)
+    picture = stage_picture(tab)
     for key in "tcrhg23456":
         tab.key(key)
-        assert share_changed(before, stage_picture(tab)) > 0.0005, key
+        assert share_changed(picture, stage_picture(tab)) > 0.0005, key
         tab.key("1" if key.isdigit() else key)
-    assert share_changed(before, stage_picture(tab)) < 0.0005
+    assert share_changed(picture, stage_picture(tab)) < 0.0005
 
 
 def test_dragging_turns_and_the_camera_follows_unless_told_not_to(
@@ -260,10 +260,10 @@ def test_dragging_turns_and_the_camera_follows_unless_told_not_to(
     opened(tab, page_path)
     tab.evaluate("viewer.player.seek(0.2)")
     camera = "viewer.stage.man.camera.position.toArray()"
-    before = np.array(tab.evaluate(camera))
+    initial_camera = np.array(tab.evaluate(camera))
     tab.evaluate("viewer.player.seek(1.8)")
     followed = np.array(tab.evaluate(camera))
-    assert (followed - before)[1] < -0.08, "it walks towards -y"
+    assert (followed - initial_camera)[1] < -0.08, "it walks towards -y"
     tab.key("f")
     tab.evaluate("viewer.player.seek(0.2)")
     np.testing.assert_allclose(tab.evaluate(camera), followed)
