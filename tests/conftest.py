@@ -253,10 +253,10 @@ def drawing():
 
     try:
         offscreen.require_gl()
-    except offscreen.RenderingUnavailable as package:
+    except offscreen.RenderingUnavailable as error:
         if os.environ.get("CI"):
             raise
-        pytest.skip(str(package))
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")

@@ -266,8 +266,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # specs
     "merge_wins": Mutant(
         "specs/reading.py",
-        "return {**merged, **own}",
-        "return {**own, **merged}",
+        "return {**merged, **entries}",
+        "return {**entries, **merged}",
         "A merged YAML mapping overrides the fields of the mapping that merges it.",
     ),
     "line_of_field": Mutant(
@@ -456,7 +456,7 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # the package itself
     "lengths_agree": Mutant(
         "files.py",
-        "known.setdefault(want, have) if isinstance(want, str) else want\n",
+        "sizes.setdefault(want, have) if isinstance(want, str) else want\n",
         "have if isinstance(want, str) else want\n",
         "Arrays of different lengths are read as one recording.",
     ),

@@ -100,9 +100,9 @@ def write_log(
         "\n".join([",".join(columns), *(",".join(f"{v:.5g}" for v in row) for row in rows)]) + "\n"
     )
     lines = ["time: {column: t_ms, unit: ms}", "channels:"]
-    for sensor_name in names:
-        lines.append(f"  cmd_{sensor_name}: {{quantity: command, of: {sensor_name}, unit: deg}}")
-        lines.append(f"  pos_{sensor_name}: {{quantity: angle, of: {sensor_name}, unit: deg}}")
+    for servo in names:
+        lines.append(f"  cmd_{servo}: {{quantity: command, of: {servo}, unit: deg}}")
+        lines.append(f"  pos_{servo}: {{quantity: angle, of: {servo}, unit: deg}}")
     lines += [
         "  gyro: {quantity: gyro, columns: [gx, gy, gz], unit: deg/s}",
         "  accelerometer: {quantity: accelerometer, columns: [ax, ay, az], unit: g}",

@@ -260,9 +260,9 @@ def test_only_its_own_page_gets_in(drive):
 )
 def test_garbage_is_refused_in_a_sentence_and_changes_nothing(drive, page, message, sentence):
     counts = len(drive.driving.commands), len(drive.driving.pushes), drive.speed
-    state = said(page, message, lambda state: "refused" in state)["refused"]
-    assert sentence in state
-    assert state.endswith(".")
+    refusal = said(page, message, lambda state: "refused" in state)["refused"]
+    assert sentence in refusal
+    assert refusal.endswith(".")
     assert (len(drive.driving.commands), len(drive.driving.pushes), drive.speed) == counts
     assert not drive.paused
 
@@ -389,8 +389,8 @@ def test_any_error_of_a_message_is_a_refusal(drive, page, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(drive.driving, "command", failing)
-        state = said(page, '{"set": {"stride": 0.8}}', lambda state: "refused" in state)
-        assert state["refused"] == "that failed: ZeroDivisionError('of a cycle')."
+        answer = said(page, '{"set": {"stride": 0.8}}', lambda state: "refused" in state)
+        assert answer["refused"] == "that failed: ZeroDivisionError('of a cycle')."
         patched.setattr(drive.driving, "push", failing)
         push = '{"push": {"body": 1, "force": [1, 0, 0], "seconds": 0.1}}'
         assert "that failed" in said(page, push, lambda state: "refused" in state)["refused"]
@@ -583,9 +583,9 @@ def test_a_full_disk_stops_time_until_there_is_room(recorded, tmp_path):
             return getattr(real, name)
 
     journal._file = Full()
-    state = said(page, '{"set": {"stride": 0.8}}', lambda state: "refused" in state)["refused"]
+    refusal = said(page, '{"set": {"stride": 0.8}}', lambda state: "refused" in state)["refused"]
     assert (
-        state
+        refusal
         == f"{tmp_path / 'd.jsonl'} cannot be written (No space left on device): time stands still until it can be."
     )
     assert paused(live_drive)
