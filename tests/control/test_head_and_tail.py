@@ -77,9 +77,9 @@ def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> 
     course = head_and_tail.CourseEstimate(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
     angles = [
         np.array(
-            named_head("gaze").update(params_with(head_lead=ahead), course, angle, PACE, 1e-9)[1]
+            named_head("gaze").update(params_with(head_lead=ahead), course, sensors, PACE, 1e-9)[1]
         )
-        for ahead, angle in (
+        for ahead, sensors in (
             (lead, sensors_at(torso, tuple(rate))),
             (0.0, sensors_at(future)),
             (0.0, sensors_at(torso)),

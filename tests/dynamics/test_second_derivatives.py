@@ -312,8 +312,8 @@ def test_a_derivative_of_ones_own_holds_in_loops_and_batches(mode: str, looped: 
 
     points = jnp.array([0.3, 2.0, 5.0])
     result, expected = (
-        jax.jit(WAYS[mode](functools.partial(roots, is_custom=custom_derivative)))(points)
-        for custom_derivative in (True, False)
+        jax.jit(WAYS[mode](functools.partial(roots, is_custom=is_custom_root)))(points)
+        for is_custom_root in (True, False)
     )
     np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-7)
 
