@@ -24,7 +24,7 @@ def test_no_name_stands_for_two_things():
 
 def directions(source):
     """The metrics whose better direction a source declares: in a mapping, in a pair, or as a `Metric`."""
-    words, found = {*SIDES, *SIDES.values()}, set()
+    words, words_of_values = {*SIDES, *SIDES.values()}, set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Dict):
             pairs = zip(node.keys, node.values, strict=True)
@@ -33,12 +33,12 @@ def directions(source):
         else:
             continue
         for name, value in pairs:
-            said = {
-                each.value for each in ast.walk(value) if isinstance(each, ast.Constant)
+            words_of_description = {
+                constant.value for constant in ast.walk(value) if isinstance(constant, ast.Constant)
             } & words
-            if isinstance(name, ast.Constant) and name.value in METRICS and said:
-                found.add(name.value)
-    return found
+            if isinstance(name, ast.Constant) and name.value in METRICS and words_of_description:
+                words_of_values.add(name.value)
+    return words_of_values
 
 
 def test_one_place_declares_which_direction_of_a_metric_is_better():

@@ -93,13 +93,13 @@ def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> N
 @pytest.mark.release
 def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
     chunk = part_of(sweep, 1)
-    there = 36 - pq.read_metadata(chunk).num_rows
+    remaining = 36 - pq.read_metadata(chunk).num_rows
     chunk.unlink()
     result = plot(sweep)
     assert result.exit_code == 0
-    assert f"{there} of 36 runs are in {sweep}; the figures show these." in result.stderr
+    assert f"{remaining} of 36 runs are in {sweep}; the figures show these." in result.stderr
     svgs = [path.read_text() for path in (sweep / "plots").glob("*.svg")]
-    assert all(f"{there} of 36 runs so far" in svg for svg in svgs)
+    assert all(f"{remaining} of 36 runs so far" in svg for svg in svgs)
 
 
 @pytest.mark.release
@@ -190,29 +190,29 @@ def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(
     run_tuning(tuning, tmp_path / "tuned", problem=FakeProblem(tuning), simulator=walker)
     result = plot(tmp_path / "tuned", "--out", tmp_path / "again")
     assert result.exit_code == 0, result.stderr
-    made = content(tmp_path / "tuned" / "plots")
-    assert content(tmp_path / "again") == made
+    figures = content(tmp_path / "tuned" / "plots")
+    assert content(tmp_path / "again") == figures
 
 
 @pytest.mark.release
 def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
     outcome, out = walked(), tmp_path / "experiments"
-    with RunDirectory(out, "experiments") as held:
-        about = {
+    with RunDirectory(out, "experiments") as directory:
+        description = {
             "settings": {},
             "engine": "fake",
             "code": "0a1b2c3d",
             "started": "2026-11-25",
             "wall_seconds": 1.0,
         }
-        Directory(out).save(outcome, about, Written(held))
-        held.note_session({})
+        Directory(out).save(outcome, description, Written(directory))
+        directory.note_session({})
     result = plot(out)
     assert result.exit_code == 0, result.stderr
     lines = published_lines(outcome)
-    made = write_figures(figures_of_experiment(outcome, lines), tmp_path / "drawn")
-    assert len(made) > 6
+    files = write_figures(figures_of_experiment(outcome, lines), tmp_path / "drawn")
+    assert len(files) > 6
     assert content(out / "plots") == content(tmp_path / "drawn")
     # A picture that a user has changed is kept.
     picture = next((out / "plots").glob("*.png"))

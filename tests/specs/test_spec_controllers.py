@@ -162,10 +162,10 @@ def test_a_wrong_controller_is_refused_with_file_and_line(tmp_path: Path, case: 
 @pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
 def test_angles_that_become_nan_are_a_divergence(tmp_path: Path, engine: str) -> None:
     """Whether servos, and not only the body, lose their numbers."""
-    late = UPDATE.replace(
+    code = UPDATE.replace(
         "self.servos(params, phase)", "self.servos(params, jnp.sqrt(params.lag - phase) ** 2)"
     )
-    (tmp_path / "own.py").write_text(BOUND.replace(UPDATE, late))
+    (tmp_path / "own.py").write_text(BOUND.replace(UPDATE, code))
     simulator = Simulator(
         Setup(controller=f"{tmp_path / 'own.py'}:Bound", physics="fast"), engine=engine
     )
@@ -180,13 +180,13 @@ def test_derived_values_are_refused_at_the_field_that_was_written(tmp_path: Path
         "vary:\n  duty: [0.5, 0.6, 0.005]",
         "x",
     )
-    own = (
+    controller_text = (
         BOUND
         + "\n    def complete(self, values):\n        return {'lag': 1 / values.get('reach', 1.0), **values}\n"
     )
-    own += "\n\nclass Root(Bound):\n    def cycle_rate(self, params):\n"
-    own += "        return jnp.sqrt(params.frequency - 1.0)\n"
-    (tmp_path / "own.py").write_text(own)
+    controller_text += "\n\nclass Root(Bound):\n    def cycle_rate(self, params):\n"
+    controller_text += "        return jnp.sqrt(params.frequency - 1.0)\n"
+    (tmp_path / "own.py").write_text(controller_text)
     for name, varied, message in (
         (
             "Bound",
