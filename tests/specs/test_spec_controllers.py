@@ -35,12 +35,14 @@ UPDATE = (
     "        phase = (phase + params.frequency * self.dt) % 1.0\n"
     "        return phase, self.servos(params, phase)\n"
 )
+#: The first line of `UPDATE` in the file.
+LINE = BOUND[: BOUND.index(UPDATE)].count("\n") + 1
 #: What is replaced in `bound.py`, by what, and what is said of it.
 CONTROLLERS = {
     "nothing": (
         UPDATE,
         "        pass\n",
-        r"update \(own.py:39\), which gives NoneType: expected two",
+        rf"update \(own.py:{LINE - 1}\), which gives NoneType: expected two",
     ),
     "no servos": (
         UPDATE,
@@ -56,27 +58,27 @@ CONTROLLERS = {
     "raises": (
         UPDATE,
         "        raise RuntimeError('boom')\n",
-        "update .* fails at own.py:40: RuntimeError: boom",
+        f"update .* fails at own.py:{LINE}: RuntimeError: boom",
     ),
     "if": (
         UPDATE,
         "        if phase > 0.5: pass\n" + UPDATE,
-        "at own.py:40: it cannot be compiled",
+        f"at own.py:{LINE}: it cannot be compiled",
     ),
     "numpy": (
         UPDATE,
         "        import numpy\n        numpy.asarray(phase)\n" + UPDATE,
-        "at own.py:41: it cannot be",
+        f"at own.py:{LINE + 1}: it cannot be",
     ),
     "range": (
         UPDATE,
         "        for i in range(phase): pass\n" + UPDATE,
-        "at own.py:40: (it cannot be|TypeError)",
+        f"at own.py:{LINE}: (it cannot be|TypeError)",
     ),
     "sensor": (
         UPDATE,
         "        sensors.gyros\n" + UPDATE,
-        "at own.py:40: AttributeError.*did you mean 'gyro'",
+        f"at own.py:{LINE}: AttributeError.*did you mean 'gyro'",
     ),
     "whole start": (
         "        return phase\n\n    def initial",
@@ -129,7 +131,7 @@ CONTROLLERS = {
     "maker": (
         "    dt = 0.01",
         "    dt = 0.01\n    def __init__(self): 1 / 0",
-        "at own.py:24: ZeroDivisionError",
+        f"at own.py:{LINE - 19}: ZeroDivisionError",
     ),
     "arguments": (
         "    dt = 0.01",
