@@ -52,7 +52,7 @@ def test_shared_again(case):
 @pytest.mark.parametrize("program_count", [14, 15])
 def test_ci_fails_for_many_programs_and_for_many_setups(program_count: int, tmp_path: Path) -> None:
     """Of two files with the same programs, each has its own; the cases of a fixture are two setups."""
-    (tmp_path / "conftest.py").write_text("import guard; guard.MOST_SETUPS = 3\n")
+    (tmp_path / "conftest.py").write_text("import guard; guard.MOST_SETUPS, guard.MOST_PROGRAMS = 3, 8\n")
     for name in ("a", "b"):
         (tmp_path / f"test_{name}.py").write_text(TESTS.replace("FEW", str(program_count)))
     process = subprocess.run(
@@ -87,11 +87,12 @@ def test_ci_fails_for_many_programs_and_for_many_setups(program_count: int, tmp_
 
 
 def test_the_programs_of_a_file_count_in_any_order() -> None:
-    counts = {"test_a": 20, "test_b[0]": 2, "test_b[1]": 2, "test_c": 0}
+    limit = 3 * guard.MOST_PROGRAMS  # of three functions
+    counts = {"test_a": limit - 4, "test_b[0]": 2, "test_b[1]": 2, "test_c": 0}
     assert guard.too_many(counts) == ""
-    assert guard.too_many(counts | {"test_b[1]": 3}) == guard.too_many(
-        {"test_c": 0, "test_b[1]": 3} | counts | {"test_b[1]": 3}
-    )
+    message = guard.too_many(counts | {"test_b[1]": 3})
+    assert f"{limit + 1} programs" in message
+    assert message == guard.too_many({"test_c": 0, "test_b[1]": 3} | counts | {"test_b[1]": 3})
 
 
 def test_too_many_setups_fail_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
