@@ -875,9 +875,10 @@ def identify_command(
         )
     if model and "robot" in options.given():
         raise WrongUse("--model is another robot: give it, or --robot.")
-    from nermo_mjx.experiments import log_identification, log_report, log_twin
     from nermo_mjx.files import MOST_FILE, read_bytes
     from nermo_mjx.hardware.log import read_log
+    from nermo_mjx.identify import body as bodies
+    from nermo_mjx.identify import identification, report, twin
     from nermo_mjx.robot.quantity import require
     from nermo_mjx.robot.robot import fingerprint
     from nermo_mjx.runs import RunDirectory, code
@@ -897,16 +898,14 @@ def identify_command(
             raise WrongUse(f"--range {each}: expected NAME=LOW:HIGH, such as kp=1:3.") from None
         ranges[name] = (low, high)
     logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
-    kinds = tuple(free.split(",")) if free else log_identification.FREE
+    kinds = tuple(free.split(",")) if free else identification.FREE
     of, wanted = robot if model is None else model, repr((kinds, ranges, seed))
     unread = [
-        each.name
-        for each in logs[0].channels
-        if each.quantity not in (*log_twin.PREDICTED, "command")
+        each.name for each in logs[0].channels if each.quantity not in (*twin.PREDICTED, "command")
     ]
     if unread:
         say(f"not compared, since they are not predicted: {', '.join(unread)}.")
-    body = log_twin.body_of(of, [*logs, *judges], kinds)
+    body = bodies.body_of(of, [*logs, *judges], kinds)
     stamp = code.stamp(fingerprint(body.model), "c", ("experiments", "hardware"))
     decides = digest_of(
         stamp.id, wanted, [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)]
@@ -917,16 +916,14 @@ def identify_command(
         resumable(out),
     ):
         held.note_session(code.session())
-        kept = log_report.kept_in(out, decides)
-        found = log_identification.identify_log(
+        kept = report.kept_in(out, decides)
+        found = identification.identify_log(
             logs, of, kinds, ranges, judges, seed, shown.share, kept
         )
-        content = log_report.write_identification(
-            found, out, shlex.join(["nermo-mjx", *sys.argv[1:]])
-        )
+        content = report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 
     def show() -> None:
-        print_table("Parameters", log_report.HEADINGS, log_report.estimate_rows(found))
+        print_table("Parameters", report.HEADINGS, report.estimate_rows(found))
         for sentence in content["sentences"]:
             click.echo(sentence)
         print_places(

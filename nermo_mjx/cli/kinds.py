@@ -40,7 +40,7 @@ class Kind:
 
 
 _COLUMNS: Final = ("x", "y", "color")
-_IDENTIFIED: Final = "experiments.log_report"
+_IDENTIFIED: Final = "identify.report"
 _KINDS: Final = (
     Kind(
         "sweep",

@@ -17,20 +17,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import (
-    Estimation,
-    Fit,
-    Judgement,
-    Parameter,
-    ParameterSpace,
-    judge,
-    percent,
-    rms,
-)
-from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, body_of, until
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.hardware.signals import channel_differences
+from nermo_mjx.identify import determinacy
+from nermo_mjx.identify.body import KINDS, Body, body_of
+from nermo_mjx.identify.determinacy import Judgement, judge, percent
+from nermo_mjx.identify.estimation import (
+    ENDS,
+    Estimation,
+    Fit,
+    Kept,
+    Parameter,
+    ParameterSpace,
+    repeated,
+    rms,
+)
+from nermo_mjx.identify.twin import LoggedTwin, until
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import require
 
@@ -146,7 +148,7 @@ class Identification:
         if self.simplest is not self.fit:
             half = len(drawn) // 2
             drawn[half:, self._own] = self.simplest.space.values(self.simplest.draws)[half:]
-        return np.quantile(drawn, determinacy.ENDS, axis=0).T
+        return np.quantile(drawn, ENDS, axis=0).T
 
     def sentences(self) -> list[str]:
         """The verdict in words."""
@@ -211,7 +213,7 @@ def identify_log(
     judges: Sequence[Log] = (),
     seed: int = 0,
     report: Callable[[float], None] = lambda share: None,
-    kept: determinacy.Kept = lambda compute: compute(),
+    kept: Kept = lambda compute: compute(),
 ) -> Identification:
     """Fit a body to logs, as `nermo-mjx identify --log` does.
 
@@ -289,7 +291,7 @@ def identify_log(
     longer = [until(log, 2 * piece.duration) for log, piece in zip(heads, pieces, strict=True)]
     whole = Estimation(space, twin(heads, names), kept)
     stages = [rough, Estimation(space, twin(longer, names), kept), whole]
-    fit = determinacy.repeated(
+    fit = repeated(
         stages,
         x,
         sigma,

@@ -1,4 +1,4 @@
-# Tests of experiments/log_identification.py, experiments/log_twin.py, experiments/log_report.py
+# Tests of identify/identification.py, identify/body.py, identify/twin.py, identify/report.py
 """Identification from a log: a model under logged commands, and what the command says of it."""
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 from nermo_mjx.cli import main as command
-from nermo_mjx.experiments.log_identification import Identification, identify_log
-from nermo_mjx.experiments.log_report import kept_in
-from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody, until
 from nermo_mjx.files import FileError
 from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.identify.body import MjcfBody, NermoBody
+from nermo_mjx.identify.identification import Identification, identify_log
+from nermo_mjx.identify.report import kept_in
+from nermo_mjx.identify.twin import LoggedTwin, until
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.optimize import Search, Tuning
 from nermo_mjx.robot import SERVOS, ParameterError, identified

@@ -16,12 +16,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import BaseModel
 
-from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Kept, percent
-from nermo_mjx.experiments.log_identification import Identification
-from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.hardware.table import servo_table
+from nermo_mjx.identify import determinacy
+from nermo_mjx.identify.body import MjcfBody, NermoBody
+from nermo_mjx.identify.determinacy import percent
+from nermo_mjx.identify.estimation import ENDS, Estimation, Kept
+from nermo_mjx.identify.identification import Identification
+from nermo_mjx.identify.twin import LoggedTwin
 from nermo_mjx.plotting.charts import page as blank_page
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
@@ -373,7 +375,7 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
     """Measured and predicted curves where nothing was fitted, with a band of the posterior."""
     twin = found.after.twin
     drawn = twin.predict(found.bodies[:: max(len(found.bodies) // SHOWN, 1)][:SHOWN])
-    low, high = np.quantile(drawn, determinacy.ENDS, axis=0)
+    low, high = np.quantile(drawn, ENDS, axis=0)
     best = twin.measured.values + found.after.residual
     before = twin.measured.values + found.before.residual
     units = {each.name: each.unit for log in twin.logs for each in log.channels}
