@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     )
     from nermo_mjx.identify.identification import identify_log as identify_log
     from nermo_mjx.identify.report import write_identification as write_identification
+    from nermo_mjx.identify.run import (
+        IdentificationResult as IdentificationResult,
+        run_identification as run_identification,
+    )
     from nermo_mjx.learn import (
         Environment as Environment,
         Task as Task,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 from mujoco import minimize
@@ -19,8 +19,8 @@ from scipy.stats import qmc
 
 from nermo_mjx.optimize.methods import strategy
 
-#: See `Estimation`.
-Kept: TypeAlias = Callable[[Callable[[], np.ndarray]], np.ndarray]
+#: Returns the array that a function computes from an array of inputs, computed now or stored before.
+Cache: TypeAlias = Callable[[Callable[[], np.ndarray], np.ndarray], np.ndarray]
 #: A parameter is determined if its 90 % interval is narrower than this share of its range.
 DETERMINED: Final = 0.1
 #: Draws of the posterior, and replicates of the bootstrap.
@@ -206,21 +206,52 @@ class Fit:
         ]
 
 
+def computed(compute: Callable[[], np.ndarray], inputs: np.ndarray) -> np.ndarray:
+    """The `Cache` that stores nothing."""
+    return compute()
+
+
+class EstimationProblem(Protocol):
+    """A model whose parameters an `Estimation` fits to measured samples.
+
+    Attributes:
+        measured: The samples.
+        parts: Part of the model that contains each parameter (p,) and each channel (channels,); -1 is the whole model.
+    """
+
+    @property
+    def measured(self) -> LoggedSamples: ...
+
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray]: ...
+
+    def predict(self, values: np.ndarray) -> np.ndarray:
+        """Predictions (k, n) of the samples for values (k, p); NaN where the model fails."""
+        ...
+
+    def renew(self, values: np.ndarray) -> None:
+        """Linearize the effects of unknown initial states at values (p,)."""
+        ...
+
+    def project(self, residual: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Whitened residuals (n, k) without the effects of unknown initial states, see `without`."""
+        ...
+
+
 class Estimation:
     """Fits parameters to measured numbers.
 
     Args:
         space: of the parameters.
-        problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; `renew` and `project`,
-            which remove from whitened residuals what unknown starts explain, see `without`; and `parts`, the part of
-            the model that each parameter (p,) and each channel is of, -1 of the whole.
-        kept: of what computes an array, that array: computed, or kept from before.
+        problem: The model and the samples.
+        cache: Stores the results of searches. The searches of the same data have the same order and inputs.
     """
 
     def __init__(
-        self, space: ParameterSpace, problem: Any, kept: Kept = lambda compute: compute()
+        self, space: ParameterSpace, problem: EstimationProblem, cache: Cache = computed
     ) -> None:
-        self.space, self.problem, self.measured, self._kept = space, problem, problem.measured, kept
+        self.space, self.problem, self.measured = space, problem, problem.measured
+        self._cache = cache
 
     def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Whitened residuals (n, k) at coordinates (p, k)."""
@@ -254,7 +285,7 @@ class Estimation:
             )  # fmt: skip
             return np.asarray(least).ravel()
 
-        return self._kept(found)
+        return self._cache(found, np.concatenate([x, sigma]))
 
     def _changes(
         self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, before: np.ndarray
@@ -309,7 +340,7 @@ class Estimation:
                 ]
             )
 
-        return self._kept(found)
+        return self._cache(found, points)
 
     def sought(self, generations: int, every: int, seed: int) -> Iterator[np.ndarray]:
         """Best coordinates (p,) so far of CMA-ES over the whole ranges, which local minima of contacts do not stop.
