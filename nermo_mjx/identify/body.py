@@ -48,8 +48,13 @@ class Body:
         notes: what was assumed, in sentences.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = copy.copy(model)
+    def __init__(self, model: mujoco.MjModel, free: Iterable[str]) -> None:
+        """
+        Args:
+            model: Compiled model.
+            free: Kinds of parameters that are estimated, of `KINDS`.
+        """
+        self.model, self._free = copy.copy(model), frozenset(free)
         self.model.opt.tolerance = min(model.opt.tolerance, 1e-10)
         self.parameters: dict[str, Parameter] = {}
         self.notes: list[str] = []
@@ -59,6 +64,25 @@ class Body:
         self._places: dict[str, tuple[str, int]] = {}
         #: Parameters that act on one kinematic tree alone, and a degree of freedom of it.
         self.dofs: dict[str, int] = {}
+
+    def _add(
+        self,
+        kind: str,
+        of: str,
+        i: int,
+        unit: str,
+        default: float = 0.0,
+        scale: float = 1.0,
+        dof: int = -1,
+    ) -> None:
+        """Add a parameter if its kind is free, with a range about its default, or about a scale without a default."""
+        if kind not in self._free:
+            return
+        about, name, default = KINDS[kind], f"{kind}.{of}" if of else kind, float(default)
+        low, value, high = np.array(about["range" if default > 0 else "unset"]) * (default or scale)
+        neutral = default if default > 0 or low <= 0 else math.nan
+        self.parameters[name] = Parameter(name, kind, unit, value, low, high, about["why"], neutral)
+        self._places[name], self.dofs[name] = (kind, i), dof
 
     def joint(self, name: str) -> int:
         """Id of the joint of this name, or that an actuator of this name turns.
@@ -205,7 +229,7 @@ class MjcfBody(Body):
         try:
             seen = {each.quantity for one in log for each in one.channels}
             held = not seen & {"gyro", "accelerometer", "position", "yaw"} and _hold(spec)
-            super().__init__(spec.compile())
+            super().__init__(spec.compile(), free)
             self._spec = whole if held else spec
         except ParameterError:
             raise
@@ -217,94 +241,54 @@ class MjcfBody(Body):
             self.notes.append(
                 "No channel sees the base: it is held where the model puts it, and nothing touches the ground."
             )
-        self._add(
-            tuple(free),
-            {each.of for one in log for each in one.channels if each.quantity == "command"},
-        )
+        commanded = {
+            channel.of for one in log for channel in one.channels if channel.quantity == "command"
+        }
+        self._add_all(sorted(self.actuator(name) for name in commanded))
 
-    def _add(self, free: tuple[str, ...], commanded: set[str]) -> None:
+    def _add_all(self, driven: Sequence[int]) -> None:
+        """Add the parameters of driven actuators, bodies, tendons, the ground and the commands."""
         model = self.model
         data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
         data.qpos[:] = self.start()
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, mass)
-        inertia = np.maximum(np.diag(mass), 1e-9)
-        driven = sorted(self.actuator(name) for name in commanded)
-        joints = [int(model.actuator_trnid[a, 0]) for a in driven]
-        dofs = [int(model.jnt_dofadr[j]) for j in joints]
-
-        def add(
-            kind: str, of: str, i: int, unit: str, default: float = 0.0, scale: float = 1.0
-        ) -> None:
-            """A parameter, whose range is about its default, or about a scale where the model leaves it out."""
-            about, name = KINDS[kind], f"{kind}.{of}" if of else kind
-            low, value, high = np.array(about["range" if default > 0 else "unset"]) * (
-                default or scale
-            )
-            neutral = default if default > 0 or low <= 0 else math.nan
-            self.parameters[name] = Parameter(
-                name, kind, unit, value, low, high, about["why"], neutral
-            )
-            self._places[name] = (kind, i)
-
-        for a, j, v in zip(driven, joints, dofs, strict=True):
-            others = tuple(self.parameters)
-            joint, servo = model.joint(j).name, model.actuator(a).name or model.joint(j).name
-            unit = "m" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
-            torque = "N" if unit == "m" else "N m"
-            gain = float(model.actuator_gainprm[a, 0])
-            strength = gain * 0.2 if self.servos[a] else inertia[v] * 20
-            critical = (
-                2 * math.sqrt(max(gain, 1e-9) * inertia[v]) if self.servos[a] else inertia[v] * 10
-            )
-            if "armature" in free:
-                add(
-                    "armature",
-                    joint,
-                    v,
-                    "kg" if unit == "m" else "kg m^2",
-                    float(model.dof_armature[v]),
-                    inertia[v],
-                )
-            if "damping" in free:
-                add(
-                    "damping", joint, v, f"{torque} s/{unit}", float(model.dof_damping[v]), critical
-                )
-            if "frictionloss" in free:
-                add("frictionloss", joint, v, torque, float(model.dof_frictionloss[v]), strength)
-            if "stiffness" in free and model.jnt_stiffness[j] > 0:
-                add("stiffness", joint, j, f"{torque}/{unit}", float(model.jnt_stiffness[j]))
-            if "kp" in free:
-                add("kp", servo, a, f"{torque}/{unit}" if self.servos[a] else "1", gain)
-            if "bias" in free and self.servos[a]:
-                add("bias", servo, a, unit)
-            self.dofs |= {name: v for name in self.parameters if name not in others}
-        if "mass" in free:
-            for b in range(1, model.nbody):
-                if model.body_mass[b] > 0 and (model.body_weldid[b] != 0):
-                    add(
-                        "mass",
-                        model.body(b).name or f"body_{b}",
-                        b,
-                        "kg",
-                        float(model.body_mass[b]),
-                    )
-                    self.dofs[f"mass.{model.body(b).name or f'body_{b}'}"] = int(
-                        model.body_dofadr[b]
-                    )
+        for a in driven:
+            self._add_servo(a, np.maximum(np.diag(mass), 1e-9))
+        for b in range(1, model.nbody):
+            if model.body_mass[b] > 0 and model.body_weldid[b] != 0:
+                name, dof = model.body(b).name or f"body_{b}", int(model.body_dofadr[b])
+                self._add("mass", name, b, "kg", model.body_mass[b], dof=dof)
         for t in range(model.ntendon):
-            if "tendon" in free and model.tendon_limited[t]:
-                add("tendon", model.tendon(t).name or f"tendon_{t}", t, "m")
-        touches = bool(model.npair) or bool((model.geom_contype[model.geom_bodyid == 0] > 0).any())
-        if (
-            "friction" in free
-            and touches
-            and any(kind == mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type)
-        ):
-            add("friction", "", 0, "1", 1.0)
-        for kind in ("delay", "dead_band", "backlash"):
-            if kind in free and (kind == "delay" or self.servos[driven].all()):
-                add(kind, "", 0, "s" if kind == "delay" else "rad")
+            if model.tendon_limited[t]:
+                self._add("tendon", model.tendon(t).name or f"tendon_{t}", t, "m")
+        touches = model.npair or (model.geom_contype[model.geom_bodyid == 0] > 0).any()
+        if touches and (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+            self._add("friction", "", 0, "1", 1.0)
+        self._add("delay", "", 0, "s")
+        if self.servos[driven].all():
+            self._add("dead_band", "", 0, "rad")
+            self._add("backlash", "", 0, "rad")
+
+    def _add_servo(self, a: int, inertia: np.ndarray) -> None:
+        """Add the parameters of an actuator and of its joint, with scales from the joint's inertia (nv,)."""
+        model, servo = self.model, bool(self.servos[a])
+        j = int(model.actuator_trnid[a, 0])
+        v, joint, gain = int(model.jnt_dofadr[j]), model.joint(j).name, model.actuator_gainprm[a, 0]
+        name = model.actuator(a).name or joint
+        slides = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
+        unit, torque, mass = ("m", "N", "kg") if slides else ("rad", "N m", "kg m^2")
+        strength = gain * 0.2 if servo else inertia[v] * 20
+        critical = 2 * math.sqrt(max(gain, 1e-9) * inertia[v]) if servo else inertia[v] * 10
+        add = functools.partial(self._add, dof=v)
+        add("armature", joint, v, mass, model.dof_armature[v], inertia[v])
+        add("damping", joint, v, f"{torque} s/{unit}", model.dof_damping[v], critical)
+        add("frictionloss", joint, v, torque, model.dof_frictionloss[v], strength)
+        if model.jnt_stiffness[j] > 0:
+            add("stiffness", joint, j, f"{torque}/{unit}", model.jnt_stiffness[j])
+        add("kp", name, a, f"{torque}/{unit}" if servo else "1", gain)
+        if servo:
+            add("bias", name, a, unit)
 
     def written(self, names: Sequence[str], values: np.ndarray) -> str:
         """The MJCF with values (p,) of named parameters."""
@@ -355,35 +339,22 @@ class NermoBody(Body):
             free: kinds of parameters that are estimated.
         """
         nermo, self.robot = load_robot(robot), robot
-        super().__init__(nermo.physical)
+        super().__init__(nermo.physical, free)
         self._variation, self.standing = Variation(nermo), dict(mass_values(robot))
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         known = replace_quantities(ModelParameters(), self.standing)
         for name, about in _TEXTS["nermo"].items():
-            if about["kind"] not in free:
+            if about["kind"] not in self._free:
                 continue
             value = about.get(
                 "value", functools.reduce(getattr, name.split("."), known) if "." in name else 0.0
             )
-            low, high = about["low"], about["high"]
-            neutral = about.get("neutral", math.nan)
+            value = min(max(float(value), about["low"]), about["high"])
             self.parameters[name] = Parameter(
-                name,
-                about["kind"],
-                about["unit"],
-                min(max(float(value), low), high),
-                low,
-                high,
-                about["why"],
-                neutral,
+                **{"name": name, "neutral": math.nan, **about, "value": value}
             )
-        if "bias" in free:
-            low, value, high = KINDS["bias"]["unset"]
-            for servo in nermo.servos[:9]:
-                name = f"bias.{servo}"
-                self.parameters[name] = Parameter(
-                    name, "bias", "rad", value, low, high, KINDS["bias"]["why"], 0.0
-                )
+        for i, servo in enumerate(nermo.servos[:9]):
+            self._add("bias", servo, i, "rad")
 
     def _named(self, names: Sequence[str], values: np.ndarray) -> dict[str, Any]:
         return self.standing | {

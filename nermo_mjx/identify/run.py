@@ -88,7 +88,8 @@ def run_identification(  # each parameter is an option of the command
     require("identify", "cma", "cma")
     unread = [
         channel.name
-        for channel in logs[0].channels
+        for log in logs[:1]
+        for channel in log.channels
         if channel.quantity not in (*PREDICTED, "command")
     ]
     if unread:
@@ -96,10 +97,7 @@ def run_identification(  # each parameter is an option of the command
     body = body_of(model, [*logs, *judges], free)
     stamp = code.stamp(fingerprint(body.model), "c", ROOMS)
     channels = [
-        (
-            *map(str, (channel.quantity, channel.of, channel.unit)),
-            _digest(channel.times, channel.values),
-        )
+        (channel.quantity, channel.of, channel.unit, _digest(channel.times, channel.values))
         for log in (*logs, *judges)
         for channel in log.channels
     ]

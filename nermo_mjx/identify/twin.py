@@ -23,7 +23,7 @@ from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.hardware.twin import SETTLING
 from nermo_mjx.identify.body import LANES, Body, body_of
 from nermo_mjx.identify.estimation import LoggedSamples, without
-from nermo_mjx.physics.servo_play import Play, played, servo_addresses
+from nermo_mjx.physics.servo_play import Play, ServosWithPlay
 from nermo_mjx.physics.variation import moves_constants
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runtime import thread_count
@@ -310,68 +310,41 @@ class _Driven:
         model, body, k, w = self.body.model, self.body, len(values), self.windows
         names = (*names, *body.fixed)
         values = np.concatenate([values, np.tile(list(body.fixed.values()), (k, 1))], axis=1)
-        batch = Batch(model, k * w, nthread=thread_count(None))
-        fields = body.fields(names, values)
-        for name, field in fields.items():
-            batch.expand(name)[...] = np.repeat(field, w, axis=0)
-        if moves_constants(fields) or "dof_armature" in fields:
-            batch.set_const()
-        qpos, qvel = self.start if starts is None else starts
-        batch.bind("qpos")[...] = np.broadcast_to(qpos, (k, *self.start[0].shape)).reshape(
-            k * w, -1
-        )
-        batch.bind("qvel")[...] = np.broadcast_to(qvel, (k, *self.start[1].shape)).reshape(
-            k * w, -1
-        )
+        batch = self._batch(names, values, starts)
         ctrl = self.controls(names, values)
-        wanted = sorted({name for name, _ in self.readings})
-        play = body.play(names, values)
-        motor = np.zeros((k * w, model.nu))
-
-        def run(steps: np.ndarray) -> dict[str, np.ndarray]:
-            """Steps of controls (k w, n, nu)."""
-            nonlocal motor
-            try:
-                if play is None:
-                    return batch.rollout(steps.shape[1], steps, record=wanted)
-                rows: list[dict[str, np.ndarray]] = []
-                of = Play(
-                    *(
-                        np.repeat(np.broadcast_to(leaf, (k, np.shape(leaf)[-1])), w, axis=0)
-                        for leaf in play
-                    )
-                )
-                addresses = servo_addresses(model)
-                position, velocity = batch.bind("qpos"), batch.bind("qvel")
-                for i in range(steps.shape[1]):
-                    q, v = position[:, addresses[0]], velocity[:, addresses[1]]
-                    control, motor = played(of, motor, steps[:, i], q, v, self.step, np)
-                    rows.append(batch.rollout(1, control[:, None], record=wanted))
-                return {
-                    name: np.concatenate([row[name] for row in rows], axis=1) for name in wanted
-                }
-            except SimulationError:
-                return {
-                    name: np.full(
-                        (k * w, steps.shape[1], *np.shape(getattr(mujoco.MjData(model), name))),
-                        np.nan,
-                    )
-                    for name in wanted
-                }
-
+        recorded, servos = sorted({name for name, _ in self.readings}), None
+        if (play := body.play(names, values)) is not None:
+            leaves = (np.broadcast_to(leaf, (k, np.shape(leaf)[-1])) for leaf in play)
+            play = Play(*(np.repeat(leaf, w, axis=0) for leaf in leaves))
+            servos = ServosWithPlay(model, play, k * w)
         if self.settle:
-            run(ctrl[:, : self.settle])
+            _rollout(batch, ctrl[:, : self.settle], recorded, servos)
         driven = ctrl[:, self.settle :].reshape(k * w, self.steps, model.nu)
         first = {"qpos": np.array(batch.bind("qpos")), "qvel": np.array(batch.bind("qvel"))}
-        found = run(driven)
+        found = _rollout(batch, driven, recorded, servos)
         lost = batch.warning.reshape(k, -1).any(axis=1)
         rows = [
-            self._sampled(c, r, found, first, k)
-            for c, r in zip(self.channels, self.readings, strict=True)
+            self._sampled(channel, reading, found, first, k)
+            for channel, reading in zip(self.channels, self.readings, strict=True)
         ]
         result = np.concatenate(rows, axis=1)
         result[lost] = np.nan
         return result
+
+    def _batch(self, names: Sequence[str], values: np.ndarray, starts: Any) -> Batch:
+        """Worlds of all bodies with values (k, p) and windows, at their initial states."""
+        k, w = len(values), self.windows
+        batch = Batch(self.body.model, k * w, nthread=thread_count(None))
+        fields = self.body.fields(names, values)
+        for name, field in fields.items():
+            batch.expand(name)[...] = np.repeat(field, w, axis=0)
+        if moves_constants(fields) or "dof_armature" in fields:
+            batch.set_const()
+        for name, start in zip(("qpos", "qvel"), starts or self.start, strict=True):
+            batch.bind(name)[...] = np.broadcast_to(start, (k, *start.shape[-2:])).reshape(
+                k * w, -1
+            )
+        return batch
 
     def _sampled(
         self,
@@ -474,3 +447,22 @@ class _Driven:
             turned[:, 0], turned[:, 1] = -around[:, 1], around[:, 0]
             turn[ends[i] : ends[i + 1]] = turned.ravel()
         return [*columns, turn] if tracks else []
+
+
+def _rollout(
+    batch: Batch, controls: np.ndarray, recorded: Sequence[str], servos: ServosWithPlay | None
+) -> dict[str, np.ndarray]:
+    """Recorded quantities (n, steps, ...) under controls (n, steps, nu); NaN if the simulation fails."""
+    try:
+        if servos is None:
+            return batch.rollout(controls.shape[1], controls, record=recorded)
+        qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+        rows = [
+            batch.rollout(1, servos.controls(target, qpos, qvel)[:, None], record=recorded)
+            for target in controls.swapaxes(0, 1)
+        ]
+        return {name: np.concatenate([row[name] for row in rows], axis=1) for name in recorded}
+    except SimulationError:
+        blank = mujoco.MjData(batch.model)
+        shape = controls.shape[:2]
+        return {name: np.full((*shape, *getattr(blank, name).shape), np.nan) for name in recorded}
