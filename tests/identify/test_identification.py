@@ -1,4 +1,4 @@
-# Tests of identify/identification.py, identify/body.py, identify/twin.py, identify/report.py
+# Tests of identify/identification.py, identify/body.py, identify/twin.py, identify/report.py, identify/proposal.py
 """Identification from a log: a model under logged commands, and what the command says of it."""
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import pytest
 from test_identification import START, arm, logged
 
 from nermo_mjx import IdentificationResult, run_identification
-from nermo_mjx.identify import estimation, run
+from nermo_mjx.identify import estimation, identification, run
 from nermo_mjx.runs import Interrupted, Watch, code, codes_of
 
 
@@ -28,6 +28,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     monkeypatch.setattr(estimation.minimize, "least_squares", counted)
     monkeypatch.setattr(run, "write_identification", lambda *of: {})
+    monkeypatch.setattr(identification, "SCANNED", 8)
     return counts
 
 
@@ -46,7 +47,12 @@ def changed(monkeypatch: pytest.MonkeyPatch, subpackage: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("subpackage", "seed", "again"), [("experiments", 0, 0), ("identify", 0, 2), ("", 1, 2)]
+    ("subpackage", "seed", "again"),
+    [
+        ("experiments", 0, 0),
+        pytest.param("identify", 0, 2, marks=pytest.mark.release),
+        pytest.param("", 1, 2, marks=pytest.mark.release),
+    ],
 )
 def test_an_identification_goes_on_after_its_last_search_with_its_own_code(
     tmp_path: Path,
