@@ -359,19 +359,19 @@ MUTANTS: Final[dict[str, Mutant]] = {
         "The reported amplitude of an angle is its range.",
     ),
     "white_floor": Mutant(
-        "experiments/determinacy.py",
+        "identify/estimation.py",
         "rms(np.diff(residual)) / math.sqrt(2)",
         "rms(np.diff(residual))",
         "The noise of a channel is overestimated, so that a wrong model class counts as right.",
     ),
     "early_commands": Mutant(
-        "experiments/log_twin.py",
+        "identify/twin.py",
         "np.interp(self.grid - each, knots, area)",
         "np.interp(self.grid + each, knots, area)",
         "A delay makes the twin follow its commands before they come.",
     ),
     "judged_on_fitted": Mutant(
-        "experiments/log_identification.py",
+        "identify/identification.py",
         "lambda times, duration: times >= FITTED * duration",
         "lambda times, duration: times < FITTED * duration",
         "An identified model is validated on the samples that it was fitted to.",

@@ -30,12 +30,13 @@ from fakes.sweep_fake import SPEC as SWEEP
 from nermo_mjx import trust
 from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.control import protocol
-from nermo_mjx.experiments import log_report
 from nermo_mjx.experiments.cases import CaseRuns
 from nermo_mjx.experiments.report import table_of
 from nermo_mjx.experiments.run import EXPERIMENTS, Directory
 from nermo_mjx.files import FileError, read_bytes
 from nermo_mjx.hardware.channels import read_channels
+from nermo_mjx.identify.report import RESULT, identification_page
+from nermo_mjx.identify.run import identification_status
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.live import driving
 from nermo_mjx.live.driving import replayed
@@ -57,6 +58,15 @@ from nermo_mjx.view.recorded import robot_of
 
 ROOT = Path(__file__).parents[1]
 POLICY = ROOT / "tests" / "data" / "former_policy.npz"
+#: A parameter in identification.json.
+ESTIMATE = {
+    "unit": "1",
+    "why": "a test",
+    "at_bound": "",
+    "determined": True,
+    "interval": [0.1, 0.3],
+}
+ESTIMATE |= {"start": 0.1, "value": 0.2, "low": 0.0, "high": 1.0}
 RECORDED = ROOT / "docs" / "howto" / "terrain" / "walks" / "ramp" / "stiff.npz"
 
 
@@ -296,16 +306,18 @@ def kinds_of_files(
             lambda: own_metrics.load_metrics(str(sweep / "metrics.py")),
         ),
         "best.json": (search / "best.json", text, kind("search", search)),
-        "steps.json": (
+        "identification.json": (
             write_json(
-                identified / log_report.STEPS,
-                {"decides": "a", "arrays": [[[0.1, None], [0.2, 0.3]]]},
+                identified / RESULT,
+                {
+                    "command": "",
+                    "logs": ["a"],
+                    "sentences": ["It moves."],
+                    "parameters": {"kp": ESTIMATE},
+                },
             ),
             text,
-            lambda: (
-                log_report.identification_status(identified),
-                log_report.kept_in(identified, "a")(lambda: np.ones(1)),
-            ),
+            lambda: (identification_status(identified), identification_page(identified)),
         ),
         "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
         "part": (

@@ -40,7 +40,6 @@ class Kind:
 
 
 _COLUMNS: Final = ("x", "y", "color")
-_IDENTIFIED: Final = "experiments.log_report"
 _KINDS: Final = (
     Kind(
         "sweep",
@@ -75,8 +74,8 @@ _KINDS: Final = (
         Kind(
             name,
             f"an {name}",
-            f"{_IDENTIFIED}:kept_figures",
-            f"{_IDENTIFIED}:identification_status",
+            "identify.report:kept_figures",
+            "identify.run:identification_status",
         )
         for name in ("identification", "identification from a log")
     ),

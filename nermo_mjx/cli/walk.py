@@ -656,8 +656,8 @@ def _replay_log(
 
 def _replay_on_model(file: Path, channels: Path | None, model: Path) -> Output:
     """Drive any MJCF by a log's commands, and compare what was measured with it."""
-    from nermo_mjx.experiments.log_twin import replay_on_model
     from nermo_mjx.hardware.signals import channel_differences, findings_of
+    from nermo_mjx.identify.twin import replay_on_model
 
     for name, flag in options.given().items():
         if name not in ("commands", "channels", "model", "as_json", "quiet"):
