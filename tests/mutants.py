@@ -303,19 +303,19 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     # optimize
     "rank_of_fallen": Mutant(
-        "optimize/methods.py",
+        "optimize/search_methods.py",
         "fallen = worst + 2.0 + np.nanmax",
         "fallen = worst + 1.0 + 0.0 * np.nanmax",
         "A fallen robot ranks before a robot that violates a constraint.",
     ),
     "best_without_gradient": Mutant(
-        "optimize/methods.py",
+        "optimize/tuner.py",
         "better = ok & (value < state.best_value)",
         "better = value < state.best_value",
         "A point without a finite gradient becomes the best point of a tuning.",
     ),
     "edge_of_atlas": Mutant(
-        "optimize/methods.py",
+        "optimize/search_methods.py",
         "(values <= measure.high)",
         "(values < measure.high)",
         "A point at the upper end of a measure's range is not in the atlas.",

@@ -17,7 +17,7 @@ import numpy as np
 from mujoco import minimize
 from scipy.stats import qmc
 
-from nermo_mjx.optimize.methods import strategy
+from nermo_mjx.optimize.search_methods import strategy
 
 #: See `Estimation`.
 Kept: TypeAlias = Callable[[Callable[[], np.ndarray]], np.ndarray]

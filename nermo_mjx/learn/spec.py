@@ -304,11 +304,8 @@ class Training(WalkSpec, Described):
             for scene in self.evaluation.scenes
         ] or here
         if (physics := self.evaluation.physics) is not None:
-            step = PRESETS[physics].timestep
-            pairs = [
-                (dataclasses.replace(setup, physics=physics, timestep=step), task)
-                for setup, task in pairs
-            ]  # type: ignore[arg-type]
+            changes: dict[str, Any] = {"physics": physics, "timestep": PRESETS[physics].timestep}
+            pairs = [(dataclasses.replace(setup, **changes), task) for setup, task in pairs]
         return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Evaluation, Problem
-from nermo_mjx.optimize.spec import Differences, Tuning
+from nermo_mjx.optimize.tuning_spec import Differences, Tuning
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Simulator

@@ -48,6 +48,9 @@ from nermo_mjx.plotting.style import (
     SMALL,
 )
 
+#: Width of most figures [in].
+WIDTH: Final = 7.2
+
 # ---
 # Scales and grids.
 
@@ -111,6 +114,13 @@ def horizontal_grid(ax: Axes) -> None:
     low, high = ax.get_ylim()
     if low < 0 < high:
         ax.axhline(0, color=MUTED, lw=0.8, zorder=1)
+
+
+def star(
+    ax: Axes, x: Any, y: Any, size: float = 150, lw: float | None = None, zorder: float = 8
+) -> None:
+    """Draw a star at the best point."""
+    ax.scatter(x, y, s=size, marker="*", fc=BEST, ec="white", lw=lw, zorder=zorder, clip_on=False)
 
 
 # ---
@@ -622,7 +632,7 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool)
     count = len(groups.names)
     mean, half = np.array([_mean(z.values[groups.of == place]) for place in range(count)]).T
     best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
-    figure = blank(7.2, 1.3 + 0.3 * count)
+    figure = blank(WIDTH, 1.3 + 0.3 * count)
     ax = figure.subplots()
     for place in range(count):
         colour = BEST if place == best else SERIES[0]
@@ -806,7 +816,6 @@ def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
 
 #: Points of the front that are named.
 NAMED: Final = 5
-_WIDTH: Final = 7.2
 
 
 def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -859,7 +868,7 @@ def trade_off(
     )
     lines.append(f"{note}orange: nothing is better in both ({both})")
     text = "\n".join(lines) + density_note(len(x.values))
-    figure = blank(_WIDTH, 4.4 + 0.15 * len(note_lines(text, _WIDTH)))
+    figure = blank(WIDTH, 4.4 + 0.15 * len(note_lines(text, WIDTH)))
     ax = figure.subplots()
     cloud(ax, x, y, size=5 if len(x.values) > 2000 else 12)
     if "nearest zero" not in sides:

@@ -22,7 +22,7 @@ from test_metrics import DT, STEPS, stream
 from nermo_mjx import METRICS, ParameterError, Rollout, Run, Setup, Simulator, all_metrics, metric
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Tuning
-from nermo_mjx.optimize.directory import history_columns as columns
+from nermo_mjx.optimize.tuning_history import history_columns as columns
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.own_metrics import ACROSS, REDUCTIONS, OwnMetric, load_metrics
 from nermo_mjx.rollout.setup import Window
