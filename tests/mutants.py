@@ -216,8 +216,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # rollout
     "back_emf": Mutant(
         "rollout/metrics.py",
-        "sensors.servo_torque - brake * sensors",
-        "sensors.servo_torque + brake * sensors",
+        "torque = torque - tick.brake * sensors",
+        "torque = torque + tick.brake * sensors",
         "The back-EMF adds torque to a turning servo in the metrics of work and current.",
     ),
     "image_axis": Mutant(
@@ -228,8 +228,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "fall_before_run": Mutant(
         "rollout/metrics.py",
-        "~(state.fell | state.diverged | state.finished) & begins_in_run(window, time, dt)",
-        "~(state.fell | state.diverged | state.finished)",
+        "judged = ~ended & begins_in_run(window, tick.time, tick.dt)",
+        "judged = ~ended",
         "A fall after the end of a run counts, so that results depend on the batch.",
     ),
     "spread_of_gradient": Mutant(

@@ -23,7 +23,7 @@ from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
-from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.simulator import default_precision
 from nermo_mjx.runs.rows import Columns
 

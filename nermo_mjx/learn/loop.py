@@ -25,9 +25,9 @@ from nermo_mjx.learn.task import TERMS, EpisodeParameters, Moment, Outcome, Task
 from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout.custom_metrics import at_rest, numbers_at_rest
 from nermo_mjx.rollout.loop import ClosedLoop, LoopState
 from nermo_mjx.rollout.metrics import MetricState
-from nermo_mjx.rollout.own_metrics import at_rest, numbers_at_rest
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 
 

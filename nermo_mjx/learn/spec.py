@@ -23,7 +23,7 @@ from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.own_metrics import source_of
+from nermo_mjx.rollout.custom_metrics import source_of
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.specs.controllers import (
     code_beside,

@@ -32,9 +32,9 @@ from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, Quantity, choice, of_type
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import checked_loop, loop_parameters
-from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import Run, StartPose
 from nermo_mjx.rollout.setup import Setup, Window, all_metrics, all_parameters, with_own

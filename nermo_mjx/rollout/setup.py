@@ -59,7 +59,8 @@ from nermo_mjx.robot.quantity import (
 )
 from nermo_mjx.robot.scene import is_mjcf, load_scene
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
-from nermo_mjx.rollout.own_metrics import METRICS, Metric, OwnMetric, load_metrics
+from nermo_mjx.rollout.custom_metrics import OwnMetric, load_metrics
+from nermo_mjx.rollout.metric_table import METRICS, Metric
 from nermo_mjx.rollout.transitions import TRANSITION
 
 # ---

@@ -25,9 +25,9 @@ from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, of_type, values_of
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import LoopParameters, checked_loop, loop_parameters, terrain_of
-from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import LONGEST, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series

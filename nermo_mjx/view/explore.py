@@ -22,7 +22,7 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.own_metrics import headed
+from nermo_mjx.rollout.metric_table import headed
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
