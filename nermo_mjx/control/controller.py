@@ -338,6 +338,7 @@ class Controller:
         return Walk(state.time, state.phase, speed, yaw_rate, due, self.pilot_rate)
 
 
+# Many parameters because each choice of the controller is named.
 def published_controller(
     spine: str | tuple[str, ...] = spine_modes.NO_MODE,
     pilot: str = "straight",

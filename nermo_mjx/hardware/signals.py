@@ -204,36 +204,8 @@ def findings_of(log: Log) -> tuple[str, ...]:
     lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
     found = [*log.findings]
     for angle, command in pairs:
-        (lag, correlation), name = lags[angle.of], angle.of.replace("_", " ")
-        if abs(correlation) < _FOLLOWS:
-            found.append(f"{name} does not follow its command ({correlation:.2f}).")
-            continue
-        if correlation < 0.0:
-            found.append(f"{name} seems mirrored ({correlation:.2f}).")
-        there = values_at(command, angle.times - lag)
-        both = np.isfinite(there)
-        gain, apart = (
-            np.polyfit(there[both], angle.values[both], 1)[0],
-            (angle.values - there)[both].mean(),
-        )
-        if not _GAINS[0] < abs(gain) < _GAINS[1]:
-            found.append(
-                f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
-            )
-        elif correlation > 0.0 and abs(apart) > _OFF:
-            found.append(
-                f"{name} stands {apart:.2g} {angle.unit} off its command: one of the two has another zero."
-            )
-        others = [each for of, (each, _) in lags.items() if of != angle.of]
-        if lag < -max(angle.interval, command.interval):
-            found.append(
-                f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
-            )
-        elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
-            most = f"{1e3 * max(others):.0f} ms at most"
-            found.append(
-                f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}."
-            )
+        others = [lag for of, (lag, _) in lags.items() if of != angle.of]
+        found += _servo_findings(angle, command, *lags[angle.of], others)
     found += _drifts(log, pairs)
     alone, unled = (
         [of for of in a if of not in b] for a, b in ((commands, angles), (angles, commands))
@@ -255,6 +227,39 @@ def findings_of(log: Log) -> tuple[str, ...]:
         )
         found += _own_findings(channel, expected)
     return tuple(found)
+
+
+def _servo_findings(
+    angle: Channel, command: Channel, lag: float, correlation: float, others: Sequence[float]
+) -> Iterator[str]:
+    """What looks wrong with the angle of a servo, compared with its command.
+
+    Args:
+        angle: Angle of the servo.
+        command: Command of the servo.
+        lag: Lag of the angle behind the command [s].
+        correlation: Correlation of both at this lag.
+        others: Lags of the other servos [s].
+    """
+    name = angle.of.replace("_", " ")
+    if abs(correlation) < _FOLLOWS:
+        yield f"{name} does not follow its command ({correlation:.2f})."
+        return
+    if correlation < 0.0:
+        yield f"{name} seems mirrored ({correlation:.2f})."
+    there = values_at(command, angle.times - lag)
+    both = np.isfinite(there)
+    gain = np.polyfit(there[both], angle.values[both], 1)[0]
+    offset = (angle.values - there)[both].mean()
+    if not _GAINS[0] < abs(gain) < _GAINS[1]:
+        yield f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
+    elif correlation > 0.0 and abs(offset) > _OFF:
+        yield f"{name} stands {offset:.2g} {angle.unit} off its command: one of the two has another zero."
+    if lag < -max(angle.interval, command.interval):
+        yield f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
+    elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
+        most = f"{1e3 * max(others):.0f} ms at most"
+        yield f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}."
 
 
 def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]:

@@ -443,6 +443,18 @@ class Search(Described):
         return digest_of(self.decisive(), dataclasses.replace(self.sweep, samples=1).digest())
 
 
+def _read_method(doc: Document, given: SearchMethod | None, aim: Aim) -> SearchMethod:
+    """The method of the file, which must be for its aim, or the default one for it."""
+    allowed = [each for each in SEARCH_METHODS.values() if aim.kind in each.aims]
+    method = allowed[0]() if given is None else given
+    if type(method) not in allowed:
+        texts = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}
+        names = ", ".join(each.name for each in allowed)
+        wrong = f"is {method.name}, which is not for {texts[aim.kind]}: allowed are {names}."
+        doc.fail(("method",), wrong)
+    return method
+
+
 def _read_search(doc: Document) -> Search:
     with known_names(doc):
         doc = written_out(doc)
@@ -486,14 +498,7 @@ def _read_search(doc: Document) -> Search:
         sweep = dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
     if math.prod(each.cells for each in aim.measures) > MOST_CELLS:
         doc.fail(("atlas",), f"has more than {MOST_CELLS:,} cells: take fewer of each measure.")
-    allowed = [each for each in SEARCH_METHODS.values() if aim.kind in each.aims]
-    method = allowed[0]() if file.method is None else file.method
-    if type(method) not in allowed:
-        asked = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}[
-            aim.kind
-        ]
-        names = ", ".join(each.name for each in allowed)
-        doc.fail(("method",), f"is {method.name}, which is not for {asked}: allowed are {names}.")
+    method = _read_method(doc, file.method, aim)
     if file.keep.elites is not None and not aim.measures:
         doc.fail(("keep", "elites"), "is for an atlas: take {best: N}.")
     if wrong := too_many((file.batch or 0) * sweep.repeats):

@@ -18,7 +18,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
@@ -33,7 +32,15 @@ from nermo_mjx.optimize.objective import TRAJECTORY_ERROR
 from nermo_mjx.optimize.tuning_directory import TuningDirectory, load_tuning
 from nermo_mjx.optimize.tuning_history import read_history
 from nermo_mjx.optimize.tuning_spec import Tuned, Tuning
-from nermo_mjx.plotting.charts import WIDTH, colour_bar, horizontal_grid, page, set_scales, star
+from nermo_mjx.plotting.charts import (
+    WIDTH,
+    colour_bar,
+    hatch,
+    horizontal_grid,
+    page,
+    set_scales,
+    star,
+)
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import BAND, COLOURS, GRID, INK, LINE, MISSING, MUTED, SERIES
@@ -468,19 +475,7 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
 
 def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landscape) -> None:
     """Filled contours; where the robot did not walk to the end, grey hatching shows through."""
-    ax.add_patch(
-        Rectangle(
-            (0, 0),
-            1,
-            1,
-            transform=ax.transAxes,
-            fc=MISSING,
-            ec="white",
-            hatch="////",
-            lw=0,
-            zorder=0,
-        )
-    )
+    hatch(ax)
     good = landscape.value[np.isfinite(landscape.value)]
     if not len(good):
         return

@@ -18,7 +18,7 @@ import pyarrow as pa
 from nermo_mjx.optimize.directory import BEST
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Problem
 from nermo_mjx.optimize.problems import SharedProblem, WalkProblem, load_reference
-from nermo_mjx.optimize.tuner import Tuner, TuneState
+from nermo_mjx.optimize.tuner import Iterate, Tuner, TuneState
 from nermo_mjx.optimize.tuning_directory import TUNING, TuningDirectory
 from nermo_mjx.optimize.tuning_figures import make_figures
 from nermo_mjx.optimize.tuning_history import TuningHistory
@@ -139,16 +139,7 @@ def run_tuning(
             history = history.extended(iterate, time.perf_counter() - began, made_by.id)
             with interruption.shielded():
                 best = directory.keep(state, history)
-            numbers: dict[str, float] = {}
-            if np.isfinite(iterate.value).any():
-                columns = iterate.metrics | {"objective": iterate.value}
-                numbers = {
-                    name: float(column[np.nanargmin(iterate.value)])
-                    for name, column in columns.items()
-                }
-            if best is not None:
-                numbers["simulated_seconds"] = best["simulated_seconds"]
-            report(None if best is None else best["objective"], numbers)
+            report(None if best is None else best["objective"], _numbers(iterate, best))
         walker: Callable[[], SimulatorLike] | None = (
             None  # nothing is simulated beside a given problem
         )
@@ -160,6 +151,16 @@ def run_tuning(
         return TuningResult(
             directory.out, directory.tuning, start, best, table, state, run, plots, notes
         )
+
+
+def _numbers(iterate: Iterate, best: Mapping[str, Any] | None) -> dict[str, float]:
+    """Metrics of the best start of an iteration, and the simulated time so far, for its progress."""
+    numbers: dict[str, float] = {}
+    if np.isfinite(iterate.value).any():
+        place = np.nanargmin(iterate.value)
+        columns = iterate.metrics | {"objective": iterate.value}
+        numbers = {name: float(column[place]) for name, column in columns.items()}
+    return numbers | ({} if best is None else {"simulated_seconds": best["simulated_seconds"]})
 
 
 def _publish(

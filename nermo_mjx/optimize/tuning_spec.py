@@ -484,6 +484,25 @@ def _refuse_distance(doc: Document, run: Run) -> None:
         doc.fail(("pilot", "straight", "distance"), f"ends each run at a distance: {why}")
 
 
+def _read_recording(doc: Document, given: Any, objective: Objective, recorded: bool) -> Path | None:
+    """The path of the recording that the objective is compared with, if any; with `recorded` it exists."""
+    compared = TRAJECTORY_ERROR in objective.metrics
+    if given is None:
+        if compared:
+            missing = f"names {TRAJECTORY_ERROR}, but there is no 'recording' to compare with: give the path of an NPZ."
+            doc.fail(("objective",), missing)
+        return None
+    if not isinstance(given, str):
+        doc.fail(("recording",), f"is {describe(given)}: expected the path of an NPZ.")
+    folder = Path(doc.source).parent if doc.lines else Path()
+    recording = (folder / given).expanduser().resolve()
+    if recorded and not recording.is_file():
+        doc.fail(("recording",), f"is {given!r}: there is no file {recording}.")
+    if not compared:
+        doc.fail(("recording",), f"is not read: no term of the objective names {TRAJECTORY_ERROR}.")
+    return recording
+
+
 def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     with known_names(doc):
         doc = written_out(doc)
@@ -500,22 +519,7 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
             ("method",),
             f"is missing: {many}, name local_gradient or wide_differences, or {_SEARCH}.",
         )
-    recording: Path | None = None
-    compared = TRAJECTORY_ERROR in objective.metrics
-    if file.recording is not None:
-        if not isinstance(file.recording, str):
-            doc.fail(("recording",), f"is {describe(file.recording)}: expected the path of an NPZ.")
-        folder = Path(doc.source).parent if doc.lines else Path()
-        recording = (folder / file.recording).expanduser().resolve()
-        if recorded and not recording.is_file():
-            doc.fail(("recording",), f"is {file.recording!r}: there is no file {recording}.")
-        if not compared:
-            doc.fail(
-                ("recording",), f"is not read: no term of the objective names {TRAJECTORY_ERROR}."
-            )
-    elif compared:
-        missing = f"names {TRAJECTORY_ERROR}, but there is no 'recording' to compare with: give the path of an NPZ."
-        doc.fail(("objective",), missing)
+    recording = _read_recording(doc, file.recording, objective, recorded)
     if not file.tune:
         example = "{spine.amplitude: {bounds: [0, 0.4], start: 0.05}}"
         doc.fail(("tune",), f"is missing or empty: expected parameters such as {example}.")

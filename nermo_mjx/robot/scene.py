@@ -602,9 +602,14 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
             return place[2] - (normal[0] * (x - place[0]) + normal[1] * (y - place[1])) / normal[2]
 
         return _Surface(plane, float(place[2]))
-    field = model.geom_dataid[geom]
     if turn[2, 2] < 1.0 - 1e-6:
         raise ParameterError(f"scene has the ground {name!r}, an hfield that is not level.")
+    return _hills(model, geom, place, turn)
+
+
+def _hills(model: mujoco.MjModel, geom: int, place: np.ndarray, turn: np.ndarray) -> _Surface:
+    """The surface of a height field, at its position and rotation."""
+    name, field = model.geom(geom).name, model.geom_dataid[geom]
     rows, columns, start = (
         model.hfield_nrow[field],
         model.hfield_ncol[field],

@@ -312,9 +312,8 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     stance = traced("stance", first) if isinstance(controller, PlansContact) else jnp.ones(4, bool)
     if getattr(stance, "shape", None) != (4,):
         refuse("stance", f"gives {described(stance)}: expected the planned contact of four limbs")
-    if not type(controller).__module__.startswith(
-        "nermo_mjx."
-    ):  # a policy of ours takes seconds to compile
+    # A policy of this package takes seconds to compile.
+    if not type(controller).__module__.startswith("nermo_mjx."):
         _check_at_rest(robot, controller)
 
 

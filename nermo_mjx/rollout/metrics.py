@@ -277,7 +277,8 @@ def update(
     loaded, slid = _contact(sensors)
     integrals = _integrals(state, tick, part.weight, error, loaded, slid)
     switching, roll = _switching(state, tick, part.weight, slid, loaded, step / dt, angles[0])
-    origin, end, heading = _ends(state, last.position, angles[2], part)
+    ends = _ends(state, last.position, angles[2], part)
+    moved = (last.position - ends["origin"])[:2]
     meant = ~lost & (time > 0.0)
     return MetricState(
         time=part.elapsed,
@@ -292,11 +293,8 @@ def update(
         course=course,
         turning=turning,
         position=jnp.where(lost, state.position, last.position),
-        origin=origin,
-        end=end,
-        heading=heading,
         path=path_metrics.update_path(
-            state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
+            state.path, moved, error, part.weight, part.rest, part.cycle_ends
         ),
         eyes=eye_metrics.update_eye(state.eyes, last, part.weight, share),
         driven=_driven(last),
@@ -312,6 +310,7 @@ def update(
         begun=state.begun | part.inside,
         finished=state.finished | part.arrived,
         **failure,
+        **ends,
     )
 
 
@@ -356,21 +355,16 @@ def _course(state: MetricState, tick: Tick, yaw: Scalar, lost: Truth) -> tuple[S
 
 def _ends(
     state: MetricState, position: Float[Array, " 3"], yaw: Scalar, part: MeasuredPart
-) -> tuple[Array, Array, Array]:
-    """Positions where measuring began and ended so far, (3,) each, and the yaw there (2,)."""
+) -> dict[str, Array]:
+    """Positions where measuring began and ended so far, and the yaw there, as fields of `MetricState`."""
     first, final = (_between(state.position, position, at) for at in (part.begin, part.end))
     begin, end = (_between(state.readings[2], yaw, at) for at in (part.begin, part.end))
-    heading = jnp.stack(
-        [
-            jnp.where(state.begun, state.heading[0], begin),
-            jnp.where(part.inside, end, state.heading[1]),
-        ]
-    )
-    return (
-        jnp.where(state.begun, state.origin, first),
-        jnp.where(part.inside, final, state.end),
-        heading,
-    )
+    begin = jnp.where(state.begun, state.heading[0], begin)
+    return {
+        "origin": jnp.where(state.begun, state.origin, first),
+        "end": jnp.where(part.inside, final, state.end),
+        "heading": jnp.stack([begin, jnp.where(part.inside, end, state.heading[1])]),
+    }
 
 
 def _contact(sensors: Sensors) -> tuple[Float[Array, " 4"], Float[Array, " 4"]]:

@@ -373,11 +373,8 @@ class Simulator:
     ) -> RunResult:
         """Simulate what `prepare` has made, and maybe the caller changed; the other arguments are those of `run`."""
         traced, ends, ticks = record or keeper is not None, batch.ticks, int(batch.ticks.max())
-        if (needed := TICK_BYTES * ticks * len(batch.qpos)) > MOST_RECORDED and record:
-            raise ParameterError(
-                f"the recording of {ticks:,} ticks of {len(batch.qpos):,} worlds takes {needed / 1e9:,.1f} GB: "
-                f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
-            )
+        if record:
+            _check_recorded(ticks, len(batch.qpos))
         program = (len(batch.qpos), tuple(batch.fields), traced)
         says = contextlib.nullcontext() if program in self._compiled else self._compiling(notify)
         self._compiled.add(program)
@@ -391,8 +388,7 @@ class Simulator:
             done = min(begin + BLOCK, ticks)
             if traced:
                 trace = session.record(done - begin)
-                if record:
-                    traces.append(trace)
+                traces += [trace] if record else []
                 if keeper is not None:
                     keeper.add(trace)
             else:
@@ -548,3 +544,13 @@ def default_precision(tree: Any) -> Any:
     return jax.tree.map(
         lambda leaf: np.asarray(leaf, real if leaf.dtype.kind == "f" else None), tree
     )
+
+
+def _check_recorded(ticks: int, worlds: int) -> None:
+    """Raise a `ParameterError` if the recording of a batch takes too much memory."""
+    needed = TICK_BYTES * ticks * worlds
+    if needed > MOST_RECORDED:
+        raise ParameterError(
+            f"the recording of {ticks:,} ticks of {worlds:,} worlds takes {needed / 1e9:,.1f} GB: "
+            f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
+        )
