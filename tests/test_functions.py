@@ -38,7 +38,7 @@ def comments_above(lines: list[str], number: int) -> list[str]:
 
 
 def functions(text: str) -> Iterator[tuple[Function, int, int, list[str]]]:
-    """Functions of a module, each with its lines of code, its number of parameters, and the comments above its `def`."""
+    """Functions of a module, their lines of code, numbers of parameters, and the comments above their `def`."""
     tree, code, lines = ast.parse(text), set[int](), text.splitlines()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type not in LAYOUT:
