@@ -137,11 +137,9 @@ def in_frame_of(twin: Channel, channel: Channel) -> Channel:
         each.reshape(len(each), -1) for each in (channel.values[both], there[both], twin.values)
     )
     axes = min(here.shape[1], there.shape[1])
-    seen, shown, moved = (
-        here - here.mean(axis=0),
-        there - there.mean(axis=0),
-        moved - there.mean(axis=0),
-    )
+    seen = here - here.mean(axis=0)
+    shown = there - there.mean(axis=0)
+    moved = moved - there.mean(axis=0)
     if channel.quantity == "position":
         turn = np.vdot(shown[:, 0] + 1j * shown[:, 1], seen[:, 0] + 1j * seen[:, 1])
         ground = (moved[:, 0] + 1j * moved[:, 1]) * turn / max(abs(turn), 1e-300)
@@ -282,10 +280,8 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
             dataclasses.replace(channel, times=channel.times[p], values=channel.values[p])
             for p in parts
         ]
-        lags, middle = (
-            np.array([lag_of(each, other) for each in pieces]).T[0],
-            [each.times.mean() for each in pieces],
-        )
+        lags = np.array([lag_of(each, other) for each in pieces]).T[0]
+        middle = [each.times.mean() for each in pieces]
         (slope, _), (variance, *_) = np.polyfit(middle, lags, 1, cov=True)
         change = abs(slope) * np.ptp(channel.times)
         if change > _DRIFTED and abs(slope) > _CERTAIN * np.sqrt(variance[0]):

@@ -302,10 +302,8 @@ class _Learning:
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
             so_far = {} if self._robot is None else {"steps": float(learned.steps)}
-            state, scores = (
-                reset(learned.random(RESET), **so_far),
-                EpisodeScores.none(training.worlds),
-            )
+            state = reset(learned.random(RESET), **so_far)
+            scores = EpisodeScores.none(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
@@ -389,10 +387,8 @@ def _evaluated(
     directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch
 ) -> pa.Table:
     """The evaluation of this policy, which is made once."""
-    known, training = (
-        parquet_table(content_of(directory.out / EVALUATION) or b""),
-        directory.training,
-    )
+    known = parquet_table(content_of(directory.out / EVALUATION) or b"")
+    training = directory.training
     policy_key = f"{training.digest()} {training.evaluation} {training.run} {policy.about['trained']['steps']}"
     if known is not None and (known.schema.metadata or {}).get(b"evaluated") == policy_key.encode():
         return known

@@ -117,10 +117,8 @@ class Batches:
             near = near and np.allclose(stored, rows.values[axis.name], rtol=0.0, atol=room)
         if near:
             return table
-        before, now = (
-            table.schema.metadata.get(b"optimizer", b"").decode(),
-            made_by(self.search.method),
-        )
+        before = table.schema.metadata.get(b"optimizer", b"").decode()
+        now = made_by(self.search.method)
         if before != now:
             raise DirectoryError(
                 f"{part.path} holds points that {before} asked for, and {now} asks for others: install {before}, or "
@@ -298,10 +296,8 @@ def search_status(out: Path) -> Status:
     for path in part_files(out):
         if about := metadata_of(path, notes, "it will be run again."):
             runs += about.num_rows
-    done, budget = (
-        runs // (1 if search is None else search.repeats),
-        None if search is None else search.evaluations,
-    )
+    done = runs // (1 if search is None else search.repeats)
+    budget = None if search is None else search.evaluations
     reached = False
     try:
         best = stored_json(out / BEST) or {}

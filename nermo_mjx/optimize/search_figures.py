@@ -175,10 +175,8 @@ def hypervolume(found: Evaluations) -> Figure:
 def coverage(found: Evaluations) -> Figure:
     """Filled cells and QD score over the evaluations."""
     filled, total = atlas_progress(found)
-    cells, terms = (
-        int(np.prod([each.cells for each in found.search.aim.measures])),
-        found.search.aim.objective.terms,
-    )
+    cells = int(np.prod([each.cells for each in found.search.aim.measures]))
+    terms = found.search.aim.objective.terms
     note = f"{_counted(found)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
     note += "what their best is better than the worst of the first batch"
     figure = page("Filled cells and QD score over the evaluations", WIDTH, 4.8, note)
@@ -336,10 +334,8 @@ def _at(found: Evaluations, point: int) -> str:
 
 
 def _counted(found: Evaluations) -> str:
-    lost, broken = (
-        int((~found.scores.ok).sum()),
-        int((found.scores.ok & ~found.scores.allowed).sum()),
-    )
+    lost = int((~found.scores.ok).sum())
+    broken = int((found.scores.ok & ~found.scores.allowed).sum())
     text = profile_text(profiles_of(found.results))
     text += f"; {len(found.scores):,} evaluations by {found.search.method.name.replace('_', '-').upper()}"
     text += f", each the mean of {found.search.repeats} runs" if found.search.repeats > 1 else ""

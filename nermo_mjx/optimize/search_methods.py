@@ -143,10 +143,8 @@ def scores_of(
         measures[:, i] = means[measure.metric]
     violation = np.zeros(len(ok))
     for limit in aim.limits:
-        value, unit = (
-            means[limit.metric],
-            max(abs(b) for b in (limit.low, limit.high) if np.isfinite(b)) or 1.0,
-        )
+        value = means[limit.metric]
+        unit = max(abs(b) for b in (limit.low, limit.high) if np.isfinite(b)) or 1.0
         violation += (
             np.maximum(value - limit.high, 0.0) / unit + np.maximum(limit.low - value, 0.0) / unit
         )
@@ -354,12 +352,10 @@ class AtlasEmitters(Searcher):
             from ribs.archives import GridArchive
 
         assert isinstance(search.method, CmaMe)
-        self._space, self._aim, self._seed, self._batch = (
-            space,
-            search.aim,
-            search.sweep.seed,
-            batch,
-        )
+        self._space = space
+        self._aim = search.aim
+        self._seed = search.sweep.seed
+        self._batch = batch
         self._method, self._count = search.method, max(1, min(search.method.emitters, batch // 2))
         self._archive = GridArchive(
             solution_dim=space.dimensions,
@@ -439,10 +435,8 @@ class SobolSample(Searcher):
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
         self._batch, self._first = batch, space.first
-        self._points, self._begun = (
-            qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)),
-            False,
-        )
+        self._points = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed))
+        self._begun = False
 
     def ask(self) -> Request:
         with warnings.catch_warnings():

@@ -181,12 +181,10 @@ class SearchLoop:
     def __init__(
         self, batches: Batches, workers: Workers, computer: SweepSimulator, watch: Watch
     ) -> None:
-        self._batches, self._workers, self._computer, self._watch = (
-            batches,
-            workers,
-            computer,
-            watch,
-        )
+        self._batches = batches
+        self._workers = workers
+        self._computer = computer
+        self._watch = watch
         self._search, self._size = batches.search, batches.search.batch or 1
         self.evaluated = self._evaluations = self._resumed = 0
         self._seconds, self._measured = (
@@ -198,12 +196,10 @@ class SearchLoop:
 
     def run(self, accept: bool) -> None:
         """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
-        search, repeats, stamp, published = (
-            self._search,
-            self._search.repeats,
-            None,
-            time.monotonic(),
-        )
+        search = self._search
+        repeats = self._search.repeats
+        stamp = None
+        published = time.monotonic()
         method, shares, batch = searcher(search, self._size), np.empty((0, len(search.names))), 0
         while search.reached(self._evaluations, self._seconds) < 1.0:
             request = method.ask()

@@ -204,10 +204,8 @@ class Aim:
     @property
     def metrics(self) -> tuple[str, ...]:
         """Every metric that counts, each once."""
-        measured, limited = (
-            (each.metric for each in self.measures),
-            (each.metric for each in self.limits),
-        )
+        measured = (each.metric for each in self.measures)
+        limited = (each.metric for each in self.limits)
         return tuple(dict.fromkeys([*self.objective.metrics, *measured, *limited]))
 
     def written(self) -> dict[str, Any]:

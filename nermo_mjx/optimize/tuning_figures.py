@@ -455,10 +455,8 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     if landscape is not None:
         nodes = traces.in_shown_unit(each.name, landscape.axes[each.name])
         ax.plot(nodes, landscape.value, color=MUTED, lw=1.4, zorder=1)
-    place, value = (
-        traces.in_shown_unit(each.name, traces.column(each.name)),
-        traces.column("objective"),
-    )
+    place = traces.in_shown_unit(each.name, traces.column(each.name))
+    value = traces.column("objective")
     for start, style in start_styles(traces).items():
         dots = {name: style[name] for name in ("color", "zorder", "label")}
         sizes = np.linspace(8, 40, len(place))

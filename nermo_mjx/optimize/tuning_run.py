@@ -266,10 +266,8 @@ def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
     here, forecasts = pace_here(tuning), []
     others = (each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))
     for method in (tuning.method, *others):
-        engine, points = (
-            method.engine_for(len(tuning.names)),
-            (tuning.iterations + 1) * tuning.starts,
-        )
+        engine = method.engine_for(len(tuning.names))
+        points = (tuning.iterations + 1) * tuning.starts
         walks = points * method.gradient_cost(len(tuning.names))
         wall = walks * seconds / here
         if engine != "c":

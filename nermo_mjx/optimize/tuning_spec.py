@@ -204,10 +204,8 @@ class Tuned(Spec):
                 doc.fail(
                     (*path, "bounds"), f"has the bound {bound:g}: allowed is {about.allowed()}."
                 )
-        start, bounds = (
-            float(about.default) if self.start is None else self.start,
-            f"[{low:g}, {high:g}]",
-        )
+        start = float(about.default) if self.start is None else self.start
+        bounds = f"[{low:g}, {high:g}]"
         if self.start is not None:
             check_value(doc, (*path, "start"), name, about, start)
             if not low <= start <= high:
@@ -509,10 +507,8 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
         file = read(doc, TuningFile)
     walk = read_walk(doc, file)
     _refuse_distance(doc, walk["run"])
-    objective, method = (
-        read_objective(doc, file.objective),
-        file.method or default_method(len(file.tune)),
-    )
+    objective = read_objective(doc, file.objective)
+    method = file.method or default_method(len(file.tune))
     if method is None:
         many = f"with more than {MOST_SECANTS} parameters"
         doc.fail(

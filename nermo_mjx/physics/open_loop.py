@@ -474,10 +474,8 @@ class Trajectory:
             if kind in (FREE, BALL):
                 w, x, y, z = np.moveaxis(qpos[..., place + plain : place + plain + 4], -1, 0)
                 product = np.stack([-x, -y, -z, w, -z, y, z, w, -x, -y, x, w], axis=-1)
-                rows, dofs = (
-                    slice(place + plain, place + plain + 4),
-                    slice(dof + plain, dof + plain + 3),
-                )
+                rows = slice(place + plain, place + plain + 4)
+                dofs = slice(dof + plain, dof + plain + 3)
                 found[..., rows, dofs] = 0.5 * product.reshape(*product.shape[:-1], 4, 3)
         return found
 

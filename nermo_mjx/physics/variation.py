@@ -170,10 +170,8 @@ class Variation:
         force = (p.servo.stall_torque * share)[:, None] * jnp.array([-1.0, 1.0])
 
         mass = jnp.asarray(model.body_mass, float)
-        front, rear = (
-            model.body_mass[self._front].sum(),
-            model.body_mass[1:][~self._front[1:]].sum(),
-        )
+        front = model.body_mass[self._front].sum()
+        rear = model.body_mass[1:][~self._front[1:]].sum()
         scale = jnp.where(self._front, p.mass.front / front, p.mass.rear / rear)
         geometry = tuple(name for name in lengths if name not in TILTS)
         placed = self._geometry(geometry)(p.geometry) if geometry else {}
@@ -230,10 +228,8 @@ class Variation:
     def _joints(self, p: ModelParameters) -> dict[str, Float[Array, ...]]:
         """Fields of springs and dampers."""
         model = self.model
-        stiffness, damping = (
-            jnp.asarray(model.jnt_stiffness, float),
-            jnp.asarray(model.dof_damping, float),
-        )
+        stiffness = jnp.asarray(model.jnt_stiffness, float)
+        damping = jnp.asarray(model.dof_damping, float)
         for name, ids in self._springs.items():
             stiffness = stiffness.at[ids].set(self._hinges * getattr(p.stiffness, name))
         for name, ids in self._dampers.items():

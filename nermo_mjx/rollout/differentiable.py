@@ -554,10 +554,8 @@ class WalkDifferences:
             derivatives.append((up - down) / run)
             if warn and each.ndim == 3:  # the metrics
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    right, left = (
-                        (up - at) / (above - chosen)[:, None],
-                        (at - down) / (chosen - below)[:, None],
-                    )
+                    right = (up - at) / (above - chosen)[:, None]
+                    left = (at - down) / (chosen - below)[:, None]
                     larger = np.maximum(np.abs(right), np.abs(left))
                     noise = NOISE * (1.0 + np.abs(at)) / (0.5 * run)
                     kink = np.abs(right - left) > np.maximum(KINK * larger, noise)

@@ -164,11 +164,9 @@ class MetricState:
 def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = False) -> MetricState:
     """Accumulators before the first tick, from the readings at rest, with those of custom metrics and of switches."""
     position, angles = sensors.position, attitude(sensors.orientation)
-    zero, three, four = (
-        jnp.zeros((), position.dtype),
-        jnp.zeros_like(position),
-        jnp.zeros_like(sensors.foot_force),
-    )
+    zero = jnp.zeros((), position.dtype)
+    three = jnp.zeros_like(position)
+    four = jnp.zeros_like(sensors.foot_force)
     readings = jnp.append(angles, zero)
     no = jnp.zeros((), bool)
     sums = dict.fromkeys(SUMS, zero) | dict.fromkeys(

@@ -448,10 +448,8 @@ class Simulator:
 
     def _ends(self, batch: Batch, table: Mapping[str, np.ndarray], ticks: np.ndarray) -> np.ndarray:
         """When each world's run ended (n,) [s]: at its distance or at its length, or before its state diverged."""
-        begin, end = (
-            np.asarray(batch.params.window.begin, float),
-            np.asarray(batch.params.window.end, float),
-        )
+        begin = np.asarray(batch.params.window.begin, float)
+        end = np.asarray(batch.params.window.end, float)
         end = np.minimum(end, ticks * self.controller.dt)
         whole = np.where(table["fell"] > 0, end, begin + table["duration"])
         return np.where(table["diverged"] > 0, table["failure_time"] - self.controller.dt, whole)

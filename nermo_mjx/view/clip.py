@@ -285,10 +285,8 @@ def clip_of(
         }
         header["tendons"].append(about | values)
     for contact in motion.contacts:
-        point, force = (
-            packer.steps(contact.point - origin, detail.length),
-            packer.steps(contact.force, detail.force),
-        )
+        point = packer.steps(contact.point - origin, detail.length)
+        force = packer.steps(contact.force, detail.force)
         header["contacts"].append({"limb": contact.limb, "point": point, "force": force})
     header["plots"] = [_packed_plot(plot, packer, detail) for plot in plots_of(recording, motion)]
     return header | {"model": models.index(recording, robot)}
@@ -313,10 +311,8 @@ def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
     if not {"foot_force", "foot_position"} <= recording.sensors.keys():
         return []
     samples = np.searchsorted(recording.time, motion.time)
-    force, place = (
-        recording.sensors["foot_force"][samples],
-        recording.sensors["foot_position"][samples],
-    )
+    force = recording.sensors["foot_force"][samples]
+    place = recording.sensors["foot_position"][samples]
     prints = []
     for limb in range(force.shape[1]):
         for begin, end in stretches(force[:, limb] > 0.1):

@@ -487,12 +487,10 @@ def start_of(runs: ExplorerRuns) -> dict[str, Any]:
     """
     repeat = runs.columns.get("repeat")
     of = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
-    varied, metrics, gain, colour = (
-        runs.of("varied"),
-        runs.of("metric"),
-        f"{runs.leading}_gain",
-        runs.leading,
-    )
+    varied = runs.of("varied")
+    metrics = runs.of("metric")
+    gain = f"{runs.leading}_gain"
+    colour = runs.leading
     gridded = [each for each in varied if runs.grid and len(each.distinct) <= MOST_CELLS]
     cells = len(gridded) > 1
     if gain in runs.columns and cells:

@@ -623,14 +623,10 @@ def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
     model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
     model.vis.global_.offheight = max(model.vis.global_.offheight, height)
     quality = model.vis.quality
-    quality.shadowsize, quality.offsamples = (
-        min(quality.shadowsize, SHADOW_MAP),
-        min(quality.offsamples, SAMPLES),
-    )
-    quality.numslices, quality.numstacks = (
-        min(quality.numslices, SLICES),
-        min(quality.numstacks, STACKS),
-    )
+    quality.shadowsize = min(quality.shadowsize, SHADOW_MAP)
+    quality.offsamples = min(quality.offsamples, SAMPLES)
+    quality.numslices = min(quality.numslices, SLICES)
+    quality.numstacks = min(quality.numstacks, STACKS)
     model.mat_reflectance[:] = 0.0
     put_sun_overhead(model)
     return model
