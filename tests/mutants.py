@@ -141,8 +141,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "erratum_of_fusion": Mutant(
         "control/spine_modes.py",
-        "signed_power(1.0 - jnp.abs(steering),",
-        "signed_power(1.0 - steering,",
+        "1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent)",
+        "1.0 - steering, jnp.asarray(spine.fusion_exponent)",
         "A turn to the right amplifies the auxiliary spine mode, as the equation is printed (erratum to 5.46).",
     ),
     "long_way_round": Mutant(
@@ -341,8 +341,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "delay_sign": Mutant(
         "learn/observing.py",
-        "(newest_first[before + 1] - newest_first[before])",
-        "(newest_first[before] - newest_first[before + 1])",
+        "newest_first[before + 1] - newest_first[before]",
+        "newest_first[before] - newest_first[before + 1]",
         "Delayed observations are extrapolated instead of interpolated.",
     ),
     "clip_without_minimum": Mutant(
@@ -456,8 +456,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # the package itself
     "lengths_agree": Mutant(
         "files.py",
-        "have == (known.setdefault(want, have) if isinstance(want, str) else want)",
-        "have == (have if isinstance(want, str) else want)",
+        "known.setdefault(want, have) if isinstance(want, str) else want",
+        "have if isinstance(want, str) else want",
         "Arrays of different lengths are read as one recording.",
     ),
     "first_sample": Mutant(
