@@ -187,10 +187,8 @@ class SearchLoop:
         self._watch = watch
         self._search, self._size = batches.search, batches.search.batch or 1
         self.evaluated = self._evaluations = self._resumed = 0
-        self._seconds, self._measured = (
-            0.0,
-            False,
-        )  # simulated so far; whether some run walked to its end
+        self._seconds = 0.0  # simulated so far
+        self._measured = False  # whether some run walked to its end
         self._best: float | None = None
         self._cells = set[int]()
 
