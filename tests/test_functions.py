@@ -1,4 +1,4 @@
-# Tests of test_functions.py
+# Tests of tests/test_functions.py
 """The length of functions, and the number of their parameters."""
 
 from __future__ import annotations
