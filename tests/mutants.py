@@ -141,8 +141,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "erratum_of_fusion": Mutant(
         "control/spine_modes.py",
-        "1.0 - jnp.abs(steering), jnp.asarray",
-        "1.0 - steering, jnp.asarray",
+        "1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent)",
+        "1.0 - steering, jnp.asarray(spine.fusion_exponent)",
         "A turn to the right amplifies the auxiliary spine mode, as the equation is printed (erratum to 5.46).",
     ),
     "long_way_round": Mutant(
@@ -216,8 +216,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # rollout
     "back_emf": Mutant(
         "rollout/metrics.py",
-        "sensors.servo_torque - brake * sensors",
-        "sensors.servo_torque + brake * sensors",
+        "torque = torque - tick.brake * sensors",
+        "torque = torque + tick.brake * sensors",
         "The back-EMF adds torque to a turning servo in the metrics of work and current.",
     ),
     "image_axis": Mutant(
@@ -228,8 +228,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "fall_before_run": Mutant(
         "rollout/metrics.py",
-        "~(state.fell | state.diverged | state.finished) & begins_in_run(window, time, dt)",
-        "~(state.fell | state.diverged | state.finished)",
+        "judged = ~ended & begins_in_run(window, tick.time, tick.dt)",
+        "judged = ~ended",
         "A fall after the end of a run counts, so that results depend on the batch.",
     ),
     "spread_of_gradient": Mutant(
@@ -303,19 +303,19 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     # optimize
     "rank_of_fallen": Mutant(
-        "optimize/methods.py",
+        "optimize/search_methods.py",
         "fallen = worst + 2.0 + np.nanmax",
         "fallen = worst + 1.0 + 0.0 * np.nanmax",
         "A fallen robot ranks before a robot that violates a constraint.",
     ),
     "best_without_gradient": Mutant(
-        "optimize/methods.py",
+        "optimize/tuner.py",
         "better = ok & (value < state.best_value)",
         "better = value < state.best_value",
         "A point without a finite gradient becomes the best point of a tuning.",
     ),
     "edge_of_atlas": Mutant(
-        "optimize/methods.py",
+        "optimize/search_methods.py",
         "(values <= measure.high)",
         "(values < measure.high)",
         "A point at the upper end of a measure's range is not in the atlas.",
@@ -341,8 +341,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "delay_sign": Mutant(
         "learn/observing.py",
-        "newest_first[before + 1] - newest_first[before]\n",
-        "newest_first[before] - newest_first[before + 1]\n",
+        "newest_first[before + 1] - newest_first[before]",
+        "newest_first[before] - newest_first[before + 1]",
         "Delayed observations are extrapolated instead of interpolated.",
     ),
     "clip_without_minimum": Mutant(
@@ -456,8 +456,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # the package itself
     "lengths_agree": Mutant(
         "files.py",
-        "known.setdefault(want, have) if isinstance(want, str) else want\n",
-        "have if isinstance(want, str) else want\n",
+        "known.setdefault(want, have) if isinstance(want, str) else want",
+        "have if isinstance(want, str) else want",
         "Arrays of different lengths are read as one recording.",
     ),
     "first_sample": Mutant(

@@ -43,7 +43,7 @@ from nermo_mjx.live.driving import replayed
 from nermo_mjx.optimize import run_search
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.rollout import Setup, own_metrics
+from nermo_mjx.rollout import Setup, custom_metrics
 from nermo_mjx.runs.directory import codes_of, digest, read_record
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, stored_json
 from nermo_mjx.runs.rows import opened_part
@@ -303,7 +303,7 @@ def kinds_of_files(
         "metrics.json": (
             sweep / "metrics.json",
             text,
-            lambda: own_metrics.load_metrics(str(sweep / "metrics.py")),
+            lambda: custom_metrics.load_metrics(str(sweep / "metrics.py")),
         ),
         "best.json": (search / "best.json", text, kind("search", search)),
         "identification.json": (

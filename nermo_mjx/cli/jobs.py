@@ -389,7 +389,7 @@ def search_command(
       nermo-mjx search sweeps/atlas.yaml --out runs/atlas --budget 10000
     """
     from nermo_mjx.optimize import Search, run_search
-    from nermo_mjx.optimize.run import search_forecast
+    from nermo_mjx.optimize.search_run import search_forecast
 
     search = Search.from_file(spec, body)
     if budget is not None:
@@ -479,7 +479,7 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
       nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
     """
     from nermo_mjx.optimize import Tuning, run_tuning
-    from nermo_mjx.optimize.run import tuning_forecasts
+    from nermo_mjx.optimize.tuning_run import tuning_forecasts
 
     tuning = Tuning.from_file(spec, body)
     tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed"))

@@ -52,13 +52,16 @@ _KINDS: Final = (
     Kind(
         "search",
         "a search",
-        "optimize.figures:search_figures",
-        "optimize.directory:search_status",
+        "optimize.search_figures:search_figures",
+        "optimize.search_directory:search_status",
         False,
         _COLUMNS,
     ),
     Kind(
-        "tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"
+        "tuning",
+        "a tuning",
+        "optimize.tuning_figures:tuning_figures",
+        "optimize.tuning_directory:tuning_status",
     ),
     Kind(
         "training", "a training", "learn.plots:training_figures", "learn.directory:training_status"

@@ -576,7 +576,7 @@ def replay_command(
         return _replay_drive(out, sweep, controller, saved)
     if row is None:
         raise WrongUse("Give --row N, a row of the table.")
-    from nermo_mjx.optimize.directory import find_evaluation
+    from nermo_mjx.optimize.search_directory import find_evaluation
     from nermo_mjx.runs.files import make_writable, plain_json
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 

@@ -137,11 +137,9 @@ def in_frame_of(twin: Channel, channel: Channel) -> Channel:
         each.reshape(len(each), -1) for each in (channel.values[both], there[both], twin.values)
     )
     axes = min(here.shape[1], there.shape[1])
-    seen, shown, moved = (
-        here - here.mean(axis=0),
-        there - there.mean(axis=0),
-        moved - there.mean(axis=0),
-    )
+    seen = here - here.mean(axis=0)
+    shown = there - there.mean(axis=0)
+    moved = moved - there.mean(axis=0)
     if channel.quantity == "position":
         turn = np.vdot(shown[:, 0] + 1j * shown[:, 1], seen[:, 0] + 1j * seen[:, 1])
         ground = (moved[:, 0] + 1j * moved[:, 1]) * turn / max(abs(turn), 1e-300)
@@ -204,36 +202,8 @@ def findings_of(log: Log) -> tuple[str, ...]:
     lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
     found = [*log.findings]
     for angle, command in pairs:
-        (lag, correlation), name = lags[angle.of], angle.of.replace("_", " ")
-        if abs(correlation) < _FOLLOWS:
-            found.append(f"{name} does not follow its command ({correlation:.2f}).")
-            continue
-        if correlation < 0.0:
-            found.append(f"{name} seems mirrored ({correlation:.2f}).")
-        there = values_at(command, angle.times - lag)
-        both = np.isfinite(there)
-        gain, apart = (
-            np.polyfit(there[both], angle.values[both], 1)[0],
-            (angle.values - there)[both].mean(),
-        )
-        if not _GAINS[0] < abs(gain) < _GAINS[1]:
-            found.append(
-                f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
-            )
-        elif correlation > 0.0 and abs(apart) > _OFF:
-            found.append(
-                f"{name} stands {apart:.2g} {angle.unit} off its command: one of the two has another zero."
-            )
-        others = [each for of, (each, _) in lags.items() if of != angle.of]
-        if lag < -max(angle.interval, command.interval):
-            found.append(
-                f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
-            )
-        elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
-            most = f"{1e3 * max(others):.0f} ms at most"
-            found.append(
-                f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}."
-            )
+        others = [lag for of, (lag, _) in lags.items() if of != angle.of]
+        found += _servo_findings(angle, command, *lags[angle.of], others)
     found += _drifts(log, pairs)
     alone, unled = (
         [of for of in a if of not in b] for a, b in ((commands, angles), (angles, commands))
@@ -257,6 +227,39 @@ def findings_of(log: Log) -> tuple[str, ...]:
     return tuple(found)
 
 
+def _servo_findings(
+    angle: Channel, command: Channel, lag: float, correlation: float, others: Sequence[float]
+) -> Iterator[str]:
+    """What looks wrong with the angle of a servo, compared with its command.
+
+    Args:
+        angle: Angle of the servo.
+        command: Command of the servo.
+        lag: Lag of the angle behind the command [s].
+        correlation: Correlation of both at this lag.
+        others: Lags of the other servos [s].
+    """
+    name = angle.of.replace("_", " ")
+    if abs(correlation) < _FOLLOWS:
+        yield f"{name} does not follow its command ({correlation:.2f})."
+        return
+    if correlation < 0.0:
+        yield f"{name} seems mirrored ({correlation:.2f})."
+    there = values_at(command, angle.times - lag)
+    both = np.isfinite(there)
+    gain = np.polyfit(there[both], angle.values[both], 1)[0]
+    offset = (angle.values - there)[both].mean()
+    if not _GAINS[0] < abs(gain) < _GAINS[1]:
+        yield f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
+    elif correlation > 0.0 and abs(offset) > _OFF:
+        yield f"{name} stands {offset:.2g} {angle.unit} off its command: one of the two has another zero."
+    if lag < -max(angle.interval, command.interval):
+        yield f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
+    elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
+        most = f"{1e3 * max(others):.0f} ms at most"
+        yield f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}."
+
+
 def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]:
     """Clocks that run away from another one: angles behind their commands, and the change of a yaw behind a gyro."""
     yaw, gyro = log.channel("yaw"), log.channel("gyro")
@@ -277,10 +280,8 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
             dataclasses.replace(channel, times=channel.times[p], values=channel.values[p])
             for p in parts
         ]
-        lags, middle = (
-            np.array([lag_of(each, other) for each in pieces]).T[0],
-            [each.times.mean() for each in pieces],
-        )
+        lags = np.array([lag_of(each, other) for each in pieces]).T[0]
+        middle = [each.times.mean() for each in pieces]
         (slope, _), (variance, *_) = np.polyfit(middle, lags, 1, cov=True)
         change = abs(slope) * np.ptp(channel.times)
         if change > _DRIFTED and abs(slope) > _CERTAIN * np.sqrt(variance[0]):

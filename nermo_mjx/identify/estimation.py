@@ -17,7 +17,7 @@ import numpy as np
 from mujoco import minimize
 from scipy.stats import qmc
 
-from nermo_mjx.optimize.methods import strategy
+from nermo_mjx.optimize.search_methods import strategy
 
 #: Returns the array that a function computes from an array of inputs, computed now or stored before.
 Cache: TypeAlias = Callable[[Callable[[], np.ndarray], np.ndarray], np.ndarray]

@@ -23,7 +23,7 @@ from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
-from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.simulator import default_precision
 from nermo_mjx.runs.rows import Columns
 
@@ -228,11 +228,9 @@ def played_task(
         acting = RandomPolicy(**vars(acting)) if policy == RANDOM else acting
     else:
         acting = load_policy(policy, code_place(training.task.observe))
-    commands, late, noisy = (
-        acting.observer.commands,
-        bool(acting.observer.delayed),
-        acting.observer.noisy,
-    )
+    commands = acting.observer.commands
+    late = bool(acting.observer.delayed)
+    noisy = acting.observer.noisy
     told = {f"command.{name}" for name in commands} | ({"sensing.delay"} if late else set())
     for name in values:
         if name in PUSHES:

@@ -118,12 +118,10 @@ def one_of(
     *first, last = models
     names = f"{', '.join(first)} or {last}" if first else last
     made.expected = f"{names} as a name, or {{name: {{option: value}}}}"
-    made.other, made.other_name, made.alone, made.removed = (
-        other,
-        "is {name!r}",
-        tuple(models),
-        removed,
-    )
+    made.other = other
+    made.other_name = "is {name!r}"
+    made.alone = tuple(models)
+    made.removed = removed
     made.short = ({"enum": [name for name, model in models.items() if not model.required()]},)
     return _Chosen(made, models)
 
