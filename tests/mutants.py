@@ -141,8 +141,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "erratum_of_fusion": Mutant(
         "control/spine_modes.py",
-        "1.0 - jnp.abs(steering), jnp.asarray",
-        "1.0 - steering, jnp.asarray",
+        "1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent)",
+        "1.0 - steering, jnp.asarray(spine.fusion_exponent)",
         "A turn to the right amplifies the auxiliary spine mode, as the equation is printed (erratum to 5.46).",
     ),
     "long_way_round": Mutant(
@@ -216,8 +216,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # rollout
     "back_emf": Mutant(
         "rollout/metrics.py",
-        "sensors.servo_torque - brake * sensors",
-        "sensors.servo_torque + brake * sensors",
+        "torque = torque - tick.brake * sensors",
+        "torque = torque + tick.brake * sensors",
         "The back-EMF adds torque to a turning servo in the metrics of work and current.",
     ),
     "image_axis": Mutant(
@@ -228,8 +228,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "fall_before_run": Mutant(
         "rollout/metrics.py",
-        "~(state.fell | state.diverged | state.finished) & begins_in_run(window, time, dt)",
-        "~(state.fell | state.diverged | state.finished)",
+        "judged = ~ended & begins_in_run(window, tick.time, tick.dt)",
+        "judged = ~ended",
         "A fall after the end of a run counts, so that results depend on the batch.",
     ),
     "spread_of_gradient": Mutant(
@@ -303,19 +303,19 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     # optimize
     "rank_of_fallen": Mutant(
-        "optimize/methods.py",
+        "optimize/search_methods.py",
         "fallen = worst + 2.0 + np.nanmax",
         "fallen = worst + 1.0 + 0.0 * np.nanmax",
         "A fallen robot ranks before a robot that violates a constraint.",
     ),
     "best_without_gradient": Mutant(
-        "optimize/methods.py",
+        "optimize/tuner.py",
         "better = ok & (value < state.best_value)",
         "better = value < state.best_value",
         "A point without a finite gradient becomes the best point of a tuning.",
     ),
     "edge_of_atlas": Mutant(
-        "optimize/methods.py",
+        "optimize/search_methods.py",
         "(values <= measure.high)",
         "(values < measure.high)",
         "A point at the upper end of a measure's range is not in the atlas.",
@@ -359,19 +359,19 @@ MUTANTS: Final[dict[str, Mutant]] = {
         "The reported amplitude of an angle is its range.",
     ),
     "white_floor": Mutant(
-        "experiments/determinacy.py",
+        "identify/estimation.py",
         "rms(np.diff(residual)) / math.sqrt(2)",
         "rms(np.diff(residual))",
         "The noise of a channel is overestimated, so that a wrong model class counts as right.",
     ),
     "early_commands": Mutant(
-        "experiments/log_twin.py",
+        "identify/twin.py",
         "np.interp(self.grid - each, knots, area)",
         "np.interp(self.grid + each, knots, area)",
         "A delay makes the twin follow its commands before they come.",
     ),
     "judged_on_fitted": Mutant(
-        "experiments/log_identification.py",
+        "identify/identification.py",
         "lambda times, duration: times >= FITTED * duration",
         "lambda times, duration: times < FITTED * duration",
         "An identified model is validated on the samples that it was fitted to.",

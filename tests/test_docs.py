@@ -233,6 +233,7 @@ ELSEWHERE = {
     "replay_row",
     "run_experiment",
     "run_experiments",
+    "run_identification",
     "run_training",
     "run_tuning",
     "show",

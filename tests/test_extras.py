@@ -12,8 +12,8 @@ import pytest
 from command import call
 
 from nermo_mjx import ParameterError, Simulator, run_search, run_sweep, sensitivity
-from nermo_mjx.experiments.log_identification import identify_log
 from nermo_mjx.hardware import connected
+from nermo_mjx.identify.identification import identify_log
 from nermo_mjx.learn.run import run_training
 from nermo_mjx.live.server import LiveDrive
 

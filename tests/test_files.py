@@ -30,19 +30,20 @@ from fakes.sweep_fake import SPEC as SWEEP
 from nermo_mjx import trust
 from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.control import protocol
-from nermo_mjx.experiments import log_report
 from nermo_mjx.experiments.cases import CaseRuns
 from nermo_mjx.experiments.report import table_of
 from nermo_mjx.experiments.run import EXPERIMENTS, Directory
 from nermo_mjx.files import FileError, read_bytes
 from nermo_mjx.hardware.channels import read_channels
+from nermo_mjx.identify.report import RESULT, identification_page
+from nermo_mjx.identify.run import identification_status
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.live import driving
 from nermo_mjx.live.driving import replayed
 from nermo_mjx.optimize import run_search
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.rollout import Setup, own_metrics
+from nermo_mjx.rollout import Setup, custom_metrics
 from nermo_mjx.runs.directory import codes_of, digest, read_record
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, stored_json
 from nermo_mjx.runs.rows import opened_part
@@ -57,6 +58,15 @@ from nermo_mjx.view.recorded import robot_of
 
 ROOT = Path(__file__).parents[1]
 POLICY = ROOT / "tests" / "data" / "former_policy.npz"
+#: A parameter in identification.json.
+ESTIMATE = {
+    "unit": "1",
+    "why": "a test",
+    "at_bound": "",
+    "determined": True,
+    "interval": [0.1, 0.3],
+}
+ESTIMATE |= {"start": 0.1, "value": 0.2, "low": 0.0, "high": 1.0}
 RECORDED = ROOT / "docs" / "howto" / "terrain" / "walks" / "ramp" / "stiff.npz"
 
 
@@ -297,19 +307,21 @@ def kinds_of_files(
         "metrics.json": (
             sweep / "metrics.json",
             text,
-            lambda: own_metrics.load_metrics(str(sweep / "metrics.py")),
+            lambda: custom_metrics.load_metrics(str(sweep / "metrics.py")),
         ),
         "best.json": (search / "best.json", text, kind("search", search)),
-        "steps.json": (
+        "identification.json": (
             write_json(
-                identified / log_report.STEPS,
-                {"decides": "a", "arrays": [[[0.1, None], [0.2, 0.3]]]},
+                identified / RESULT,
+                {
+                    "command": "",
+                    "logs": ["a"],
+                    "sentences": ["It moves."],
+                    "parameters": {"kp": ESTIMATE},
+                },
             ),
             text,
-            lambda: (
-                log_report.identification_status(identified),
-                log_report.kept_in(identified, "a")(lambda: np.ones(1)),
-            ),
+            lambda: (identification_status(identified), identification_page(identified)),
         ),
         "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
         "part": (

@@ -52,7 +52,9 @@ def test_shared_again(case):
 @pytest.mark.parametrize("program_count", [14, 15])
 def test_ci_fails_for_many_programs_and_for_many_setups(program_count: int, tmp_path: Path) -> None:
     """Of two files with the same programs, each has its own; the cases of a fixture are two setups."""
-    (tmp_path / "conftest.py").write_text("import guard; guard.MOST_SETUPS, guard.MOST_PROGRAMS = 3, 8\n")
+    (tmp_path / "conftest.py").write_text(
+        "import guard; guard.MOST_SETUPS, guard.MOST_PROGRAMS = 3, 8\n"
+    )
     for name in ("a", "b"):
         (tmp_path / f"test_{name}.py").write_text(TESTS.replace("FEW", str(program_count)))
     process = subprocess.run(

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import nermo_mjx
-from nermo_mjx.rollout.own_metrics import METRICS, SIDES
+from nermo_mjx.rollout.metric_table import METRICS, SIDES
 
 
 def test_no_name_stands_for_two_things():
@@ -49,7 +49,7 @@ def test_one_place_declares_which_direction_of_a_metric_is_better():
     declaring = {
         path for path in package.rglob("*.py") if directions(path.read_text(encoding="utf-8"))
     }
-    assert declaring == {package / "rollout" / "own_metrics.py"}
+    assert declaring == {package / "rollout" / "metric_table.py"}
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from nermo_mjx.control import protocol
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.rollout import own_metrics
+from nermo_mjx.rollout import custom_metrics
 from nermo_mjx.sweep import DirectoryError, merge_sweeps, read_table, run_sweep
 from nermo_mjx.sweep.table import meta
 
@@ -151,7 +151,7 @@ def test_a_file_that_is_not_that_of_the_table_is_not_run_either(
     assert call("status", a).exit_code == 0
     assert not log.exists()
     with trust.only_reading(), pytest.raises(protocol.ParameterError, match="does not run"):
-        own_metrics.load_metrics(str(a / "metrics.py") if code == "metrics" else "json:loads")
+        custom_metrics.load_metrics(str(a / "metrics.py") if code == "metrics" else "json:loads")
 
 
 @pytest.mark.parametrize(
@@ -197,8 +197,8 @@ def test_whose_code_is_run_is_said_before(tmp_path: Path, canary: Path) -> None:
     messages: list[tuple[str, bool]] = []
     token = trust.TELL.set(lambda sentence: messages.append((sentence, canary.exists())))
     try:
-        own_metrics.load_metrics("own.py")
-        own_metrics.load_metrics("own.py")
+        custom_metrics.load_metrics("own.py")
+        custom_metrics.load_metrics("own.py")
     finally:
         trust.TELL.reset(token)
     assert messages == [(f"the Python code of {tmp_path / 'own.py'} is run.", False)]

@@ -40,7 +40,6 @@ class Kind:
 
 
 _COLUMNS: Final = ("x", "y", "color")
-_IDENTIFIED: Final = "experiments.log_report"
 _KINDS: Final = (
     Kind(
         "sweep",
@@ -53,13 +52,16 @@ _KINDS: Final = (
     Kind(
         "search",
         "a search",
-        "optimize.figures:search_figures",
-        "optimize.directory:search_status",
+        "optimize.search_figures:search_figures",
+        "optimize.search_directory:search_status",
         False,
         _COLUMNS,
     ),
     Kind(
-        "tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"
+        "tuning",
+        "a tuning",
+        "optimize.tuning_figures:tuning_figures",
+        "optimize.tuning_directory:tuning_status",
     ),
     Kind(
         "training", "a training", "learn.plots:training_figures", "learn.directory:training_status"
@@ -75,8 +77,8 @@ _KINDS: Final = (
         Kind(
             name,
             f"an {name}",
-            f"{_IDENTIFIED}:kept_figures",
-            f"{_IDENTIFIED}:identification_status",
+            "identify.report:kept_figures",
+            "identify.run:identification_status",
         )
         for name in ("identification", "identification from a log")
     ),

@@ -257,7 +257,8 @@ def view_command(
     a cell, to filter and brush; clicking a run shows its numbers and the
     command that repeats it, and plays its recording if DIR/recordings has it.
     For the directory of a training: curves, evaluation, and a walk of its
-    policy on each scene, which is simulated for the page.
+    policy on each scene, which is simulated for the page. For the directory of
+    an identification: its report.
 
     Examples:
       nermo-mjx view walk.npz
@@ -334,12 +335,13 @@ def _page(
     path: Path, other: Path | None, recordings: int | None, notes: list[str]
 ) -> tuple[Page, dict[str, Any]]:
     """The page of a recording or a directory, and how much it shows."""
+    from nermo_mjx.identify.report import identification_page
+    from nermo_mjx.identify.run import KIND
     from nermo_mjx.runs import kind_of
-    from nermo_mjx.view import show
+    from nermo_mjx.view import Page, show
     from nermo_mjx.view.explore import KINDS, MOST_RECORDINGS, explore
     from nermo_mjx.view.trained import trained
 
-    page: Page
     if not path.is_dir():
         if recordings is not None:
             raise WrongUse(
@@ -356,10 +358,12 @@ def _page(
     if kind_of(path) == "training":
         page = trained(path)
         return page, {"samples": page.samples}
+    if kind_of(path) == KIND:
+        return Page(identification_page(path), 680, 0), {}
     if kind_of(path) not in KINDS:
         raise WrongUse(
             f"{path} is the directory of {kind_of_directory(path).called}: the page of a directory shows the runs of a "
-            "sweep or a search, or a training, and nermo-mjx plot draws the others."
+            "sweep or a search, a training, or an identification, and nermo-mjx plot draws the others."
         )
     page = explore(
         path, recordings=MOST_RECORDINGS if recordings is None else recordings, notify=notes.append

@@ -140,10 +140,8 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     A sample stands for the tick before it: its commands act since the tick's begin, and its sensors were read before
     the last step.
     """
-    sensors, made = (
-        {name: np.asarray(values) for name, values in recording.sensors.items()},
-        list[Channel](),
-    )
+    sensors = {name: np.asarray(values) for name, values in recording.sensors.items()}
+    made = list[Channel]()
     times = recording.time - robot.model.opt.timestep
     begin = recording.time - (np.median(np.diff(recording.time)) if len(times) > 1 else 0.0)
 
@@ -198,9 +196,7 @@ def with_log(recording: Recording, log: Log, robot: Robot) -> tuple[Recording, l
                 sensors[BESIDE + name] = np.stack(
                     [values_at(each, recording.time) for each in (one, two)], axis=-1
                 )
-    about, shown = (
-        {each.name: dataclasses.asdict(each) for each in found},
-        [each.name for each in twin.channels],
-    )
+    about = {each.name: dataclasses.asdict(each) for each in found}
+    shown = [each.name for each in twin.channels]
     metadata = {**recording.metadata, "log": {"file": log.file, "shown": shown, "channels": about}}
     return dataclasses.replace(recording, sensors=sensors, metadata=metadata), found

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Evaluation, Problem
-from nermo_mjx.optimize.spec import Differences, Tuning
+from nermo_mjx.optimize.tuning_spec import Differences, Tuning
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Simulator
@@ -48,12 +48,10 @@ class WalkProblem:
         Raises:
             ParameterError: the tuning's recording cannot be compared with its walk.
         """
-        self.tuning, self.names, self.reference, self._given = (
-            tuning,
-            tuning.names,
-            reference,
-            simulator,
-        )
+        self.tuning = tuning
+        self.names = tuning.names
+        self.reference = reference
+        self._given = simulator
         lowest, method = {each.name: each.low for each in tuning.tuned}, tuning.method
         self.simulated_seconds = tuning.seconds(lowest)
         self.gradient_cost = method.gradient_cost(len(self.names))

@@ -222,12 +222,10 @@ def _torso(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     """The cameras in front of the lenses; a camera's own axes are right, up and back."""
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
-        c, s, level, rise = (
-            np.cos(EYE.outward),
-            side * np.sin(EYE.outward),
-            np.cos(EYE.up),
-            np.sin(EYE.up),
-        )
+        c = np.cos(EYE.outward)
+        s = side * np.sin(EYE.outward)
+        level = np.cos(EYE.up)
+        rise = np.sin(EYE.up)
         ahead = np.array([s * level, -c * level, rise])
         up = np.array([-s * rise, c * rise, level])
         camera, quat = spec.camera(name), np.zeros(4)

@@ -32,9 +32,9 @@ from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, Quantity, choice, of_type
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import checked_loop, loop_parameters
-from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import Run, StartPose
 from nermo_mjx.rollout.setup import Setup, Window, all_metrics, all_parameters, with_own
@@ -554,10 +554,8 @@ class WalkDifferences:
             derivatives.append((up - down) / run)
             if warn and each.ndim == 3:  # the metrics
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    right, left = (
-                        (up - at) / (above - chosen)[:, None],
-                        (at - down) / (chosen - below)[:, None],
-                    )
+                    right = (up - at) / (above - chosen)[:, None]
+                    left = (at - down) / (chosen - below)[:, None]
                     larger = np.maximum(np.abs(right), np.abs(left))
                     noise = NOISE * (1.0 + np.abs(at)) / (0.5 * run)
                     kink = np.abs(right - left) > np.maximum(KINK * larger, noise)

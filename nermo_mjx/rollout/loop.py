@@ -28,7 +28,7 @@ from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout import metrics, transitions
-from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics, described
+from nermo_mjx.rollout.custom_metrics import OwnMetric, check_metrics, described
 from nermo_mjx.rollout.setup import Setup, Start, Window, WorldParameters
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
@@ -219,22 +219,20 @@ class ClosedLoop:
         within = None
         if params.schedule is not None:
             within = transitions.span(params.schedule, controller.cycle_rate(params.control))
-        return metrics.update(
-            params.window,
-            state.metrics,
-            sensors,
-            state.time,
-            controller.dt,
-            controller.cycle_rate(own),
-            path,
-            stance,
-            self.robot.terrain.height(position[0], position[1], params.terrain),
-            self.own,
-            params.servo_brake,
-            params.servo,
-            state.clamped,
-            within,
+        tick = metrics.Tick(
+            sensors=sensors,
+            time=state.time,
+            dt=controller.dt,
+            cycle_rate=controller.cycle_rate(own),
+            path=path,
+            stance=stance,
+            ground=self.robot.terrain.height(position[0], position[1], params.terrain),
+            brake=params.servo_brake,
+            servo=params.servo,
+            clamped=state.clamped,
+            transition=within,
         )
+        return metrics.update(params.window, state.metrics, tick, self.own)
 
     def last_reading(
         self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]
@@ -314,9 +312,8 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     stance = traced("stance", first) if isinstance(controller, PlansContact) else jnp.ones(4, bool)
     if getattr(stance, "shape", None) != (4,):
         refuse("stance", f"gives {described(stance)}: expected the planned contact of four limbs")
-    if not type(controller).__module__.startswith(
-        "nermo_mjx."
-    ):  # a policy of ours takes seconds to compile
+    # A policy of this package takes seconds to compile.
+    if not type(controller).__module__.startswith("nermo_mjx."):
         _check_at_rest(robot, controller)
 
 

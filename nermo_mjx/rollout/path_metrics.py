@@ -191,11 +191,9 @@ def update_path(
         cycle_ends: whether a gait cycle ends in this tick.
     """
     part = weight - rest
-    sum_error, sum_place, time = (
-        state.error + part * error,
-        state.place + part * place,
-        state.time + part,
-    )
+    sum_error = state.error + part * error
+    sum_place = state.place + part * place
+    time = state.time + part
     sum_square, per_time = state.square + part * error**2, 1.0 / jnp.maximum(time, 1e-9)
     mean, ended = sum_place * per_time, cycle_ends.astype(time.dtype)
     kept = 1.0 - ended

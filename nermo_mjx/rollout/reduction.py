@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from nermo_mjx.robot import Sensors
-from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import MeasuredPart, root
 from nermo_mjx.shapes import Array, Scalar, Truth
 

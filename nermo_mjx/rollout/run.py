@@ -14,9 +14,9 @@ from jaxtyping import Float
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
-from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
+from nermo_mjx.kinematics.leg import LegPose, forward_kinematics, four_legs
 from nermo_mjx.physics.lanes import Lanes
-from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Quantity, Robot
+from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Quantity, Robot, ServoAngles
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout.setup import Start
@@ -178,19 +178,7 @@ class StartPose:
         """
         geometry = body.geometry if body else Geometry()
         servo = self.controller.initial_servo(control, start.phase)
-        legs = four_legs(geometry)
-        pairs = [limb.split("_")[0] for limb in LIMBS]
-        slack = jnp.stack([body.build.slack(pair) for pair in pairs]) if body else 0.0
-        eased = servo.knee + legs.servo_direction * (TAUT + slack) / legs.pulley_radius
-        pose = forward_kinematics(
-            legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing
-        )
-        if body:
-            tilt = jnp.stack([getattr(body.build, f"{pair}_tilt") for pair in pairs])
-            (y, z), cosine, sine = pose.foot.T, jnp.cos(tilt), jnp.sin(tilt)
-            pose = pose._replace(
-                foot=jnp.stack([cosine * y - sine * z, sine * y + cosine * z], axis=-1)
-            )
+        pose = self._legs(servo, geometry, body)
         bend = spine.joint_angle(servo.spine, geometry)
         lifted = (
             spine.joint_angle(servo.spine_vertical, geometry)
@@ -236,6 +224,25 @@ class StartPose:
             .set(lifted / hinges)
             .at[pulley]
             .set(servo.spine_vertical)
+        )
+
+    def _legs(
+        self, servo: ServoAngles, geometry: Geometry, body: ModelParameters | None
+    ) -> LegPose:
+        """Poses of the four legs, with tendons as slack and legs as tilted as the body's."""
+        legs = four_legs(geometry)
+        pairs = [limb.split("_")[0] for limb in LIMBS]
+        slack = jnp.stack([body.build.slack(pair) for pair in pairs]) if body else 0.0
+        eased = servo.knee + legs.servo_direction * (TAUT + slack) / legs.pulley_radius
+        pose = forward_kinematics(
+            legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing
+        )
+        if body is None:
+            return pose
+        tilt = jnp.stack([getattr(body.build, f"{pair}_tilt") for pair in pairs])
+        (y, z), cosine, sine = pose.foot.T, jnp.cos(tilt), jnp.sin(tilt)
+        return pose._replace(
+            foot=jnp.stack([cosine * y - sine * z, sine * y + cosine * z], axis=-1)
         )
 
     def batch(

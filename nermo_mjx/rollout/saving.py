@@ -119,11 +119,9 @@ def all_signals(robot: Robot) -> tuple[Signal, ...]:
                 )
                 place += 1
     for group in SAVED:
-        names, unit, doc = (
-            reading_names(group, robot.servos),
-            READINGS[group].unit,
-            READINGS[group].doc,
-        )
+        names = reading_names(group, robot.servos)
+        unit = READINGS[group].unit
+        doc = READINGS[group].doc
         found += [Signal(name, unit, doc, group, i) for i, name in enumerate(names)]
     return tuple(found)
 

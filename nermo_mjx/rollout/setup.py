@@ -59,7 +59,8 @@ from nermo_mjx.robot.quantity import (
 )
 from nermo_mjx.robot.scene import is_mjcf, load_scene
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
-from nermo_mjx.rollout.own_metrics import METRICS, Metric, OwnMetric, load_metrics
+from nermo_mjx.rollout.custom_metrics import OwnMetric, load_metrics
+from nermo_mjx.rollout.metric_table import METRICS, Metric
 from nermo_mjx.rollout.transitions import TRANSITION
 
 # ---
@@ -99,10 +100,8 @@ class WorldParameters:
 def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
     """The parameters whose range depends on the time step, with their remaining range."""
     contact, kp, kv = (known[name] for name in ("contact.time_constant", "servo.kp", "servo.kv"))
-    stiffest, most_damped = (
-        highest_kp(timestep, float(kv.default)),
-        highest_kv(timestep, float(kp.default)),
-    )  # type: ignore[arg-type]
+    stiffest = highest_kp(timestep, float(kv.default))  # type: ignore[arg-type]
+    most_damped = highest_kv(timestep, float(kp.default))  # type: ignore[arg-type]
     return {
         # MuJoCo silently lengthens time constants shorter than two time steps.
         "contact.time_constant": dataclasses.replace(contact, low=max(contact.low, 2 * timestep)),

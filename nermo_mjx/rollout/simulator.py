@@ -25,9 +25,9 @@ from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, of_type, values_of
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import LoopParameters, checked_loop, loop_parameters, terrain_of
-from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import LONGEST, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
@@ -373,11 +373,8 @@ class Simulator:
     ) -> RunResult:
         """Simulate what `prepare` has made, and maybe the caller changed; the other arguments are those of `run`."""
         traced, ends, ticks = record or keeper is not None, batch.ticks, int(batch.ticks.max())
-        if (needed := TICK_BYTES * ticks * len(batch.qpos)) > MOST_RECORDED and record:
-            raise ParameterError(
-                f"the recording of {ticks:,} ticks of {len(batch.qpos):,} worlds takes {needed / 1e9:,.1f} GB: "
-                f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
-            )
+        if record:
+            _check_recorded(ticks, len(batch.qpos))
         program = (len(batch.qpos), tuple(batch.fields), traced)
         says = contextlib.nullcontext() if program in self._compiled else self._compiling(notify)
         self._compiled.add(program)
@@ -391,8 +388,7 @@ class Simulator:
             done = min(begin + BLOCK, ticks)
             if traced:
                 trace = session.record(done - begin)
-                if record:
-                    traces.append(trace)
+                traces += [trace] if record else []
                 if keeper is not None:
                     keeper.add(trace)
             else:
@@ -452,10 +448,8 @@ class Simulator:
 
     def _ends(self, batch: Batch, table: Mapping[str, np.ndarray], ticks: np.ndarray) -> np.ndarray:
         """When each world's run ended (n,) [s]: at its distance or at its length, or before its state diverged."""
-        begin, end = (
-            np.asarray(batch.params.window.begin, float),
-            np.asarray(batch.params.window.end, float),
-        )
+        begin = np.asarray(batch.params.window.begin, float)
+        end = np.asarray(batch.params.window.end, float)
         end = np.minimum(end, ticks * self.controller.dt)
         whole = np.where(table["fell"] > 0, end, begin + table["duration"])
         return np.where(table["diverged"] > 0, table["failure_time"] - self.controller.dt, whole)
@@ -548,3 +542,13 @@ def default_precision(tree: Any) -> Any:
     return jax.tree.map(
         lambda leaf: np.asarray(leaf, real if leaf.dtype.kind == "f" else None), tree
     )
+
+
+def _check_recorded(ticks: int, worlds: int) -> None:
+    """Raise a `ParameterError` if the recording of a batch takes too much memory."""
+    needed = TICK_BYTES * ticks * worlds
+    if needed > MOST_RECORDED:
+        raise ParameterError(
+            f"the recording of {ticks:,} ticks of {worlds:,} worlds takes {needed / 1e9:,.1f} GB: "
+            f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
+        )

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.robot import LIMBS, Sensors
 from nermo_mjx.rollout import reduction
-from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import MeasuredPart, root
 from nermo_mjx.shapes import Array, Scalar, Truth
 

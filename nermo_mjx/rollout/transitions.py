@@ -17,7 +17,7 @@ from typing import Any, Final
 import jax.numpy as jnp
 
 from nermo_mjx.control.schedule import Schedule
-from nermo_mjx.rollout.own_metrics import Metric
+from nermo_mjx.rollout.metric_table import Metric
 from nermo_mjx.shapes import Array, Scalar
 
 #: Share by which speeds must differ for a time between them.

@@ -26,7 +26,7 @@ from nermo_mjx.plotting.shown import cost
 from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot.quantity import ParameterError, of_type, require
 from nermo_mjx.rollout import METRICS, Simulator
-from nermo_mjx.rollout.own_metrics import SIDES
+from nermo_mjx.rollout.metric_table import SIDES
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, engine_of

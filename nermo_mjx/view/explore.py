@@ -22,7 +22,7 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.own_metrics import headed
+from nermo_mjx.rollout.metric_table import headed
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
@@ -351,35 +351,28 @@ def explore(
         raise DirectoryError(
             f"{path} is neither the directory of a sweep nor that of a search: those have a page."
         )
-    there = {
-        int(found[1]): each
-        for each in sorted((path / "recordings").glob("row-*.npz"))
-        if (found := re.fullmatch(r"row-(\d+)\.npz", each.name))
+    recordings_by_row = {
+        int(match[1]): recording_file
+        for recording_file in sorted((path / "recordings").glob("row-*.npz"))
+        if (match := re.fullmatch(r"row-(\d+)\.npz", recording_file.name))
     }
-    runs = runs_of(path, there)
+    runs = runs_of(path, recordings_by_row)
     notes = [f"{len(runs.rows):,} of {runs.total:,} runs: the best, and the others evenly."]
     notes = notes if len(runs.rows) < runs.total else []
-    known = np.flatnonzero(np.isin(runs.rows, list(there)))
+    recorded_rows = np.flatnonzero(np.isin(runs.rows, list(recordings_by_row)))
     price = np.where(runs.counts, runs.columns[runs.leading].cost(), np.inf)
-    ranked = runs.rows[known[np.argsort(price[known], kind="stable")]]
-    chosen = ranked[thinned(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
-    if len(chosen) < len(there):
+    ranked = runs.rows[recorded_rows[np.argsort(price[recorded_rows], kind="stable")]]
+    chosen_rows = (
+        ranked[thinned(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
+    )
+    if len(chosen_rows) < len(recordings_by_row):
         notes.append(
-            f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst."
+            f"{len(chosen_rows)} of {len(recordings_by_row)} recordings, evenly from the best to the worst."
         )
     runs = with_gain(path, runs)
     table, shapes = Packer("table"), Packer("models")
-    models, clips, parts = Models(shapes), dict[str, Any](), list[Packer]()
-    for row in chosen:
-        packer = Packer(f"row-{row}")
-        try:
-            clip = clip_of(Recording.load(there[row]), f"row {row}", models, packer, COMPACT)
-        except (RecordingError, ParameterError) as error:
-            notes.append(f"recordings/{there[row].name} is left out: {error}")
-            continue
-        model, clip["model"] = clip["model"], 0
-        clips[str(row)] = {"part": packer.part, "model": model, "clip": packer.json(clip)}
-        parts.append(packer)
+    models = Models(shapes)
+    clips, parts = _clips({row: recordings_by_row[row] for row in chosen_rows}, models, notes)
     if notify is not None:
         for note in notes:
             notify(note)
@@ -404,6 +397,30 @@ def explore(
     title = f"Nermo: {name}, {'an' if runs.kind == 'atlas' else 'a'} {runs.kind}"
     html = document("explore", title, header, [table, shapes, *parts], ("", "explore"))
     return Page(html, height, rows=len(runs.rows), recordings=len(clips))
+
+
+def _clips(
+    files: Mapping[int, Path], models: Models, notes: list[str]
+) -> tuple[dict[str, Any], list[Packer]]:
+    """The clips of the page by row, and their packed parts.
+
+    Args:
+        files: Recordings by row.
+        models: Models of the page.
+        notes: Receives a sentence about each recording that is left out.
+    """
+    clips, parts = dict[str, Any](), list[Packer]()
+    for row, path in files.items():
+        packer = Packer(f"row-{row}")
+        try:
+            clip = clip_of(Recording.load(path), f"row {row}", models, packer, COMPACT)
+        except (RecordingError, ParameterError) as error:
+            notes.append(f"recordings/{path.name} is left out: {error}")
+            continue
+        model, clip["model"] = clip["model"], 0
+        clips[str(row)] = {"part": packer.part, "model": model, "clip": packer.json(clip)}
+        parts.append(packer)
+    return clips, parts
 
 
 def _optimum(path: Path) -> dict[str, Any] | None:
@@ -490,12 +507,10 @@ def start_of(runs: ExplorerRuns) -> dict[str, Any]:
     """
     repeat = runs.columns.get("repeat")
     statistic = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
-    varied, metrics, gain, colour = (
-        runs.of("varied"),
-        runs.of("metric"),
-        f"{runs.leading}_gain",
-        runs.leading,
-    )
+    varied = runs.of("varied")
+    metrics = runs.of("metric")
+    gain = f"{runs.leading}_gain"
+    colour = runs.leading
     gridded = [column for column in varied if runs.grid and len(column.distinct) <= MOST_CELLS]
     cells = len(gridded) > 1
     if gain in runs.columns and cells:

@@ -26,7 +26,8 @@ from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.spine_modes import SpineModes, harmonics, stride_extension
 from nermo_mjx.control.stepping import FreeStepping, bumps, within
 from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse_kinematics
-from nermo_mjx.optimize.spec import Search, Tuning
+from nermo_mjx.optimize.search_spec import Search
+from nermo_mjx.optimize.tuning_spec import Tuning
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servo_range

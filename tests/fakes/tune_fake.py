@@ -124,8 +124,9 @@ class FakeWalker:
 
     def __init__(self, falls=lambda values: False, error=None):
         self.batches, self.again, self.falls, self.error = [], [], falls, error
+        self.engine = "c"
 
-    def run(self, values, run, record=False, *, progress=None):
+    def run(self, values, run, record=False, *, progress=None, notify=None):
         if self.error is not None:
             raise self.error
         sizes = {len(column) for column in values.values()}
@@ -143,7 +144,7 @@ class FakeWalker:
         metrics = {"speed": np.where(fell, np.nan, pace), "roll_std": 0.1 + 0.1 * amplitude**2}
         trace = _glide(pace, run.duration) if record else None
         return types.SimpleNamespace(
-            metrics=metrics, status=np.where(fell, "fell", "ok"), engine="c", trace=trace
+            metrics=metrics, status=np.where(fell, "fell", "ok"), engine="c", trace=trace, steps=1
         )
 
 

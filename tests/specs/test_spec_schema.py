@@ -233,7 +233,8 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.learn import PPO, Modulation, Residual, Task
     from nermo_mjx.learn.spec import EvaluationSpec, TrainingFile
     from nermo_mjx.optimize.objective import ObjectiveTerm
-    from nermo_mjx.optimize.spec import CmaMe, Differences, Limit, SearchFile, Tuned, TuningFile
+    from nermo_mjx.optimize.search_spec import CmaMe, Limit, SearchFile
+    from nermo_mjx.optimize.tuning_spec import Differences, Tuned, TuningFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
 

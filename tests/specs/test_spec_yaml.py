@@ -4,7 +4,7 @@
 import pytest
 
 from nermo_mjx.hardware.channels import read_channels
-from nermo_mjx.optimize.spec import Tuning
+from nermo_mjx.optimize.tuning_spec import Tuning
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.specs.reading import read_text
 from nermo_mjx.sweep import SpecError, Sweep

@@ -1,14 +1,13 @@
-"""The directory of an identification from logs, its report, and what to measure next.
+"""The results of an identification in its directory, and their page.
 
-It holds identification.json, report.html, plots, the identified model, for Nermo as ensemble.csv for `--body` and
-`randomize: {from: DIR}`, and the commands of the experiment that would tell most.
+The directory contains identification.json, report.html, plots, the identified model, for Nermo as ensemble.csv for
+`--body` and `randomize: {from: DIR}`, and the commands of the next experiment.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import html
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -16,173 +15,31 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import BaseModel
 
-from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Kept, percent
-from nermo_mjx.experiments.log_identification import Identification
-from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
-from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.hardware.table import servo_table
+from nermo_mjx.identify import determinacy
+from nermo_mjx.identify.body import MjcfBody, NermoBody
+from nermo_mjx.identify.determinacy import percent
+from nermo_mjx.identify.estimation import ENDS
+from nermo_mjx.identify.identification import Identification
+from nermo_mjx.identify.proposal import TIMES, USEFUL, next_experiment
 from nermo_mjx.plotting.charts import page as blank_page
-from nermo_mjx.plotting.files import Figures, write_figures
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.rollout import Setup
-from nermo_mjx.runs.directory import engine_of
-from nermo_mjx.runs.files import DirectoryError, make_writable, replace_file, stored_json, to_json
-from nermo_mjx.runs.status import Status, last_command
+from nermo_mjx.runs.files import (
+    DirectoryError,
+    content_of,
+    make_writable,
+    replace_file,
+    stored_json,
+    to_json,
+)
 
 RESULT: Final = "identification.json"
-#: What is kept for a resume.
-STEPS: Final = "steps.json"
 #: Bodies in ensemble.csv, and draws in the posterior predictive check.
 BODIES: Final = 64
 SHOWN: Final = 24
-
-# --- what to measure next
-
-#: Duration of an experiment that is proposed, and its rate of commands [s, Hz].
-LASTS: Final = 6.0
-RATE: Final = 50.0
-#: Times of its commands [s].
-TIMES: Final = np.arange(round(LASTS * RATE)) / RATE
-#: An experiment that leaves more of the least known direction is not worth its time.
-USEFUL: Final = 0.9
-#: Amplitude and range of frequencies of a chirp [rad, Hz].
-SWING: Final = 0.2
-SWEPT: Final = (0.2, 4.0)
-
-
-def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
-    """Experiments by name: commands of each servo at `RATE`."""
-    body, log = found.body, found.after.twin.logs[0]
-    names = [each.of for each in log.channels if each.quantity == "command"]
-    rest = {name: np.asarray(log.channel("command", name).values) for name in names}  # type: ignore[union-attr]
-    begun = np.clip(TIMES / 0.5, 0.0, 1.0) * np.clip((LASTS - TIMES) / 0.5, 0.0, 1.0)
-    middle = {name: float(np.median(values)) for name, values in rest.items()}
-
-    def chirp(
-        chosen: Sequence[str], factor: float = 1.0, wave: Any = np.sin
-    ) -> dict[str, np.ndarray]:
-        """Of these servos, one after the other in phase; the others stand."""
-        turned = (
-            2 * np.pi * factor * (SWEPT[0] * TIMES + (SWEPT[1] - SWEPT[0]) * TIMES**2 / (2 * LASTS))
-        )
-        made = {name: np.full(len(TIMES), middle[name]) for name in names}
-        for i, name in enumerate(chosen):
-            limits = body.model.actuator_ctrlrange[body.actuator(name)]
-            swing = middle[name] + SWING * begun * wave(turned + 2.4 * i)
-            made[name] = np.clip(swing, *limits) if limits[1] > limits[0] else swing
-        return made
-
-    worst = np.abs(found.fit.directions[:, int(np.argmax(found.fit.share))])
-    parts = [found.fit.space.parameters[int(i)].name.split(".")[-1] for i in np.argsort(-worst)[:3]]
-    near = [
-        name for name in names if any(part in (name, f"{name}_servo") for part in parts)
-    ] or names[:2]
-    made = {f"chirp of {name}": chirp([name]) for name in near[:3]}
-    again = {
-        name: np.interp(TIMES, log.channel("command", name).times, values)  # type: ignore[union-attr]
-        for name, values in rest.items()
-    }
-    if isinstance(body, NermoBody):  # a walk at 1 Hz, as `servos` plays it
-        table = servo_table(
-            Setup(robot=body.robot), {"frequency": 1.0}, rate=RATE, cycles=round(LASTS)
-        )
-        angles = dict(zip(table.names, np.radians(table.angles.T), strict=True))
-        made["a walk"] = {
-            name: middle[name] + begun * (angles[name] - middle[name]) for name in names
-        }
-    return made | {
-        "slow chirp of all servos": chirp(names, 0.25),
-        "steps of all servos, which push the robot": chirp(
-            names, 0.25, lambda phase: np.sign(np.sin(phase))
-        ),
-        "chirp of all servos": chirp(names),
-        "the same commands again": again,
-    }
-
-
-def next_experiment(found: Identification) -> tuple[str, float, dict[str, np.ndarray]]:
-    """The experiment that shrinks the least known direction most.
-
-    Returns:
-        Its name, the share of the direction's deviation that is left after it, and its commands at `RATE`.
-    """
-    fit, best = found.fit, ("", 1.0, dict[str, np.ndarray]())
-    log = found.after.twin.logs[0]
-    for name, commands in _excitations(found).items():
-        channels = [Channel(n, "command", n, TIMES, values) for n, values in commands.items()]
-        for each in log.channels:
-            if each.name in found.fitted.twin.labels:
-                at = np.arange(0.0, LASTS, max(each.interval, 1e-3))
-                channels.append(
-                    dataclasses.replace(
-                        each, times=at, values=np.zeros((len(at), *each.values.shape[1:]))
-                    )
-                )
-        names = [each.name for each in fit.space.parameters]
-        twin = LoggedTwin(found.body, [Log(tuple(channels), name)], names)
-        tried = Estimation(fit.space, twin)
-        order = [found.fitted.twin.labels.index(label) for label in twin.labels]
-        left = determinacy.contribution(tried.jacobian(fit.x, fit.sigma[order]), fit)
-        if left < best[1]:
-            best = (name, left, commands)
-    return best
-
-
-# --- a directory
-
-
-class KeptSteps(BaseModel):
-    """The file of them: what decides the arrays, and these in their order."""
-
-    decides: str
-    arrays: list[list[float | None] | list[list[float | None]]]
-
-
-def kept_in(out: Path, decides: str) -> Kept:
-    """Keeps arrays in their order in a directory, so that what was killed goes on after the last; see `Estimation`.
-
-    Args:
-        out: the directory.
-        decides: what decides the arrays: those of something else are not taken.
-    """
-    held = stored_json(out / STEPS, KeptSteps)
-    try:
-        known = [
-            np.array(each, float)
-            for each in (held["arrays"] if held and held["decides"] == decides else ())
-        ]
-    except ValueError:  # damaged: rows of unequal length
-        known = []
-    left = iter(known.copy())
-
-    def kept(compute: Callable[[], np.ndarray]) -> np.ndarray:
-        if (found := next(left, None)) is not None:
-            return found
-        known.append(compute())
-        replace_file(
-            out / STEPS, to_json({"decides": decides, "arrays": [each.tolist() for each in known]})
-        )
-        return known[-1]
-
-    return kept
-
-
-def identification_status(out: Path) -> Status:
-    """How far the identification in a directory is."""
-    held, complete = stored_json(out / STEPS, KeptSteps), (out / RESULT).exists()
-    done = len(held["arrays"]) if held else 0
-    return Status(
-        "steps",
-        done,
-        done if complete else None,
-        complete,
-        last_command(out),
-        engine_of(out) or "c",
-    )
 
 
 def kept_figures(out: Path) -> NoReturn:
@@ -205,20 +62,22 @@ def estimates(found: Identification) -> dict[str, dict[str, Any]]:
     }  # fmt: skip
 
 
-def estimate_rows(found: Identification) -> list[list[str]]:
-    """Rows under `HEADINGS`."""
-    fit, rows, bounds = found.fit, [], found.fit.at_bound
-    for i, each in enumerate(fit.space.parameters):
-        low, high = found.intervals[i]
-        known = "determined" if fit.determined[i] else "not determined"
-        known += f", at its {bounds[i]} bound" if bounds[i] else ""
-        name = f"{each.name} [{each.unit}]" if each.unit != "1" else each.name
-        numbers = [f"{each.value:.4g}", f"{found.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
-        rows.append([name, known, *numbers, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
-    return rows
-
-
 HEADINGS: Final = ("parameter", "", "start", "value", "90 %", "range and its reason")
+
+
+def estimate_rows(estimates: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    """Rows under `HEADINGS` of the parameters in identification.json."""
+    rows = []
+    for name, about in estimates.items():
+        known = "determined" if about["determined"] else "not determined"
+        known += f", at its {about['at_bound']} bound" if about["at_bound"] else ""
+        label = f"{name} [{about['unit']}]" if about["unit"] != "1" else name
+        interval = " to ".join(f"{end:.4g}" for end in about["interval"])
+        numbers = [f"{about['start']:.4g}", f"{about['value']:.4g}", interval]
+        rows.append(
+            [label, known, *numbers, f"{about['low']:.3g} to {about['high']:.3g}: {about['why']}"]
+        )
+    return rows
 
 
 def write_identification(found: Identification, out: Path, command: str) -> dict[str, Any]:
@@ -245,6 +104,7 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     judged = found.after.judgement
     content = {
         "command": command,
+        "logs": list(dict.fromkeys(Path(log.file).name for log in found.after.twin.logs)),
         "sentences": sentences,
         "right": found.right,
         "parameters": estimates(found),
@@ -263,31 +123,59 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
         "wall_seconds": found.seconds,
     }  # fmt: skip
     replace_file(out / RESULT, to_json(content))
-    figures = list(figures_of(found))
-    write_figures(figures, out / "plots")
-    logs = ", ".join(dict.fromkeys(Path(each.file).name for each in found.after.twin.logs))
-    title = f"What {logs} says of the robot"
-    page = identification_page(title, sentences, found, command, figures)
-    replace_file(out / "report.html", page)
+    write_figures(figures_of(found), out / "plots")
+    replace_file(out / "report.html", identification_page(out).encode())
     return content
 
 
-def identification_page(
-    title: str, sentences: Sequence[str], found: Identification, command: str, figures: Figures
-) -> bytes:
-    """The page of an identification: its verdict, estimates, the command, and figures."""
-    from nermo_mjx.view.trained import offline_page  # views know of experiments, too
+class Estimate(BaseModel):
+    """A parameter in identification.json."""
 
-    said = "".join(f"<p>{html.escape(each)}</p>" for each in sentences)
-    made = [
-        f"<h2>Verdict</h2>{said}",
-        f"<h2>Parameters</h2>{html_table(HEADINGS, estimate_rows(found))}",
-        f"<h2>To make it again</h2><pre>{html.escape(command)}</pre>",
+    unit: str
+    start: float
+    value: float
+    interval: tuple[float, float]
+    determined: bool
+    at_bound: str
+    low: float
+    high: float
+    why: str
+
+
+class Report(BaseModel):
+    """The part of identification.json that the page shows."""
+
+    command: str
+    logs: list[str]
+    sentences: list[str]
+    parameters: dict[str, Estimate]
+
+
+def identification_page(out: Path) -> str:
+    """The page of a complete identification: its verdict, estimates, the command, and figures.
+
+    Raises:
+        DirectoryError: The identification is not complete, or its file is damaged.
+    """
+    from nermo_mjx.view.trained import image, offline_page  # views know of experiments, too
+
+    report = stored_json(out / RESULT, Report)
+    if report is None:
+        raise DirectoryError(
+            f"{out} contains no complete identification: run the same command again."
+        )
+    verdict = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in report["sentences"])
+    parts = [
+        f"<h2>Verdict</h2>{verdict}",
+        f"<h2>Parameters</h2>{_html_table(HEADINGS, estimate_rows(report['parameters']))}",
+        f"<h2>To make it again</h2><pre>{html.escape(report['command'])}</pre>",
+        *(image(name, content_of(out / "plots" / f"{name}.svg") or b"") for name in FIGURES),
     ]
-    return offline_page(html.escape(title), "an identification", made, figures).encode()
+    title = f"What {', '.join(report['logs'])} says of the robot"
+    return offline_page(html.escape(title), "an identification", parts, ())
 
 
-def html_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _html_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table whose last column is text that is wrapped."""
     wrapped = ' style="text-align: left; white-space: normal"'
     cells = ""
@@ -364,16 +252,14 @@ def ensemble_text(about: str, values: Mapping[str, np.ndarray], objective: np.nd
 
 def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:
     """The figures of a result."""
-    yield "predicted", _predicted(found)
-    yield "residuals", _residuals(found)
-    yield "intervals", intervals_figure(found)
+    yield from ((name, draw(found)) for name, draw in FIGURES.items())
 
 
 def _predicted(found: Identification, most: int = 6) -> Figure:
     """Measured and predicted curves where nothing was fitted, with a band of the posterior."""
     twin = found.after.twin
     drawn = twin.predict(found.bodies[:: max(len(found.bodies) // SHOWN, 1)][:SHOWN])
-    low, high = np.quantile(drawn, determinacy.ENDS, axis=0)
+    low, high = np.quantile(drawn, ENDS, axis=0)
     best = twin.measured.values + found.after.residual
     before = twin.measured.values + found.before.residual
     units = {each.name: each.unit for log in twin.logs for each in log.channels}
@@ -422,7 +308,7 @@ def _residuals(found: Identification) -> Figure:
     return figure
 
 
-def intervals_figure(found: Identification) -> Figure:
+def _intervals(found: Identification) -> Figure:
     """Intervals in the ranges of the parameters."""
     space, fit = found.fit.space, found.fit
     span = space.high - space.low
@@ -442,3 +328,7 @@ def intervals_figure(found: Identification) -> Figure:
         xlabel="share of the range (dark: determined)",
     )
     return figure
+
+
+#: The figures by name.
+FIGURES: Final = {"predicted": _predicted, "residuals": _residuals, "intervals": _intervals}

@@ -13,24 +13,27 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import (
-    Estimation,
-    Fit,
-    Judgement,
-    Parameter,
-    ParameterSpace,
-    judge,
-    percent,
-    rms,
-)
-from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, body_of, until
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.hardware.signals import channel_differences
+from nermo_mjx.identify import determinacy
+from nermo_mjx.identify.body import KINDS, Body, body_of
+from nermo_mjx.identify.determinacy import Judgement, judge, percent
+from nermo_mjx.identify.estimation import (
+    ENDS,
+    Cache,
+    Estimation,
+    Fit,
+    Parameter,
+    ParameterSpace,
+    computed,
+    repeated,
+    rms,
+)
+from nermo_mjx.identify.twin import LoggedTwin, until
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import require
 
@@ -146,7 +149,7 @@ class Identification:
         if self.simplest is not self.fit:
             half = len(drawn) // 2
             drawn[half:, self._own] = self.simplest.space.values(self.simplest.draws)[half:]
-        return np.quantile(drawn, determinacy.ENDS, axis=0).T
+        return np.quantile(drawn, ENDS, axis=0).T
 
     def sentences(self) -> list[str]:
         """The verdict in words."""
@@ -203,6 +206,54 @@ class Identification:
         return said
 
 
+@dataclasses.dataclass(frozen=True)
+class LogSplit:
+    """The samples that are fitted, and the samples that validate the result.
+
+    Attributes:
+        fitted: Logs that are fitted.
+        validation: Logs of the other samples.
+        chosen: Which samples of `validation` count, see `LoggedTwin`.
+    """
+
+    fitted: Sequence[Log]
+    validation: Sequence[Log]
+    chosen: Callable[[np.ndarray, float], np.ndarray] | None = None
+
+    @classmethod
+    def of(cls, logs: Sequence[Log], judges: Sequence[Log]) -> LogSplit:
+        """All logs and the judges, or without judges the first part of each log and the rest."""
+        if judges:
+            return cls(logs, judges)
+        heads = [until(log, FITTED * log.duration) for log in logs]
+        return cls(heads, logs, lambda times, duration: times >= FITTED * duration)
+
+    def check(self, body: Body, names: Sequence[str]) -> None:
+        """Raise a `ParameterError` if a channel has too few samples in one of the parts."""
+        twins = {
+            "fitted": LoggedTwin(body, self.fitted, names),
+            "not fitted": LoggedTwin(body, self.validation, names, self.chosen),
+        }
+        for part, twin in twins.items():
+            counts = np.bincount(twin.measured.channel, minlength=len(twin.labels)).tolist()
+            if (least := min(counts)) < FEWEST:
+                which = f"channel {twin.labels[counts.index(least)]!r} has {least} numbers in what is {part}"
+                raise ParameterError(
+                    f"{which}: expected {FEWEST} at least; leave it out, or give a longer log."
+                )
+
+    def residual(
+        self, body: Body, names: Sequence[str], values: np.ndarray, sigma: np.ndarray
+    ) -> BodyResidual:
+        """The residual of a body with values (p,) of named parameters on the validation samples."""
+        twin = LoggedTwin(body, self.validation, names, self.chosen)
+        twin.renew(values)
+        weights = sigma[twin.measured.channel]
+        away = twin.predict(values[None])[0] - twin.measured.values
+        residual = twin.project((away / weights)[:, None], sigma)[:, 0] * weights
+        return BodyResidual(twin, residual, judge(twin.measured, residual))
+
+
 def identify_log(
     logs: Sequence[Log],
     model: str | os.PathLike[str] = "nermo_lite",
@@ -211,9 +262,9 @@ def identify_log(
     judges: Sequence[Log] = (),
     seed: int = 0,
     report: Callable[[float], None] = lambda share: None,
-    kept: determinacy.Kept = lambda compute: compute(),
+    cache: Cache = computed,
 ) -> Identification:
-    """Fit a body to logs, as `nermo-mjx identify --log` does.
+    """Fit a body to logs, as `run_identification` does, without a directory.
 
     Args:
         logs: to fit, see `read_log`.
@@ -223,7 +274,7 @@ def identify_log(
         judges: other logs that judge; by default the last quarter of each.
         seed: of starts and draws.
         report: is told the share done.
-        kept: see `Estimation`; the order is always the same.
+        cache: Stores results of searches, see `Estimation`.
 
     Raises:
         ParameterError: the log and the model do not fit together, no parameter is free, or cma is not installed.
@@ -240,110 +291,103 @@ def identify_log(
     space = ParameterSpace(_narrowed(list(body.parameters.values()), ranges or {}))
     if not len(space):
         raise ParameterError(f"the model has no parameter of {', '.join(free)}: nothing is free.")
-    names = [each.name for each in space.parameters]
-    heads = list(logs) if judges else [until(log, FITTED * log.duration) for log in logs]
-
-    def twin(
-        of: Sequence[Log], names: Sequence[str], own: Body = body, only: Any = None
-    ) -> LoggedTwin:
-        return LoggedTwin(own, of, names, only)
-
-    rest = (judges, None) if judges else (logs, lambda times, duration: times >= FITTED * duration)
-    for part, of in (("fitted", (heads, None)), ("not fitted", rest)):
-        seen = twin(of[0], names, body, of[1])
-        counts = np.bincount(seen.measured.channel, minlength=len(seen.labels)).tolist()
-        if (least := min(counts)) < FEWEST:
-            which = f"channel {seen.labels[counts.index(least)]!r} has {least} numbers in what is {part}"
-            raise ParameterError(
-                f"{which}: expected {FEWEST} at least; leave it out, or give a longer log."
-            )
-    # Starts are compared on a piece, where wrong ones are told from right ones as well.
-    pieces = [
-        until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads
-    ]
-    rough, tried = (
-        Estimation(space, twin(pieces, names), kept),
-        list[tuple[np.ndarray, np.ndarray]](),
-    )
-
-    def starts() -> Iterator[np.ndarray]:
-        yield np.zeros(len(space))
-        yield from rough.scanned(SCANNED, seed)[: STARTS - 1]
-        if rough.problem.stands:
-            yield from rough.sought(GENERATIONS, EVERY, seed)
-
-    most, repeats = STARTS, 0
-    if rough.problem.stands:
-        most, repeats = STARTS + GENERATIONS // EVERY, REPEATS
-    for i, start in enumerate(starts()):
-        tried.append(rough.search(start, iterations=STEPS, rounds=2))
-        costs = [float(np.sum(np.log(sigma))) for _, sigma in tried]
-        x, sigma = tried[int(np.argmin(costs))]
-        report((i + 1) / (most + repeats + 3))
-        left = rough.residual(x[:, None], sigma)[:, 0] * sigma[rough.measured.channel]
-        if (
-            judge(rough.measured, left).right
-            or sum(each < min(costs) + ALIKE * len(sigma) for each in costs) > 1
-        ):
-            break
-    longer = [until(log, 2 * piece.duration) for log, piece in zip(heads, pieces, strict=True)]
-    whole = Estimation(space, twin(heads, names), kept)
-    stages = [rough, Estimation(space, twin(longer, names), kept), whole]
-    fit = determinacy.repeated(
-        stages,
-        x,
-        sigma,
-        STEPS,
-        repeats,
-        seed,
-        lambda k: report((most + 1 + k) / (most + repeats + 3)),
-    )
-    report(1 - 2 / (most + repeats + 3))
-
-    def verdict(
-        own: Body, names: Sequence[str], values: np.ndarray, of: Sequence[Log], only: Any = None
-    ) -> BodyResidual:
-        seen = twin(of, names, own, only)
-        seen.renew(values)
-        away = seen.predict(values[None])[0] - seen.measured.values
-        white = seen.project((away / fit.sigma[seen.measured.channel])[:, None], fit.sigma)[:, 0]
-        residual = white * fit.sigma[seen.measured.channel]
-        return BodyResidual(seen, residual, judge(seen.measured, residual))
-
-    fitted = BodyResidual(whole.problem, fit.residual, judge(whole.measured, fit.residual))
-    after = verdict(body, names, fit.values, *rest)
+    names, split = [each.name for each in space.parameters], LogSplit.of(logs, judges)
+    split.check(body, names)
+    fit, whole = _fit(body, space, split, seed, report, cache)
+    fitted = BodyResidual(whole, fit.residual, judge(whole.measured, fit.residual))
+    after = split.residual(body, names, fit.values, fit.sigma)
     default = [
         each.neutral if math.isfinite(each.neutral) else each.low for each in space.parameters
     ]
-    before = verdict(body, names, np.array(default), *rest)
-    sigma = after.judgement.noise
-    errors = {"default body": before.error(sigma), "identified": after.error(sigma)}
-    # A class without kinds that the data do not ask for, if the seconds that were not fitted do not miss them.
-    left, simplest = determinacy.dispensable(fit), fit
-    asked = [each for each in space.parameters if each.kind not in left]
-    if left and asked:
-        fixed = [each for each in space.parameters if each.kind in left]
-        lean = body.at({each.name: each.absent for each in fixed})
-        smaller = ParameterSpace(asked)
-        start = smaller.coordinates(
-            np.array([fit.values[names.index(each.name)] for each in asked])
-        )
-        own = [each.name for each in asked]
-        others = list(fit.others[:, [names.index(name) for name in own]])
-        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(
-            start, fit.sigma, STEPS, 1, seed, others
-        )
-        error = verdict(lean, own, candidate.values, *rest).error(sigma)
+    before = split.residual(body, names, np.array(default), fit.sigma)
+    noise = after.judgement.noise
+    errors = {"default body": before.error(noise), "identified": after.error(noise)}
+    left_out, simplest = tuple(determinacy.dispensable(fit)), fit
+    if reduced := _reduced(body, fit, left_out, split, seed, cache):
+        candidate, error = reduced[0], reduced[1].error(noise)
         if error < (1 + WITHIN) * errors["identified"]:
             simplest, errors["simplest class"] = candidate, error
-        else:
-            left = []
-    missing = {} if fitted.judgement.right else _missing(make, free, fit, whole, twin)
+    missing = {} if fitted.judgement.right else _missing(make, free, fit, whole)
     report(1.0)
     return Identification(
-        body, fit, simplest, tuple(left if simplest is not fit else ()), missing, before, after, fitted, errors,
-        _repeatability(logs, fit.sigma, whole.problem.labels), time.monotonic() - began,
+        body, fit, simplest, left_out if simplest is not fit else (), missing, before, after, fitted, errors,
+        _repeatability(logs, fit.sigma, whole.labels), time.monotonic() - began,
     )  # fmt: skip
+
+
+def _fit(
+    body: Body,
+    space: ParameterSpace,
+    split: LogSplit,
+    seed: int,
+    report: Callable[[float], None],
+    cache: Cache,
+) -> tuple[Fit, LoggedTwin]:
+    """The fit of the whole class, from a piece of each log to longer pieces and whole logs, and the twin of these."""
+    names, logs = [each.name for each in space.parameters], split.fitted
+    # Starts are compared on a piece, where wrong ones are told from right ones as well.
+    pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in logs]
+    longer = [until(log, 2 * piece.duration) for log, piece in zip(logs, pieces, strict=True)]
+    twins = [LoggedTwin(body, part, names) for part in (pieces, longer, logs)]
+    stages = [Estimation(space, twin, cache) for twin in twins]
+    starts, repeats = STARTS, 0
+    if twins[0].stands:
+        starts, repeats = STARTS + GENERATIONS // EVERY, REPEATS
+    total = starts + repeats + 3
+    x, sigma = _start(stages[0], twins[0].stands, seed, lambda done: report(done / total))
+    fit = repeated(
+        stages, x, sigma, STEPS, repeats, seed, lambda done: report((starts + 1 + done) / total)
+    )
+    report(1 - 2 / total)
+    return fit, twins[-1]
+
+
+def _start(
+    piece: Estimation, stands: bool, seed: int, report: Callable[[int], None]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (p,) and weights (channels,) of the best of several searches, see `STARTS`.
+
+    Args:
+        piece: Estimation on a piece of the logs.
+        stands: Whether the base of the robot is free.
+        seed: Seed of the starting points.
+        report: Function that receives the number of searches that are done.
+    """
+
+    def starts() -> Iterator[np.ndarray]:
+        yield np.zeros(len(piece.space))
+        yield from piece.scanned(SCANNED, seed)[: STARTS - 1]
+        if stands:
+            yield from piece.sought(GENERATIONS, EVERY, seed)
+
+    ends = list[tuple[np.ndarray, np.ndarray]]()
+    for i, start in enumerate(starts()):
+        ends.append(piece.search(start, iterations=STEPS, rounds=2))
+        costs = [float(np.sum(np.log(sigma))) for _, sigma in ends]
+        x, sigma = ends[int(np.argmin(costs))]
+        report(i + 1)
+        residual = piece.residual(x[:, None], sigma)[:, 0] * sigma[piece.measured.channel]
+        alike = sum(cost < min(costs) + ALIKE * len(sigma) for cost in costs) > 1
+        if alike or judge(piece.measured, residual).right:
+            break
+    return x, sigma
+
+
+def _reduced(
+    body: Body, fit: Fit, left_out: Sequence[str], split: LogSplit, seed: int, cache: Cache
+) -> tuple[Fit, BodyResidual] | None:
+    """The fit of the class without some kinds, and its residual on the validation samples; None if there is none."""
+    parameters = fit.space.parameters
+    columns = [i for i, each in enumerate(parameters) if each.kind not in left_out]
+    if not 0 < len(columns) < len(parameters):
+        return None
+    absent = {each.name: each.absent for each in parameters if each.kind in left_out}
+    body, space = body.at(absent), ParameterSpace([parameters[i] for i in columns])
+    names = [each.name for each in space.parameters]
+    estimation = Estimation(space, LoggedTwin(body, split.fitted, names), cache)
+    start, others = space.coordinates(fit.values[columns]), list(fit.others[:, columns])
+    reduced = estimation.fit(start, fit.sigma, STEPS, 1, seed, others)
+    return reduced, split.residual(body, names, reduced.values, fit.sigma)
 
 
 def _narrowed(
@@ -377,15 +421,14 @@ def _missing(
     make: Callable[[Sequence[str]], Body],
     free: Sequence[str],
     fit: Fit,
-    whole: Estimation,
-    twin: Any,
+    whole: LoggedTwin,
 ) -> dict[str, float]:
     """Share of the squared residuals that each kind that was left out would remove, together with all that is free."""
     others = tuple(kind for kind in (*KINDS, "torque") if kind not in free)
     wider, found = make((*free, *others)), dict[str, float]()
     own = [each.name for each in fit.space.parameters]
-    whole.problem.renew(fit.values)
-    white = whole.residual(fit.x[:, None], fit.sigma)[:, 0]
+    whole.renew(fit.values)
+    white = Estimation(fit.space, whole).residual(fit.x[:, None], fit.sigma)[:, 0]
     for kind in others:
         more = [each for each in wider.parameters.values() if each.kind == kind]
         if not more:
@@ -399,7 +442,7 @@ def _missing(
         moved = space.values(start + np.diag(away))
         rows = np.concatenate([np.tile(fit.values, (len(more), 1)), moved], axis=1)
         still = np.concatenate([fit.values, space.values(start)])[None]
-        tried = twin(whole.problem.logs, [*own, *(each.name for each in more)], wider)
+        tried = LoggedTwin(wider, whole.logs, [*own, *(each.name for each in more)])
         tried.renew(still[0])
         change = (
             tried.predict(np.concatenate([still, rows])) / fit.sigma[tried.measured.channel]
