@@ -43,12 +43,12 @@ class Landscape:
 
 def grid_axes(tuning: Tuning) -> dict[str, np.ndarray]:
     """The first one or two tuned parameters, and their values on the grid, both ends included."""
-    axes, chosen = {}, tuning.tuned[:2]
-    for each in chosen:
+    axes, tuned = {}, tuning.tuned[:2]
+    for parameter in tuned:
         # Like the tuner's points, those of a bounded parameter stop short of the bounds.
-        share = np.linspace(0.0, 1.0, POINTS[len(chosen)])
-        share = share if each.periodic else FURTHEST + (1.0 - 2.0 * FURTHEST) * share
-        axes[each.name] = each.low + (each.high - each.low) * share
+        share = np.linspace(0.0, 1.0, POINTS[len(tuned)])
+        share = share if parameter.periodic else FURTHEST + (1.0 - 2.0 * FURTHEST) * share
+        axes[parameter.name] = parameter.low + (parameter.high - parameter.low) * share
     return axes
 
 
@@ -63,7 +63,7 @@ def landscape_sweep(tuning: Tuning, best: Mapping[str, float]) -> Sweep:
         SpecError: A point of the grid cannot be simulated.
     """
     axes = grid_axes(tuning)
-    periodic = {each.name for each in tuning.tuned if each.periodic}
+    periodic = {parameter.name for parameter in tuning.tuned if parameter.periodic}
     others = {name: best[name] for name in tuning.names if name not in axes}
     vary = {
         name: (nodes[:-1] if name in periodic else nodes).tolist() for name, nodes in axes.items()
@@ -87,7 +87,7 @@ def stored_landscape(tuning: Tuning, sweep: Sweep, out: Path) -> Landscape | Non
     grid = np.where(results.well, np.asarray(value, float), np.nan)
     grid = grid.reshape([len(axis.listed()) for axis in sweep.axes])
     # The end of a periodic parameter is its beginning.
-    wraps = [(0, int(each.periodic)) for each in tuning.tuned[:2]]
+    wraps = [(0, int(parameter.periodic)) for parameter in tuning.tuned[:2]]
     walks = f"{results.rows} walks, engine {parts[0].engine}"
     return Landscape(grid_axes(tuning), np.pad(grid, wraps, mode="wrap"), walks)
 

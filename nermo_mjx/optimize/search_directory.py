@@ -61,7 +61,7 @@ class Batches:
 
     def __init__(
         self,
-        held: RunDirectory,
+        directory: RunDirectory,
         search: Search,
         size: Callable[[], int],
         warn: Callable[[str], None],
@@ -75,26 +75,26 @@ class Batches:
         Raises:
             DirectoryError: the directory holds another search, or cannot be written.
         """
-        self.held, self.out, self._warn = held, held.out, warn
+        self.held, self.out, self._warn = directory, directory.out, warn
         path, folder = self.out / SEARCH, self.out.resolve()
-        begun = stored_spec(
+        former_spec = stored_spec(
             path, "search", "results" if part_files(self.out) else "", Search.from_file
         )
         sweep = dataclasses.replace(
-            search.sweep, setup=with_code_copied(search.setup, folder, held.write)
+            search.sweep, setup=with_code_copied(search.setup, folder, directory.write)
         )
-        batch = search.batch or (begun and begun.batch) or size()
+        batch = search.batch or (former_spec and former_spec.batch) or size()
         self.search = search = dataclasses.replace(search, sweep=sweep, batch=batch)
-        if begun and begun.digest() != search.digest():
+        if former_spec and former_spec.digest() != search.digest():
             other_order = ["order of the parameters under vary"]
             raise other_spec(
-                path, "search", changes(begun.decisive(), search.decisive()) or other_order
+                path, "search", changes(former_spec.decisive(), search.decisive()) or other_order
             )
-        if begun is None or begun.to_yaml(folder) != search.to_yaml(
+        if former_spec is None or former_spec.to_yaml(folder) != search.to_yaml(
             folder
         ):  # as with more recordings
-            held.write(SEARCH, search.to_yaml(folder).encode())
-        self.runs = Runs(self.out, search.digest(), warn=warn, held=held)
+            directory.write(SEARCH, search.to_yaml(folder).encode())
+        self.runs = Runs(self.out, search.digest(), warn=warn, held=directory)
         self._parts = {}
         for part in self.runs.parts:
             with opened_part(part.path) as file:
@@ -132,29 +132,29 @@ class Batches:
         return None
 
     def write(
-        self, batch: int, rows: Rows, first: int, found: Simulated, stamp: CodeStamp
+        self, batch: int, rows: Rows, first: int, simulated: Simulated, stamp: CodeStamp
     ) -> pa.Table:
         """Store a batch.
 
         Args:
             rows: its runs, of which `first` is the first one's place in the table.
-            found: at least one result a run.
+            simulated: at least one result a run.
             stamp: of the code that simulated.
         """
         count = len(rows)
-        about = {
+        metadata = {
             "engine": stamp.engine,
             "code": stamp.id,
             "chunk": batch,
-            "steps": found.steps,
-            "wall_seconds": found.seconds,
+            "steps": simulated.steps,
+            "wall_seconds": simulated.seconds,
             "search": self.search.digest(),
             "optimizer": made_by(self.search.method),
         }
-        metrics = {name: values[:count] for name, values in found.metrics.items()}
+        metrics = {name: values[:count] for name, values in simulated.metrics.items()}
         index = first + np.arange(count)
         table = chunk_table(
-            self.search.sweep, rows, index, metrics, found.status[:count], stamp.id, about
+            self.search.sweep, rows, index, metrics, simulated.status[:count], stamp.id, metadata
         )
         about_batch = {
             "unit": "1",
@@ -176,23 +176,23 @@ def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
     `complete`. Of a front `front`, with the same of each point, and `hypervolume`; of an atlas `cells`, `filled` and
     `qd_score`.
     """
-    found = Evaluations.of(batches.search, batches.out)
-    place = found.best()
-    if place is None:
+    evaluations = Evaluations.of(batches.search, batches.out)
+    best_index = evaluations.best()
+    if best_index is None:
         return {}
-    best: dict[str, Any] = found.described(np.array([place]))[0]
-    best |= {"evaluations": len(found.scores), "failed": int((~found.scores.ok).sum())}
-    best |= {"simulated_seconds": found.simulated_seconds, "complete": complete}
+    best: dict[str, Any] = evaluations.described(np.array([best_index]))[0]
+    best |= {"evaluations": len(evaluations.scores), "failed": int((~evaluations.scores.ok).sum())}
+    best |= {"simulated_seconds": evaluations.simulated_seconds, "complete": complete}
     if batches.search.aim.pareto:
         best |= {
-            "front": found.described(found.front()),
-            "hypervolume": float(hypervolumes(found)[0][-1]),
+            "front": evaluations.described(evaluations.front()),
+            "hypervolume": float(hypervolumes(evaluations)[0][-1]),
         }
     if batches.search.aim.measures:
-        filled, total = atlas_progress(found)
-        cells = int(np.prod([each.cells for each in batches.search.aim.measures]))
+        filled, total = atlas_progress(evaluations)
+        cells = int(np.prod([measure.cells for measure in batches.search.aim.measures]))
         best |= {"cells": cells, "filled": int(filled[-1]), "qd_score": float(total[-1])}
-        batches.held.write(ATLAS, parquet_bytes(atlas_table(found)))
+        batches.held.write(ATLAS, parquet_bytes(atlas_table(evaluations)))
     batches.held.write(BEST, to_json(best))
     head = f"Row {best['row']} of a search: objective {best['objective']}."
     sweep = batches.search.sweep
@@ -209,27 +209,34 @@ def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
 _AT_ONCE: Final = 32
 
 
-def rows_to_record(found: Evaluations, best: int) -> list[int]:
+def rows_to_record(evaluations: Evaluations, best: int) -> list[int]:
     """First rows of the points to record: the best ones, or evenly along the front or over the cells of an atlas.
 
     Args:
         best: the best point, which is always among them.
     """
-    search, count = found.search, found.search.keep
+    search, count = evaluations.search, evaluations.search.keep
     if not count:
         return []
     if search.aim.kind == "objective":
         order = np.argsort(
-            np.where(found.scores.allowed, found.scores.cost[:, 0], np.inf), kind="stable"
+            np.where(evaluations.scores.allowed, evaluations.scores.cost[:, 0], np.inf),
+            kind="stable",
         )
-        points = order[: min(count, int(found.scores.allowed.sum()))]
+        points = order[: min(count, int(evaluations.scores.allowed.sum()))]
     else:
-        points = elites_of(search.aim, found.scores)[1] if search.aim.measures else found.front()
+        points = (
+            elites_of(search.aim, evaluations.scores)[1]
+            if search.aim.measures
+            else evaluations.front()
+        )
         points = points[np.unique(np.linspace(0, len(points) - 1, count).round().astype(int))]
         if best not in points:
-            points[np.abs(found.scores.cost[points, 0] - found.scores.cost[best, 0]).argmin()] = (
-                best
-            )
+            points[
+                np.abs(
+                    evaluations.scores.cost[points, 0] - evaluations.scores.cost[best, 0]
+                ).argmin()
+            ] = best
     return (np.sort(points) * search.repeats).tolist()
 
 
@@ -239,18 +246,20 @@ def keep_recordings(batches: Batches, best: dict[str, Any], computer: SweepSimul
     Raises:
         RecordingError, DirectoryError: one cannot be written.
     """
-    search, found = batches.search, Evaluations.of(batches.search, batches.out)
-    rows = rows_to_record(found, best["row"] // search.repeats)
+    search, evaluations = batches.search, Evaluations.of(batches.search, batches.out)
+    rows = rows_to_record(evaluations, best["row"] // search.repeats)
     files = {row: recording_file(batches.out, row) for row in rows}
-    missing = [row for row, path in files.items() if not path.exists()]
-    if missing:
+    missing_rows = [row for row, path in files.items() if not path.exists()]
+    if missing_rows:
         with clear_errors(batches.out):
             (batches.out / RECORDINGS).mkdir(exist_ok=True)
-    drawn = columns_of(found.results, "varied", "randomized")
-    for first in range(0, len(missing), _AT_ONCE):
-        part = missing[first : first + _AT_ONCE]
+    sampled_columns = columns_of(evaluations.results, "varied", "randomized")
+    for first in range(0, len(missing_rows), _AT_ONCE):
+        part = missing_rows[first : first + _AT_ONCE]
         values = {name: np.full(len(part), value) for name, value in search.sweep.constants.items()}
-        values |= {name: column[part] for name, column in found.results.columns(drawn)}
+        values |= {
+            name: column[part] for name, column in evaluations.results.columns(sampled_columns)
+        }
         result = computer.simulator().run(values, search.run, record=True)
         for world, (row, end) in enumerate(
             zip(part, search.seconds(values, len(part)).tolist(), strict=True)
@@ -294,9 +303,9 @@ def search_status(out: Path) -> Status:
     except (SpecError, OSError) as error:
         notes.append(f"Its search cannot be read: {error}")
     for path in part_files(out):
-        if about := metadata_of(path, notes, "it will be run again."):
-            runs += about.num_rows
-    done = runs // (1 if search is None else search.repeats)
+        if metadata := metadata_of(path, notes, "it will be run again."):
+            runs += metadata.num_rows
+    point_count = runs // (1 if search is None else search.repeats)
     budget = None if search is None else search.evaluations
     reached = False
     try:
@@ -306,13 +315,13 @@ def search_status(out: Path) -> Status:
             if search is None
             else search.reached(best["evaluations"], best["simulated_seconds"])
         )
-        reached = bool(best["complete"]) and spent >= 1.0 and best["evaluations"] == done
+        reached = bool(best["complete"]) and spent >= 1.0 and best["evaluations"] == point_count
     except (TypeError, KeyError):
         pass
     return status_of(
         "evaluations",
         out,
-        done,
+        point_count,
         budget,
         reached,
         command="search",

@@ -49,17 +49,17 @@ _MOST_PAIRS: Final = 6
 
 def search_figures_of(search: Search, results: Results) -> Figures:
     """(file name, figure) of a search's table; nothing where no point is allowed."""
-    found = Evaluations.of(search, results)
-    if found.best() is None:
+    evaluations = Evaluations.of(search, results)
+    if evaluations.best() is None:
         return
     if search.aim.measures:
-        yield "atlas", atlas(found)
-        yield "coverage", coverage(found)
+        yield "atlas", atlas(evaluations)
+        yield "coverage", coverage(evaluations)
     elif search.aim.pareto:
-        yield "front", front_figure(found)
-        yield "hypervolume", hypervolume(found)
+        yield "front", front_figure(evaluations)
+        yield "hypervolume", hypervolume(evaluations)
     else:
-        yield "convergence", convergence(found)
+        yield "convergence", convergence(evaluations)
     metric = search.aim.objective.terms[0].metric
     yield from (
         (name, figure)
@@ -98,18 +98,18 @@ def search_figures(
     return search_figures_of(search, results)
 
 
-def convergence(found: Evaluations) -> Figure:
+def convergence(evaluations: Evaluations) -> Figure:
     """Every evaluated point, in the order in which they were asked for, and the best so far."""
-    quantity = _objective(found)
-    values, allowed = quantity.values, found.scores.allowed
+    quantity = _objective(evaluations)
+    values, allowed = quantity.values, evaluations.scores.allowed
     number = np.arange(1, len(values) + 1)
-    cost = np.where(allowed, found.scores.cost[:, 0], np.inf)
+    cost = np.where(allowed, evaluations.scores.cost[:, 0], np.inf)
     best = int(np.argmin(cost))
     first = np.concatenate(
         [[True], cost[1:] < np.minimum.accumulate(cost)[:-1]]
     )  # better than all before it
     leading = np.maximum.accumulate(np.where(first, np.arange(len(cost)), 0))
-    note = f"{_counted(found)}; line: best so far; star: best, {quantity.shown(values[best])} at {_at(found, best)}"
+    note = f"{_counted(evaluations)}; line: best so far; star: best, {quantity.shown(values[best])} at {_at(evaluations, best)}"
     figure = page(f"{_title(quantity)} over the evaluations", WIDTH, 4.4, note)
     ax = figure.subplots()
     ax.scatter(
@@ -123,7 +123,7 @@ def convergence(found: Evaluations) -> Figure:
         ax.plot(
             number[~allowed], height, "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform()
         )
-    terms = found.search.aim.objective.terms
+    terms = evaluations.search.aim.objective.terms
     higher = len(terms) == 1 and terms[0].aim == "maximize"
     low, high = np.nanquantile(values[allowed], [0.01, 1.0] if higher else [0.0, 0.99])
     room = 0.06 * max(high - low, 1e-9)
@@ -133,79 +133,83 @@ def convergence(found: Evaluations) -> Figure:
     return figure
 
 
-def front_figure(found: Evaluations) -> Figure:
+def front_figure(evaluations: Evaluations) -> Figure:
     """The first two objectives against each other, with the front of these two or of all."""
-    terms, best = found.search.aim.objective.terms, found.front()
-    allowed = np.flatnonzero(found.scores.allowed)
-    x, y = (_term_values(found, i) for i in (0, 1))
-    place = {int(point): i for i, point in enumerate(allowed)}
+    terms, best = evaluations.search.aim.objective.terms, evaluations.front()
+    allowed = np.flatnonzero(evaluations.scores.allowed)
+    x, y = (_term_values(evaluations, i) for i in (0, 1))
+    index_of_point = {int(point): i for i, point in enumerate(allowed)}
     lines = []
     for point in (int(best[i]) for i in named_points(x.values[best], y.values[best])):
-        both = f"{x.name} {x.shown(x.values[point])}, {y.name} {y.shown(y.values[point])}"
-        lines.append((place[point], f"{both}:  {_at(found, point)}"))
-    more = f"front of all {len(terms)} objectives; " if len(terms) > 2 else ""
-    across, up = (ShownValues(each.name, each.unit, each.values[allowed]) for each in (x, y))
+        values_text = f"{x.name} {x.shown(x.values[point])}, {y.name} {y.shown(y.values[point])}"
+        lines.append((index_of_point[point], f"{values_text}:  {_at(evaluations, point)}"))
+    front_note = f"front of all {len(terms)} objectives; " if len(terms) > 2 else ""
+    across, up = (ShownValues(axis.name, axis.unit, axis.values[allowed]) for axis in (x, y))
     first, second = ("max" if term.aim == "maximize" else "min" for term in terms[:2])
     # A line along a front of more objectives would cross itself.
     sides = (first, second) if len(terms) == 2 else ("nearest zero", "nearest zero")
     title = f"{x.name} against {y.name}".replace("_", " ").capitalize()
-    places = np.array([place[int(point)] for point in best])
-    return trade_off(across, up, places, sides, lines, title, f"{_counted(found)}; {more}")
+    places = np.array([index_of_point[int(point)] for point in best])
+    return trade_off(
+        across, up, places, sides, lines, title, f"{_counted(evaluations)}; {front_note}"
+    )
 
 
-def hypervolume(found: Evaluations) -> Figure:
+def hypervolume(evaluations: Evaluations) -> Figure:
     """How much of the box between first batch and best values the front beats, over the evaluations."""
-    shares, worst = hypervolumes(found)
+    shares, worst = hypervolumes(evaluations)
     corner = []
-    for term, value in zip(found.search.aim.objective.terms, worst.tolist(), strict=True):
-        quantity = _quantity(found, term.metric, _as_metric(term, value))
+    for term, value in zip(evaluations.search.aim.objective.terms, worst.tolist(), strict=True):
+        quantity = _quantity(evaluations, term.metric, _as_metric(term, value))
         corner.append(f"{term.metric} {quantity.shown(float(quantity.values))}")
     note = (
-        f"{_counted(found)}; box: from the best of each objective to the worst of the first batch,"
+        f"{_counted(evaluations)}; box: from the best of each objective to the worst of the first batch,"
         f" {', '.join(corner)}"
     )
     figure = page("Hypervolume of the front over the evaluations", WIDTH, 3.6, note)
     ax = figure.subplots()
-    ax.step(_ends(found), 100 * shares, where="post", color=LINE)
-    ax.set(xlabel="evaluations [1]", ylabel="hypervolume [%]", xlim=(0, len(found.scores) + 1))
+    ax.step(_ends(evaluations), 100 * shares, where="post", color=LINE)
+    ax.set(
+        xlabel="evaluations [1]", ylabel="hypervolume [%]", xlim=(0, len(evaluations.scores) + 1)
+    )
     horizontal_grid(ax)
     return figure
 
 
-def coverage(found: Evaluations) -> Figure:
+def coverage(evaluations: Evaluations) -> Figure:
     """Filled cells and QD score over the evaluations."""
-    filled, total = atlas_progress(found)
-    cells = int(np.prod([each.cells for each in found.search.aim.measures]))
-    terms = found.search.aim.objective.terms
-    note = f"{_counted(found)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
+    filled, total = atlas_progress(evaluations)
+    cells = int(np.prod([measure.cells for measure in evaluations.search.aim.measures]))
+    terms = evaluations.search.aim.objective.terms
+    note = f"{_counted(evaluations)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
     note += "what their best is better than the worst of the first batch"
     figure = page("Filled cells and QD score over the evaluations", WIDTH, 4.8, note)
     top, bottom = figure.subplots(2, 1, sharex=True)
-    top.step(_ends(found), filled, where="post", color=LINE)
+    top.step(_ends(evaluations), filled, where="post", color=LINE)
     top.set_ylabel("filled cells [1]")
     scale = ShownValues("", "", total)
     if len(terms) == 1 and terms[0].aim != "hold":
-        scale = _quantity(found, terms[0].metric, total * terms[0].scale / terms[0].weight)
-    bottom.step(_ends(found), scale.values, where="post", color=LINE)
+        scale = _quantity(evaluations, terms[0].metric, total * terms[0].scale / terms[0].weight)
+    bottom.step(_ends(evaluations), scale.values, where="post", color=LINE)
     bottom.set_ylabel(f"QD score [{scale.unit or 1}]")
     for ax in (top, bottom):
         ax.set_ylim(bottom=0)
         horizontal_grid(ax)
-    bottom.set(xlabel="evaluations [1]", xlim=(0, len(found.scores) + 1))
+    bottom.set(xlabel="evaluations [1]", xlim=(0, len(evaluations.scores) + 1))
     return figure
 
 
-def atlas(found: Evaluations) -> Figure:
+def atlas(evaluations: Evaluations) -> Figure:
     """The best in each cell: bars over one measure, a map over two, maps over the pairs of more."""
-    measures, quantity = found.search.aim.measures, _objective(found)
-    cells, points = elites_of(found.search.aim, found.scores)
-    best = int(points[np.argmax(found.scores.quality[points])])
-    total = int(np.prod([each.cells for each in measures]))
-    note = f"{_counted(found)}; {len(cells):,} of {total:,} cells are filled; star: best, "
-    note += f"{quantity.shown(quantity.values[best])} at {_at(found, best)}"
+    measures, quantity = evaluations.search.aim.measures, _objective(evaluations)
+    cells, points = elites_of(evaluations.search.aim, evaluations.scores)
+    best = int(points[np.argmax(evaluations.scores.quality[points])])
+    total = int(np.prod([measure.cells for measure in measures]))
+    note = f"{_counted(evaluations)}; {len(cells):,} of {total:,} cells are filled; star: best, "
+    note += f"{quantity.shown(quantity.values[best])} at {_at(evaluations, best)}"
     title = f"{_title(quantity)}: the best in each cell"
     if len(measures) == 1:
-        return _bars(found, points, quantity, best, title, note)
+        return _bars(evaluations, points, quantity, best, title, note)
     pairs = list(itertools.combinations(range(len(measures)), 2))[:_MOST_PAIRS]
     if len(pairs) > 1:
         note += "; each map shows the best over all other measures"
@@ -217,7 +221,7 @@ def atlas(found: Evaluations) -> Figure:
     for ax in axes[len(pairs) :]:
         ax.remove()
     for ax, pair in zip(axes, pairs, strict=False):
-        _map(ax, found, points, quantity, scale, pair, best)
+        _map(ax, evaluations, points, quantity, scale, pair, best)
     bar = ScalarMappable(scale, COLOURS)
     colour_bar(figure, axes[: len(pairs)], bar, quantity.label, shrink=0.9, extend=extend)
     return around(figure, title, note)
@@ -225,7 +229,7 @@ def atlas(found: Evaluations) -> Figure:
 
 def _map(
     ax: Axes,
-    found: Evaluations,
+    evaluations: Evaluations,
     points: np.ndarray,
     z: ShownValues,
     scale: Normalize,
@@ -233,36 +237,40 @@ def _map(
     best: int,
 ) -> None:
     """Cells of two measures, coloured by the best point in each."""
-    measures = [found.search.aim.measures[i] for i in pair]
-    places, edges, at = [], [], []
-    for i, each in zip(pair, measures, strict=True):
-        share = (found.scores.measures[points, i] - each.low) / (each.high - each.low)
-        places.append(np.clip((share * each.cells).astype(int), 0, each.cells - 1))
-        edges.append(_edges(found, each))
-        at.append(_quantity(found, each.metric, found.scores.measures[best, i]).values)
-    grid = np.full([each.cells for each in measures], np.nan)
+    measures = [evaluations.search.aim.measures[i] for i in pair]
+    places, edges, best_position = [], [], []
+    for i, measure in zip(pair, measures, strict=True):
+        share = (evaluations.scores.measures[points, i] - measure.low) / (
+            measure.high - measure.low
+        )
+        places.append(np.clip((share * measure.cells).astype(int), 0, measure.cells - 1))
+        edges.append(_edges(evaluations, measure))
+        best_position.append(
+            _quantity(evaluations, measure.metric, evaluations.scores.measures[best, i]).values
+        )
+    grid = np.full([measure.cells for measure in measures], np.nan)
     order = np.argsort(
-        found.scores.quality[points], kind="stable"
+        evaluations.scores.quality[points], kind="stable"
     )  # the best of several comes last
     grid[places[0][order], places[1][order]] = z.values[points[order]]
     ax.set_facecolor("#fafafa")
     ax.pcolormesh(
         edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS
     )
-    star(ax, at[0], at[1], 190, 1.3, zorder=5)
+    star(ax, best_position[0], best_position[1], 190, 1.3, zorder=5)
     set_scales(ax, *edges)
     ax.set(xlabel=edges[0].label, ylabel=edges[1].label)
 
 
 def _bars(
-    found: Evaluations, points: np.ndarray, z: ShownValues, best: int, title: str, note: str
+    evaluations: Evaluations, points: np.ndarray, z: ShownValues, best: int, title: str, note: str
 ) -> Figure:
     """The best point over one measure."""
-    (measure,) = found.search.aim.measures
+    (measure,) = evaluations.search.aim.measures
     figure = page(title, WIDTH, 3.9, note)
     ax = figure.subplots()
-    edges = _edges(found, measure)
-    cell = cells_of(found.search.aim, found.scores.measures[points])
+    edges = _edges(evaluations, measure)
+    cell = cells_of(evaluations.search.aim, evaluations.scores.measures[points])
     values = z.values[points]
     floor = (
         min(float(values.min()), 0.0)
@@ -278,27 +286,30 @@ def _bars(
         color=BAND,
         ec="white",
     )
-    at = _quantity(found, measure.metric, found.scores.measures[best, 0])
-    star(ax, at.values, z.values[best], 170, zorder=5)
+    best_value = _quantity(evaluations, measure.metric, evaluations.scores.measures[best, 0])
+    star(ax, best_value.values, z.values[best], 170, zorder=5)
     ax.set(xlabel=edges.label, ylabel=z.label, xlim=(edges.values[0], edges.values[-1]))
     horizontal_grid(ax)
     return figure
 
 
-def _objective(found: Evaluations) -> ShownValues:
+def _objective(evaluations: Evaluations) -> ShownValues:
     """The objective of all points, in the metric's unit where it is one metric, NaN where a run failed."""
-    terms = found.search.aim.objective.terms
+    terms = evaluations.search.aim.objective.terms
     if len(terms) == 1 and terms[0].aim != "hold":
-        return _term_values(found, 0)
-    return ShownValues("objective", "", found.scores.cost[:, 0])
+        return _term_values(evaluations, 0)
+    return ShownValues("objective", "", evaluations.scores.cost[:, 0])
 
 
-def _term_values(found: Evaluations, place: int) -> ShownValues:
+def _term_values(evaluations: Evaluations, term_index: int) -> ShownValues:
     """The metric of a term, or what it adds where it holds the metric at a value."""
-    term, cost = found.search.aim.objective.terms[place], found.scores.cost[:, place]
+    term, cost = (
+        evaluations.search.aim.objective.terms[term_index],
+        evaluations.scores.cost[:, term_index],
+    )
     if term.aim == "hold":
         return ShownValues(f"{term.metric} off {term.at:g}", "", cost)
-    return _quantity(found, term.metric, _as_metric(term, cost))
+    return _quantity(evaluations, term.metric, _as_metric(term, cost))
 
 
 def _as_metric(term: ObjectiveTerm, cost: np.ndarray | float) -> np.ndarray | float:
@@ -310,14 +321,14 @@ def _as_metric(term: ObjectiveTerm, cost: np.ndarray | float) -> np.ndarray | fl
     )
 
 
-def _quantity(found: Evaluations, metric: str, values: np.ndarray | float) -> ShownValues:
-    return shown(metric, found.search.sweep.metrics[metric].unit, values)
+def _quantity(evaluations: Evaluations, metric: str, values: np.ndarray | float) -> ShownValues:
+    return shown(metric, evaluations.search.sweep.metrics[metric].unit, values)
 
 
-def _edges(found: Evaluations, measure: Measure) -> ShownValues:
+def _edges(evaluations: Evaluations, measure: Measure) -> ShownValues:
     """The edges of a measure's cells."""
     return _quantity(
-        found, measure.metric, np.linspace(measure.low, measure.high, measure.cells + 1)
+        evaluations, measure.metric, np.linspace(measure.low, measure.high, measure.cells + 1)
     )
 
 
@@ -325,24 +336,30 @@ def _title(quantity: ShownValues) -> str:
     return quantity.name.replace("_", " ").capitalize()
 
 
-def _at(found: Evaluations, point: int) -> str:
+def _at(evaluations: Evaluations, point: int) -> str:
     """The first parameters of a point, as people read them."""
-    known, names = found.search.sweep.parameters, list(found.search.names[:6])
-    values = found.means(names, np.array([point]))
-    quantities = [shown(name, known[name].unit, values[name][0]) for name in names]
-    return ", ".join(f"{each.name} {each.shown(float(each.values))}" for each in quantities)
+    parameters, names = evaluations.search.sweep.parameters, list(evaluations.search.names[:6])
+    values = evaluations.means(names, np.array([point]))
+    quantities = [shown(name, parameters[name].unit, values[name][0]) for name in names]
+    return ", ".join(
+        f"{quantity.name} {quantity.shown(float(quantity.values))}" for quantity in quantities
+    )
 
 
-def _counted(found: Evaluations) -> str:
-    lost = int((~found.scores.ok).sum())
-    broken = int((found.scores.ok & ~found.scores.allowed).sum())
-    text = profile_text(profiles_of(found.results))
-    text += f"; {len(found.scores):,} evaluations by {found.search.method.name.replace('_', '-').upper()}"
-    text += f", each the mean of {found.search.repeats} runs" if found.search.repeats > 1 else ""
-    text += f"; {lost:,} fell" if lost else ""
-    return text + (f"; {broken:,} broke a constraint" if broken else "")
+def _counted(evaluations: Evaluations) -> str:
+    failed_count = int((~evaluations.scores.ok).sum())
+    disallowed_count = int((evaluations.scores.ok & ~evaluations.scores.allowed).sum())
+    text = profile_text(profiles_of(evaluations.results))
+    text += f"; {len(evaluations.scores):,} evaluations by {evaluations.search.method.name.replace('_', '-').upper()}"
+    text += (
+        f", each the mean of {evaluations.search.repeats} runs"
+        if evaluations.search.repeats > 1
+        else ""
+    )
+    text += f"; {failed_count:,} fell" if failed_count else ""
+    return text + (f"; {disallowed_count:,} broke a constraint" if disallowed_count else "")
 
 
-def _ends(found: Evaluations) -> np.ndarray:
+def _ends(evaluations: Evaluations) -> np.ndarray:
     """Evaluations at the end of each batch."""
-    return np.cumsum(np.bincount(found.batch))
+    return np.cumsum(np.bincount(evaluations.batch))

@@ -178,8 +178,8 @@ def cells_of(aim: Aim, measures: np.ndarray) -> np.ndarray:
         np.where(inside[:, None], measures, 0.0).T, aim.measures, strict=True
     ):
         inside &= (values >= measure.low) & (values <= measure.high)
-        place = np.floor((values - measure.low) / (measure.high - measure.low) * measure.cells)
-        cell = cell * measure.cells + np.clip(place, 0, measure.cells - 1).astype(int)
+        cell_index = np.floor((values - measure.low) / (measure.high - measure.low) * measure.cells)
+        cell = cell * measure.cells + np.clip(cell_index, 0, measure.cells - 1).astype(int)
     return np.where(inside, cell, -1)
 
 
@@ -209,10 +209,10 @@ def strategy(
         warnings.simplefilter("ignore")
         import cma
 
-    own = np.random.default_rng(rng.integers(2**63))
+    generator = np.random.default_rng(rng.integers(2**63))
     common = {
         "popsize": max(population, 4),
-        "randn": lambda *shape: own.standard_normal(shape),
+        "randn": lambda *shape: generator.standard_normal(shape),
         "seed": math.nan,
         "verbose": -9,
         "maxiter": math.inf,
@@ -227,7 +227,7 @@ class Searcher(Protocol):
         """The next batch."""
         ...
 
-    def tell(self, found: Scores) -> None:
+    def tell(self, scores: Scores) -> None:
         """The results of the batch, in its order."""
         ...
 
@@ -264,10 +264,10 @@ class RestartedCma(Searcher):
         self._points = np.array(self._strategy.ask())
         return Request(self._space.shares(self._points))
 
-    def tell(self, found: Scores) -> None:
-        if found.allowed.any():
-            self._worst = max(self._worst, float(found.cost[found.allowed, 0].max()))
-        cost = ranked_cost(found, self._worst)
+    def tell(self, scores: Scores) -> None:
+        if scores.allowed.any():
+            self._worst = max(self._worst, float(scores.cost[scores.allowed, 0].max()))
+        cost = ranked_cost(scores, self._worst)
         if self._strategy is None:
             first = self._space.spread(SPREAD * self._batch)[int(np.argmin(cost))]
             self._begin(first, self._method.sigma, self._batch)
@@ -324,9 +324,9 @@ class Genetic(Searcher):
         self._population = self._algorithm.ask()
         return Request(np.clip(self._population.get("X").astype(float), 0.0, 1.0))
 
-    def tell(self, found: Scores) -> None:
-        self._population.set("F", np.where(found.ok[:, None], found.cost, 0.0))
-        self._population.set("G", np.where(found.ok, found.violation, _FALLEN)[:, None])
+    def tell(self, scores: Scores) -> None:
+        self._population.set("F", np.where(scores.ok[:, None], scores.cost, 0.0))
+        self._population.set("G", np.where(scores.ok, scores.violation, _FALLEN)[:, None])
         for individual in self._population:
             individual.evaluated.update(["F", "G"])
         self._algorithm.tell(infills=self._population)
@@ -359,8 +359,8 @@ class AtlasEmitters(Searcher):
         self._method, self._count = search.method, max(1, min(search.method.emitters, batch // 2))
         self._archive = GridArchive(
             solution_dim=space.dimensions,
-            dims=[each.cells for each in search.aim.measures],
-            ranges=[(each.low, each.high) for each in search.aim.measures],
+            dims=[measure.cells for measure in search.aim.measures],
+            ranges=[(measure.low, measure.high) for measure in search.aim.measures],
             seed=search.sweep.seed,
         )
         self._emitters: list[Any] = []
@@ -374,15 +374,15 @@ class AtlasEmitters(Searcher):
             self._shares = self._space.spread(first + self._batch)[first:]
             return Request(self._shares)
         points = [emitter.ask() for emitter in self._emitters]
-        self._ends = np.cumsum([len(each) for each in points])
+        self._ends = np.cumsum([len(points_of_emitter) for points_of_emitter in points])
         self._shares = self._space.shares(np.concatenate(points))
         return Request(self._shares)
 
-    def tell(self, found: Scores) -> None:
-        inside = found.allowed & (cells_of(self._aim, found.measures) >= 0)
+    def tell(self, scores: Scores) -> None:
+        inside = scores.allowed & (cells_of(self._aim, scores.measures) >= 0)
         status, value = np.zeros(len(inside), np.int32), np.full(len(inside), _WORTHLESS)
-        objective = np.where(inside, found.quality, _WORTHLESS)
-        measures = np.where(np.isfinite(found.measures), found.measures, 0.0)
+        objective = np.where(inside, scores.quality, _WORTHLESS)
+        measures = np.where(np.isfinite(scores.measures), scores.measures, 0.0)
         if inside.any():
             info = self._archive.add(self._shares[inside], objective[inside], measures[inside])
             status[inside], value[inside] = info["status"], info["value"]
@@ -402,9 +402,9 @@ class AtlasEmitters(Searcher):
 
         elites = self._archive.data(["solution", "index"], return_type="dict")
         order = np.argsort(elites["index"])
-        chosen = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
+        selected = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
         sizes = [len(part) for part in np.array_split(np.arange(self._batch), self._count)]
-        for i, (start, size) in enumerate(zip(elites["solution"][chosen], sizes, strict=True)):
+        for i, (start, size) in enumerate(zip(elites["solution"][selected], sizes, strict=True)):
             common: dict[str, Any] = {
                 "x0": start,
                 "sigma0": self._method.sigma,
@@ -450,7 +450,7 @@ class SobolSample(Searcher):
                 np.concatenate([self._first[None], self._points.random(self._batch - 1)])
             )
 
-    def tell(self, found: Scores) -> None:
+    def tell(self, scores: Scores) -> None:
         """The points do not depend on it."""
 
 
@@ -470,8 +470,8 @@ def searcher(search: Search, batch: int) -> Searcher:
         CmaMe: AtlasEmitters,
         Sobol: SobolSample,
     }
-    made: Searcher = kinds[type(search.method)](Space(search), search, batch)
-    return made
+    instance: Searcher = kinds[type(search.method)](Space(search), search, batch)
+    return instance
 
 
 def check_library(method: SearchMethod) -> None:

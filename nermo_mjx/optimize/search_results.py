@@ -108,79 +108,87 @@ def nondominated(cost: np.ndarray) -> np.ndarray:
     return np.flatnonzero(moocore.is_nondominated(cost))
 
 
-def hypervolumes(found: Evaluations) -> tuple[np.ndarray, np.ndarray]:
+def hypervolumes(evaluations: Evaluations) -> tuple[np.ndarray, np.ndarray]:
     """The share of a box that the front beats after each batch, (batches,), and the box's worst corner, (m,).
 
     The box reaches from the best of each objective in the whole table to its worst in the first batch.
     """
     import moocore
 
-    cost, allowed = found.scores.cost, found.scores.allowed
-    known = np.flatnonzero(allowed)
-    first = known[found.batch[known] == found.batch[known[0]]]
-    worst, best = cost[first].max(axis=0), cost[known].min(axis=0)
+    cost, allowed = evaluations.scores.cost, evaluations.scores.allowed
+    allowed_points = np.flatnonzero(allowed)
+    first = allowed_points[
+        evaluations.batch[allowed_points] == evaluations.batch[allowed_points[0]]
+    ]
+    worst, best = cost[first].max(axis=0), cost[allowed_points].min(axis=0)
     box = np.prod(np.where(worst > best, worst - best, 1.0))
     shares, front = [], np.empty((0, cost.shape[1]))
-    for batch in range(found.batch.max() + 1):
-        front = np.concatenate([front, cost[(found.batch == batch) & allowed]])
+    for batch in range(evaluations.batch.max() + 1):
+        front = np.concatenate([front, cost[(evaluations.batch == batch) & allowed]])
         front = front[nondominated(front)]
         inside = front[(front < worst).all(axis=1)]
         shares.append(float(moocore.hypervolume(inside, ref=worst) / box) if len(inside) else 0.0)
     return np.array(shares), worst
 
 
-def atlas_progress(found: Evaluations) -> tuple[np.ndarray, np.ndarray]:
+def atlas_progress(evaluations: Evaluations) -> tuple[np.ndarray, np.ndarray]:
     """Filled cells and QD score after each batch, (batches,) each.
 
     The QD score is the sum over the filled cells of how much better their elite is than the worst point of the first
     batch that has a cell (Pugh et al. 2016); nothing counts less than zero.
     """
-    aim, scores = found.search.aim, found.scores
+    aim, scores = evaluations.search.aim, evaluations.scores
     cell = np.where(scores.allowed, cells_of(aim, scores.measures), -1)
-    known = np.flatnonzero(cell >= 0)
+    points_in_cells = np.flatnonzero(cell >= 0)
     floor = (
-        float(scores.quality[known[found.batch[known] == found.batch[known[0]]]].min())
-        if len(known)
+        float(
+            scores.quality[
+                points_in_cells[
+                    evaluations.batch[points_in_cells] == evaluations.batch[points_in_cells[0]]
+                ]
+            ].min()
+        )
+        if len(points_in_cells)
         else 0.0
     )
     best: dict[int, float] = {}
     filled, total = [], []
-    for batch in range(int(found.batch.max()) + 1):
-        for place in np.flatnonzero((found.batch == batch) & (cell >= 0)).tolist():
-            gain = max(float(scores.quality[place]) - floor, 0.0)
-            best[int(cell[place])] = max(best.get(int(cell[place]), 0.0), gain)
+    for batch in range(int(evaluations.batch.max()) + 1):
+        for point in np.flatnonzero((evaluations.batch == batch) & (cell >= 0)).tolist():
+            gain = max(float(scores.quality[point]) - floor, 0.0)
+            best[int(cell[point])] = max(best.get(int(cell[point]), 0.0), gain)
         filled.append(len(best))
         total.append(sum(best.values()))
     return np.array(filled), np.array(total)
 
 
-def atlas_table(found: Evaluations) -> pa.Table:
+def atlas_table(evaluations: Evaluations) -> pa.Table:
     """One row per filled cell, in order: row of the table, cell, parameters, metrics (means over the repeats).
 
     The schema's metadata `atlas` is JSON: `objective` with metric and direction, `measures` with metric, range, cells.
     """
-    aim, schema = found.search.aim, found.results.schema
-    cells, points = elites_of(aim, found.scores)
+    aim, schema = evaluations.search.aim, evaluations.results.schema
+    cells, points = elites_of(aim, evaluations.scores)
     table = Columns()
     table.add(
         "row",
-        points * found.search.repeats,
+        points * evaluations.search.repeats,
         "index",
         "1",
         "first run of the elite, a row of results",
     )
     table.add("cell", cells, "index", "1", "cell of the atlas; the last measure runs fastest")
-    for name, values in found.means(
-        [*found.search.names, *columns_of(found.results, "metric")], points
+    for name, values in evaluations.means(
+        [*evaluations.search.names, *columns_of(evaluations.results, "metric")], points
     ).items():
-        about: dict[str, Any] = meta(schema.field(name))
-        table.add(name, values, **about)
+        metadata: dict[str, Any] = meta(schema.field(name))
+        table.add(name, values, **metadata)
     term = aim.objective.terms[0]
     plain = len(aim.objective.terms) == 1 and term.aim != "hold"
     if not plain:
-        about = {"unit": "1", "description": "the sum that is minimized"}
-        table.add("objective", found.scores.cost[points, 0], "metric", **about)
+        metadata = {"unit": "1", "description": "the sum that is minimized"}
+        table.add("objective", evaluations.scores.cost[points, 0], "metric", **metadata)
     metric, direction = (term.metric, term.aim) if plain else ("objective", "minimize")
-    measures = [dataclasses.asdict(each) for each in aim.measures]
+    measures = [dataclasses.asdict(measure) for measure in aim.measures]
     atlas = {"objective": {"metric": metric, "direction": direction}, "measures": measures}
-    return table.table({"atlas": json.dumps(atlas), "search": found.search.digest()})
+    return table.table({"atlas": json.dumps(atlas), "search": evaluations.search.digest()})

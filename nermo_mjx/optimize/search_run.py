@@ -149,11 +149,11 @@ def run_search(
     check_library(search.method)
     workers = LocalWorkers() if workers is None else workers
     with (
-        RunDirectory(out, "search") as held,
-        resumable(held.out, f"search {held.out / SEARCH}") as interruption,
+        RunDirectory(out, "search") as directory,
+        resumable(directory.out, f"search {directory.out / SEARCH}") as interruption,
     ):
         watch = interruption.watched(watch)
-        batches = Batches(held, search, lambda: batch_points(search, engine), watch.warn)
+        batches = Batches(directory, search, lambda: batch_points(search, engine), watch.warn)
         ran = engine_name(engine, simulator, engine_of(batches.out))
         computer = SweepSimulator(search.sweep.structures, ran, simulator, watch.notify)
         loop = SearchLoop(batches, workers, computer, watch)
@@ -212,10 +212,10 @@ class SearchLoop:
                     self._report()
                     stamp = self._workers.begin(self._computer)
                     self._batches.runs.take_codes([stamp], accept=accept)
-                    about = session(
+                    session_text = session(
                         engine=self._computer.engine, code=stamp.id, begun_at=self._evaluations
                     )
-                    self._batches.held.note_session(about)
+                    self._batches.held.note_session(session_text)
                 table = self._batches.write(batch, rows, first, self._simulate(batch, rows), stamp)
                 self.evaluated += len(request.points)
             self._evaluations, batch = len(shares), batch + 1
@@ -256,28 +256,36 @@ class SearchLoop:
 
         began = time.perf_counter()
         try:
-            done = dict(
+            parts_by_key = dict(
                 self._workers.results(
                     tasks(), lambda k, share: self._report((k + share) / len(parts))
                 )
             )
         except TaskFailed as failed:
-            named = f"batch {batch} of {self._batches.out}"
+            task_name = f"batch {batch} of {self._batches.out}"
             if isinstance(failed.error, ParameterError):
-                raise SpecError(f"{named} is refused: {failed.error}") from failed.error
+                raise SpecError(f"{task_name} is refused: {failed.error}") from failed.error
             reason = (str(failed.error).strip().splitlines() or [""])[0].rstrip(".")[:300]
             raise JobFailed(
-                f"{named} failed: {type(failed.error).__name__}: {reason}. What is finished is kept: run the same "
+                f"{task_name} failed: {type(failed.error).__name__}: {reason}. What is finished is kept: run the same "
                 "command again when it is fixed."
             ) from failed.error
-        found = [(done[k], slice(len(part))) for k, part in enumerate(parts)]
-        names = found[0][0].metrics
+        part_results = [(parts_by_key[k], slice(len(part))) for k, part in enumerate(parts)]
+        names = part_results[0][0].metrics
         metrics = {
-            name: np.concatenate([each.metrics[name][own] for each, own in found]) for name in names
+            name: np.concatenate(
+                [simulated.metrics[name][part_slice] for simulated, part_slice in part_results]
+            )
+            for name in names
         }
-        status = np.concatenate([each.status[own] for each, own in found])
+        status = np.concatenate(
+            [simulated.status[part_slice] for simulated, part_slice in part_results]
+        )
         return Simulated(
-            metrics, status, sum(each.steps for each, _ in found), time.perf_counter() - began
+            metrics,
+            status,
+            sum(simulated.steps for simulated, _ in part_results),
+            time.perf_counter() - began,
         )
 
     def _scores(self, table: pa.Table) -> Scores:
@@ -287,9 +295,9 @@ class SearchLoop:
         well = np.array(table.column("status").to_pylist()) == "ok"
         for name in aim.metrics if well.any() and not self._measured else ():
             if not np.isfinite(metrics[name][well]).any():
-                about = self._search.sweep.metrics[name].doc
+                description = self._search.sweep.metrics[name].doc
                 raise JobFailed(
-                    f"{name} has no number in all {well.sum()} walks of the first batch ({about}): ask for another "
+                    f"{name} has no number in all {well.sum()} walks of the first batch ({description}): ask for another "
                     "metric, or change the walk."
                 )
         self._measured = self._measured or bool(well.any())
@@ -299,8 +307,8 @@ class SearchLoop:
                 int(cell) for cell in cells_of(aim, scores.measures)[scores.allowed] if cell >= 0
             }
         if not aim.pareto and scores.allowed.any():
-            least = float(scores.cost[scores.allowed, 0].min())
-            self._best = least if self._best is None else min(self._best, least)
+            lowest_cost = float(scores.cost[scores.allowed, 0].min())
+            self._best = lowest_cost if self._best is None else min(self._best, lowest_cost)
         return scores
 
 
@@ -332,12 +340,12 @@ def search_forecast(
         np.arange(0, len(shares) * search.repeats, search.repeats)
     )
     point = search.repeats * float(np.mean(search.seconds(rows.values, len(rows))))
-    wanted = (
+    pending = (
         search.evaluations
         if search.evaluations is not None
         else (search.simulated_seconds or 0.0) / point
     )
-    batches = math.ceil(wanted / batch)
+    batches = math.ceil(pending / batch)
     evaluations = batches * batch
     simulator = simulator or Simulator(search.setup, engine)
     rate, runs = pace(simulator, search.setup, batch * search.repeats), evaluations * search.repeats
@@ -347,7 +355,12 @@ def search_forecast(
         "evaluations_per_batch": batch,
         "runs": runs,
     }
-    said = f"{rate:,.0f} simulated seconds/s, measured now"
+    pace_note = f"{rate:,.0f} simulated seconds/s, measured now"
     return Forecast(
-        engine, counts, evaluations * point, evaluations * point / rate, said, runs * _ROW_BYTES
+        engine,
+        counts,
+        evaluations * point,
+        evaluations * point / rate,
+        pace_note,
+        runs * _ROW_BYTES,
     )

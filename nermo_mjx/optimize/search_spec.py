@@ -154,9 +154,9 @@ class BudgetFields(OneOf):
     simulated_seconds: Positive = optional("total simulated time of all runs [s]")
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
-        number = isinstance(given, int | float) and not isinstance(given, bool)
-        return {"evaluations": given} if number else super().written_out(given)
+    def written_out(cls, value: Any) -> Any:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        return {"evaluations": value} if number else super().written_out(value)
 
 
 class KeepFields(Fields):
@@ -204,8 +204,8 @@ class Aim:
     @property
     def metrics(self) -> tuple[str, ...]:
         """Every metric that counts, each once."""
-        measured = (each.metric for each in self.measures)
-        limited = (each.metric for each in self.limits)
+        measured = (measure.metric for measure in self.measures)
+        limited = (measure.metric for measure in self.limits)
         return tuple(dict.fromkeys([*self.objective.metrics, *measured, *limited]))
 
     def written(self) -> dict[str, Any]:
@@ -214,10 +214,11 @@ class Aim:
         data: dict[str, Any] = {"pareto" if self.pareto else "objective": terms}
         if self.measures:
             data["atlas"] = {
-                each.metric: [each.low, each.high, each.cells] for each in self.measures
+                measure.metric: [measure.low, measure.high, measure.cells]
+                for measure in self.measures
             }
         if self.limits:
-            data["subject_to"] = {each.metric: written(each) for each in self.limits}
+            data["subject_to"] = {measure.metric: written(measure) for measure in self.limits}
         return data
 
 
@@ -289,13 +290,13 @@ class OneOrMore(Checked):
     """A list, of which one entry may stand alone."""
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        def listed(given: Any) -> Any:
-            return [given] if isinstance(given, dict) else given
+        def listed(value: Any) -> Any:
+            return [value] if isinstance(value, dict) else value
 
         return core_schema.no_info_before_validator_function(listed, handler(source))
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
-        return {"anyOf": [own, own["items"]]}
+    def schema(self, base: JsonSchema) -> JsonSchema:
+        return {"anyOf": [base, base["items"]]}
 
 
 class SearchFile(WalkFields):
@@ -395,9 +396,9 @@ class Search(Described):
         Args:
             values: parameters that differ between runs, name -> (runs,).
         """
-        known = self.sweep.constants | dict(values)
+        constants = self.sweep.constants | dict(values)
         rate = self.setup.cycle_rate(
-            {name: known[name] for name in self.setup.timing if name in known}
+            {name: constants[name] for name in self.setup.timing if name in constants}
         )
         return np.broadcast_to(np.asarray(self.run.seconds(rate)[1], float), runs)
 
@@ -441,13 +442,13 @@ class Search(Described):
         return digest_of(self.decisive(), dataclasses.replace(self.sweep, samples=1).digest())
 
 
-def _read_method(doc: Document, given: SearchMethod | None, aim: Aim) -> SearchMethod:
+def _read_method(doc: Document, chosen_method: SearchMethod | None, aim: Aim) -> SearchMethod:
     """The method of the file, which must be for its aim, or the default one for it."""
-    allowed = [each for each in SEARCH_METHODS.values() if aim.kind in each.aims]
-    method = allowed[0]() if given is None else given
+    allowed = [candidate for candidate in SEARCH_METHODS.values() if aim.kind in candidate.aims]
+    method = allowed[0]() if chosen_method is None else chosen_method
     if type(method) not in allowed:
         texts = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}
-        names = ", ".join(each.name for each in allowed)
+        names = ", ".join(candidate.name for candidate in allowed)
         wrong = f"is {method.name}, which is not for {texts[aim.kind]}: allowed are {names}."
         doc.fail(("method",), wrong)
     return method
@@ -471,16 +472,18 @@ def _read_search(doc: Document) -> Search:
     for axis in axes:
         path: FieldPath = ("vary", axis.name)
         if axis.form == "values":
-            wanted = "a search moves between bounds; give {uniform: [low, high]} or {loguniform: [low, high]}."
-            doc.fail(path, f"is {describe(list(axis.numbers))}: {wanted}", axis.name)
-    drawn = file.randomize.model_extra or {}
+            advice = "a search moves between bounds; give {uniform: [low, high]} or {loguniform: [low, high]}."
+            doc.fail(path, f"is {describe(list(axis.numbers))}: {advice}", axis.name)
+    randomized = file.randomize.model_extra or {}
     sweep = Sweep(
         **walk,
         structures=(Structure(**walk),),
         axes=tuple(axes),
         sampler="sobol",
         samples=1,
-        draws=tuple(read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()),
+        draws=tuple(
+            read_draw(doc, name, form, parameters[name]) for name, form in randomized.items()
+        ),
         repeats=file.randomize.repeats,
         bodies=file.randomize.bodies,
         seed=file.seed,
@@ -494,7 +497,7 @@ def _read_search(doc: Document) -> Search:
     check_reach(doc, sweep.setup, sweep.fixed, tried)
     if sweep.repeats > 1:
         sweep = dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
-    if math.prod(each.cells for each in aim.measures) > MOST_CELLS:
+    if math.prod(measure.cells for measure in aim.measures) > MOST_CELLS:
         doc.fail(("atlas",), f"has more than {MOST_CELLS:,} cells: take fewer of each measure.")
     method = _read_method(doc, file.method, aim)
     if file.keep.elites is not None and not aim.measures:

@@ -110,17 +110,24 @@ class Tuner:
     def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
         """Evaluate the points of a state and take one step from them."""
         points = placed(self.bounds, state)
-        found = self.problem.evaluate(points, True)
-        after, ok = _advanced(
-            self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok
+        evaluation = self.problem.evaluate(points, True)
+        next_state, ok = _advanced(
+            self.tuning.optimizer,
+            self.bounds,
+            state,
+            evaluation.value,
+            evaluation.gradient,
+            evaluation.ok,
         )
         ok = np.asarray(ok)
-        return after, Iterate(
+        return next_state, Iterate(
             points=np.asarray(points, float),
-            value=np.where(ok, np.asarray(found.value, float), np.nan),
+            value=np.where(ok, np.asarray(evaluation.value, float), np.nan),
             ok=ok,
-            gradient=np.where(ok[:, None], np.asarray(found.gradient, float), np.nan),
-            metrics={name: np.asarray(column, float) for name, column in found.metrics.items()},
+            gradient=np.where(ok[:, None], np.asarray(evaluation.gradient, float), np.nan),
+            metrics={
+                name: np.asarray(column, float) for name, column in evaluation.metrics.items()
+            },
             simulated_seconds=len(ok) * self.seconds * self.cost,
         )
 
@@ -152,14 +159,14 @@ def _advanced(
     better = ok & (value < state.best_value)
     best_u = jnp.where(better[:, None], state.u, state.best_u)
     step, updated = jax.vmap(
-        lambda gradient, past, u, value: update(gradient, past, u, value=value)
+        lambda gradient, former_state, u, value: update(gradient, former_state, u, value=value)
     )(gradient, state.optimizer, state.u, jnp.where(ok, value, jnp.inf))
     forward = confine(bounds, state.u + step)
     waits = ~ok & (not optimizer.reads_values)
     u = jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward)
-    kept = jax.tree.map(
+    next_parts = jax.tree.map(
         lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new),
         updated,
         state.optimizer,
     )
-    return state.after(u, kept, better, state.u, value), ok
+    return state.after(u, next_parts, better, state.u, value), ok

@@ -108,39 +108,41 @@ class TuningDirectory:
         """
         like = initial_state(self.tuning)
 
-        def shapes(about: Mapping[str, Any]) -> dict[str, Any]:
-            if about["digest"] != self._digest:
-                self._refuse(about["identity"], accept)
-            if about["precision"] != str(like.u.dtype):
+        def shapes(metadata: Mapping[str, Any]) -> dict[str, Any]:
+            if metadata["digest"] != self._digest:
+                self._refuse(metadata["identity"], accept)
+            if metadata["precision"] != str(like.u.dtype):
                 raise DirectoryError(
-                    f"{self._checkpoints.folder} was started in {about['precision']}, and JAX now computes in "
+                    f"{self._checkpoints.folder} was started in {metadata['precision']}, and JAX now computes in "
                     f"{like.u.dtype}: resume with that precision, or choose another directory."
                 )
-            return {"state": like, "history": np.empty(about["rows"])}
+            return {"state": like, "history": np.empty(metadata["rows"])}
 
-        found = self._checkpoints.restore(shapes, self.warn)
-        if found is None:
+        checkpoint = self._checkpoints.restore(shapes, self.warn)
+        if checkpoint is None:
             return like, TuningHistory(self.tuning)
-        parts, about = found
-        codes = tuple((int(first), str(code)) for first, code in about["codes"])
+        parts, metadata = checkpoint
+        codes = tuple((int(first), str(code)) for first, code in metadata["codes"])
         return parts["state"], TuningHistory(
-            self.tuning, tuple(about["metrics"]), parts["history"], codes
+            self.tuning, tuple(metadata["metrics"]), parts["history"], codes
         )
 
-    def _refuse(self, there: Mapping[str, Any], accept: bool) -> None:
+    def _refuse(self, former: Mapping[str, Any], accept: bool) -> None:
         """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
-        here = self._identity
+        current = self._identity
         # A field that only one of the two knows has a default there.
-        both = [name for name in here["fields"] if name in there["fields"]]
-        apart = changes(*({name: each["fields"][name] for name in both} for each in (there, here)))
-        apart += ["recording"] if there["recording"] != here["recording"] else []
-        if apart:
+        shared = [name for name in current["fields"] if name in former["fields"]]
+        differences = changes(
+            *({name: identity["fields"][name] for name in shared} for identity in (former, current))
+        )
+        differences += ["recording"] if former["recording"] != current["recording"] else []
+        if differences:
             raise WrongDirectory(
-                f"{self.out} holds checkpoints of another tuning, with another {', '.join(apart)}; choose another "
+                f"{self.out} holds checkpoints of another tuning, with another {', '.join(differences)}; choose another "
                 "directory."
             )
         difference = ", ".join(
-            changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"])
+            changes(former["fields"] | former["defaults"], current["fields"] | current["defaults"])
         )
         if not accept:
             raise OtherCode(
@@ -150,17 +152,17 @@ class TuningDirectory:
 
     def claim(self, history: TuningHistory) -> None:
         """Claim the directory for this tuning; existing files that do not follow from this history are moved aside."""
-        made = (HISTORY, BEST, "tuned.yaml")
+        file_names = (HISTORY, BEST, "tuned.yaml")
         content = content_of(self.out / HISTORY)
         table = None if content is None else parquet_table(content)
         if not len(history):
-            follows = not any((self.out / name).exists() for name in made)
+            follows = not any((self.out / name).exists() for name in file_names)
         else:
             follows = content is None or (
                 table is not None and table.num_rows <= history.rows[:, :, 0].size
             )
         if not follows:
-            self.held.set_aside("of another history", (*made, TUNING), self.warn)
+            self.held.set_aside("of another history", (*file_names, TUNING), self.warn)
         setup = with_code_copied(self.tuning.setup, self.out.resolve(), self.held.write)
         self.tuning = keep_recording(
             self.held, dataclasses.replace(self.tuning, setup=setup), self.warn
@@ -169,7 +171,7 @@ class TuningDirectory:
 
     def keep(self, state: TuneState, history: TuningHistory) -> dict[str, Any] | None:
         """Store a state and its history, and make the other files from it; the content of best.json, if any."""
-        about = {
+        metadata = {
             "digest": self._digest,
             "precision": str(state.u.dtype),
             "metrics": list(history.metrics),
@@ -179,7 +181,7 @@ class TuningDirectory:
         }
         with clear_errors(self.out):
             self._checkpoints.save(
-                int(state.iteration), {"state": state, "history": history.rows}, about
+                int(state.iteration), {"state": state, "history": history.rows}, metadata
             )
         return self.publish(history)
 
@@ -189,10 +191,10 @@ class TuningDirectory:
         self.held.write(HISTORY, parquet_bytes(history.table()))
         if best is not None:
             self.held.write(BEST, to_json(best))
-            known, values = self.tuning.parameters, dict[str, float]()
+            declarations, values = self.tuning.parameters, dict[str, float]()
             for name, value in best["parameters"].items():
                 # float32 may lie a rounding error outside the allowed range: seven digits are significant.
-                inside = float(np.clip(value, known[name].low, known[name].high))
+                inside = float(np.clip(value, declarations[name].low, declarations[name].high))
                 values[name] = float(f"{inside:.7g}") if math.isfinite(inside) else inside
             head = f"Iteration {best['iteration']} of start {best['start']}: objective {best['objective']:.6g}."
             sweep = sweep_of(self.tuning, head, values, self.tuning.seed, self.out.resolve())
@@ -211,37 +213,37 @@ def load_tuning(out: str | os.PathLike[str]) -> Tuning:
 
 
 def keep_recording(
-    held: RunDirectory, tuning: Tuning, warn: Callable[[str], None] = lambda _: None
+    directory: RunDirectory, tuning: Tuning, warn: Callable[[str], None] = lambda _: None
 ) -> Tuning:
     """The tuning with its recording in the directory, where it is copied to; another one there is moved aside."""
-    folder = held.out.resolve()
+    folder = directory.out.resolve()
     if tuning.recording is None or tuning.recording.parent == folder:
         return tuning
     content = read_bytes(tuning.recording, MOST_FILE)
     if content_of(folder / RECORDING, MOST_FILE) != content:
-        held.set_aside("another recording", [RECORDING], warn)
-        held.write(RECORDING, content)
+        directory.set_aside("another recording", [RECORDING], warn)
+        directory.write(RECORDING, content)
     return dataclasses.replace(tuning, recording=folder / RECORDING)
 
 
 def tuning_status(out: Path) -> Status:
     """How many evaluations of its starts the history of a tuning's directory has."""
-    notes, rows, done = list[str](), None, 0
+    notes, rows, step_count = list[str](), None, 0
     try:
         tuning = Tuning.from_file(out / TUNING)
         rows = (tuning.iterations + 1) * tuning.starts
     except (SpecError, OSError) as error:
         notes.append(f"Its tuning cannot be read: {error}")
-    if about := metadata_of(out / HISTORY, notes, "it is made again of the checkpoints."):
-        done = about.num_rows
+    if metadata := metadata_of(out / HISTORY, notes, "it is made again of the checkpoints."):
+        step_count = metadata.num_rows
     best = stored_json(out / BEST)
     if best and best.get("stopped"):
-        rows, notes = done, [*notes, str(best["stopped"])]
-    complete = rows is not None and done >= rows and best is not None
+        rows, notes = step_count, [*notes, str(best["stopped"])]
+    complete = rows is not None and step_count >= rows and best is not None
     return status_of(
         "evaluations",
         out,
-        done,
+        step_count,
         rows,
         complete,
         command="tune",

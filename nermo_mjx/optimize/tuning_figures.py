@@ -98,11 +98,11 @@ class Traces:
 
     def quantity(self, name: str) -> ShownValues:
         """Values of a column (n, starts) as figures show them; of a metric, only where the robot walked to the end."""
-        about = meta(self.table.schema.field(name))
+        metadata = meta(self.table.schema.field(name))
         values = self.column(name)
-        if about["role"] == "metric":
+        if metadata["role"] == "metric":
             values = np.where(self.ok, values, np.nan)
-        return shown(name, about["unit"], values)
+        return shown(name, metadata["unit"], values)
 
     def unwrapped(self, tuned: Tuned) -> np.ndarray:
         """Values of a parameter (n, starts) in its own unit; a periodic one continues beyond its bounds."""
@@ -121,9 +121,10 @@ class Traces:
         Each component counts per whole range of its parameter, so that units do not matter.
         """
         tuned = self.tuning.tuned
-        ranges = np.array([each.high - each.low for each in tuned])
+        ranges = np.array([parameter.high - parameter.low for parameter in tuned])
         gradient = (
-            np.stack([self.column(f"gradient.{each.name}") for each in tuned], axis=-1) * ranges
+            np.stack([self.column(f"gradient.{parameter.name}") for parameter in tuned], axis=-1)
+            * ranges
         )
         norm = np.linalg.norm(gradient, axis=-1)
         return np.where(norm > 0, norm, np.nan)
@@ -172,8 +173,8 @@ def objective_figure(traces: Traces) -> Figure:
     }
     iteration, start = traces.best
     best = traces.column("objective")[iteration, start]
-    where = f" of start {start}" if traces.starts > 1 else ""
-    note = f"{_what(traces)}; dashed: best so far; star: best, {best:.4g} in iteration {iteration}{where}"
+    start_note = f" of start {start}" if traces.starts > 1 else ""
+    note = f"{_what(traces)}; dashed: best so far; star: best, {best:.4g} in iteration {iteration}{start_note}"
     figure = page(
         "Objective over the iterations (lower is better)", WIDTH, 2.9 + _PANEL * len(terms), note
     )
@@ -187,8 +188,8 @@ def objective_figure(traces: Traces) -> Figure:
     axes[0].set_ylabel("objective [1]")
     _cut(axes[0], value)
     label: str | None = "fell"
-    for each, style in start_styles(traces).items():
-        fell = traces.iterations[~traces.ok[:, each]]
+    for start_index, style in start_styles(traces).items():
+        fell = traces.iterations[~traces.ok[:, start_index]]
         if len(fell):
             cross: dict[str, Any] = {
                 "color": style["color"],
@@ -231,13 +232,13 @@ def parameters_figure(traces: Traces) -> Figure:
     axes = list(figure.subplots(rows, columns, sharex=True, squeeze=False).ravel())
     for ax in axes[len(tuned) :]:
         ax.remove()
-    for ax, each in zip(axes, tuned, strict=False):
-        values = traces.in_shown_unit(each.name, traces.unwrapped(each))
+    for ax, parameter in zip(axes, tuned, strict=False):
+        values = traces.in_shown_unit(parameter.name, traces.unwrapped(parameter))
         _draw_starts(ax, traces, values)
-        _draw_bounds(ax, traces, each, values)
+        _draw_bounds(ax, traces, parameter, values)
         star(ax, traces.best[0], values[traces.best], lw=0.9, zorder=6)
         ax.set_ylabel(
-            traces.quantity(each.name).label.replace(" [", "\n[")
+            traces.quantity(parameter.name).label.replace(" [", "\n[")
         )  # long names are longer than a panel
     for ax in axes[max(0, len(tuned) - columns) : len(tuned)]:
         ax.tick_params(labelbottom=True)
@@ -262,21 +263,23 @@ def gradients_figure(traces: Traces) -> Figure:
 
 def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
     """Line style of each drawn start, by its number; a few have their own colour and legend entry."""
-    best, drawn = traces.best[1], traces.drawn()
-    if len(drawn) <= len(START_COLOURS):
-        names = {start: f"start {start}" + (" (given)" if start == 0 else "") for start in drawn}
-        few = zip(drawn, START_COLOURS, strict=False)
+    best, drawn_starts = traces.best[1], traces.drawn()
+    if len(drawn_starts) <= len(START_COLOURS):
+        names = {
+            start: f"start {start}" + (" (given)" if start == 0 else "") for start in drawn_starts
+        }
+        coloured = zip(drawn_starts, START_COLOURS, strict=False)
         styles = {
             start: {"color": colour, "lw": 1.6, "zorder": 3, "label": names[start]}
-            for start, colour in few
+            for start, colour in coloured
         }
         styles[best]["zorder"] = 4
-        return styles if len(drawn) > 1 else {best: styles[best] | {"label": None}}
+        return styles if len(drawn_starts) > 1 else {best: styles[best] | {"label": None}}
     styles = {
         start: {"color": BAND, "lw": 0.9, "alpha": 0.8, "zorder": 2, "label": None}
-        for start in drawn
+        for start in drawn_starts
     }
-    styles[drawn[-1]]["label"] = "other starts"
+    styles[drawn_starts[-1]]["label"] = "other starts"
     styles[0] |= {
         "color": START_COLOURS[1],
         "lw": 1.4,
@@ -305,10 +308,10 @@ def _column(figure: Figure, count: int) -> list[Axes]:
 
 def _what(traces: Traces) -> str:
     profile = profile_text([traces.tuning.setup.profile])
-    starts, drawn = traces.starts, len(traces.drawn())
-    some = f" ({drawn} of them drawn)" if drawn < starts else ""
+    starts, drawn_count = traces.starts, len(traces.drawn())
+    drawn_note = f" ({drawn_count} of them drawn)" if drawn_count < starts else ""
     return f"{profile}; {len(traces.iterations)} evaluations" + (
-        f" of {starts:,} starts{some}" if starts > 1 else ""
+        f" of {starts:,} starts{drawn_note}" if starts > 1 else ""
     )
 
 
@@ -320,8 +323,8 @@ def _draw_starts(ax: Axes, traces: Traces, values: np.ndarray) -> None:
         else {}
     )
     for start, style in start_styles(traces).items():
-        own = marker if style["lw"] > 1 else {}
-        ax.plot(traces.iterations, values[:, start], **style, **own)
+        marker_options = marker if style["lw"] > 1 else {}
+        ax.plot(traces.iterations, values[:, start], **style, **marker_options)
 
 
 def _cut(ax: Axes, values: np.ndarray) -> None:
@@ -339,14 +342,14 @@ def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> 
     low, high = (
         float(traces.in_shown_unit(tuned.name, bound)) for bound in (tuned.low, tuned.high)
     )
-    least, most, span = float(values.min()), float(values.max()), high - low
+    lowest, highest, span = float(values.min()), float(values.max()), high - low
     text = f"{low:.4g} to {high:.4g}, {'periodic' if tuned.periodic else 'bounds'}"
     corner(ax, text)
-    if most - least < _ZOOM * span:
-        room = max(0.6 * (most - least), 0.01 * span)
-        ax.set_ylim(least - room, most + room)
+    if highest - lowest < _ZOOM * span:
+        room = max(0.6 * (highest - lowest), 0.01 * span)
+        ax.set_ylim(lowest - room, highest + room)
     else:
-        ax.set_ylim(min(low, least) - 0.06 * span, max(high, most) + 0.06 * span)
+        ax.set_ylim(min(low, lowest) - 0.06 * span, max(high, highest) + 0.06 * span)
     first, last = ax.get_ylim()
     unit = traces.quantity(tuned.name).unit
     set_scales(
@@ -394,9 +397,9 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     """The paths over the first two tuned parameters, or of a single one its objective."""
     beneath = profile_text([traces.tuning.setup.profile])
     if landscape is not None:
-        rest = len(traces.tuning.tuned) - len(landscape.axes)
+        other_count = len(traces.tuning.tuned) - len(landscape.axes)
         beneath += f"; landscape: {landscape.walks}" + (
-            ", the other parameters as in the best point" if rest else ""
+            ", the other parameters as in the best point" if other_count else ""
         )
     if len(traces.tuning.tuned) == 1:
         return _line(traces, landscape, beneath)
@@ -407,12 +410,14 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if landscape is None else MISSING)
-    ends = [traces.in_shown_unit(each.name, np.array(each.bounds)) for each in pair]
+    ends = [traces.in_shown_unit(parameter.name, np.array(parameter.bounds)) for parameter in pair]
     if landscape is not None:
         _draw_landscape(figure, ax, traces, landscape)
     else:
         _draw_values(figure, ax, traces)
-    paths = [traces.in_shown_unit(each.name, traces.unwrapped(each)) for each in pair]
+    paths = [
+        traces.in_shown_unit(parameter.name, traces.unwrapped(parameter)) for parameter in pair
+    ]
     for start in traces.drawn():
         path, turns = [path[:, start] for path in paths], []
         for tuned, values, (low, high) in zip(pair, path, ends, strict=True):
@@ -433,8 +438,8 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
             "thin" if landscape is None else look,
         )
     best = [
-        float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best]))
-        for each in pair
+        float(traces.in_shown_unit(parameter.name, traces.column(parameter.name)[traces.best]))
+        for parameter in pair
     ]
     star(ax, best[0], best[1], 230, 1.2)
     quantities = [
@@ -448,22 +453,22 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
 
 def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
-    (each,) = traces.tuning.tuned
+    (parameter,) = traces.tuning.tuned
     note = f"dots: evaluations, larger towards the end; star: best; {beneath}"
-    figure = page(f"Objective over {spoken(each.name)} (lower is better)", WIDTH, 4.0, note)
+    figure = page(f"Objective over {spoken(parameter.name)} (lower is better)", WIDTH, 4.0, note)
     ax = figure.subplots()
     if landscape is not None:
-        nodes = traces.in_shown_unit(each.name, landscape.axes[each.name])
+        nodes = traces.in_shown_unit(parameter.name, landscape.axes[parameter.name])
         ax.plot(nodes, landscape.value, color=MUTED, lw=1.4, zorder=1)
-    place = traces.in_shown_unit(each.name, traces.column(each.name))
+    positions = traces.in_shown_unit(parameter.name, traces.column(parameter.name))
     value = traces.column("objective")
     for start, style in start_styles(traces).items():
         dots = {name: style[name] for name in ("color", "zorder", "label")}
-        sizes = np.linspace(8, 40, len(place))
-        ax.scatter(place[:, start], value[:, start], s=sizes, ec="white", lw=0.4, **dots)
-    star(ax, place[traces.best], value[traces.best])
-    ends = traces.in_shown_unit(each.name, np.array([each.low, each.high]))
-    quantity = ShownValues(each.name, traces.quantity(each.name).unit, ends)
+        sizes = np.linspace(8, 40, len(positions))
+        ax.scatter(positions[:, start], value[:, start], s=sizes, ec="white", lw=0.4, **dots)
+    star(ax, positions[traces.best], value[traces.best])
+    ends = traces.in_shown_unit(parameter.name, np.array([parameter.low, parameter.high]))
+    quantity = ShownValues(parameter.name, traces.quantity(parameter.name).unit, ends)
     set_scales(ax, quantity)
     ax.set(xlabel=quantity.label, ylabel="objective [1]", xlim=quantity.values)
     horizontal_grid(ax)
@@ -485,15 +490,15 @@ def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landsca
     x[[0, -1]], y[[0, -1]] = (
         traces.in_shown_unit(t.name, np.array(t.bounds)) for t in traces.tuning.tuned[:2]
     )
-    shown = np.ma.masked_invalid(landscape.value.T)
+    masked = np.ma.masked_invalid(landscape.value.T)
     # The lines are denser towards the best point, and evenly spaced if the objective is a parabola.
     levels = low + (high - low) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
     scale = PowerNorm(0.5, low, high)
-    ax.contourf(x, y, shown, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
+    ax.contourf(x, y, masked, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
     ax.contour(
         x,
         y,
-        shown,
+        masked,
         levels[::2],
         colors="white",
         linewidths=0.5,
@@ -507,15 +512,22 @@ def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landsca
 def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
     """Without a landscape, each visited point has the colour of its objective."""
     x, y = (
-        traces.in_shown_unit(each.name, traces.column(each.name))
-        for each in traces.tuning.tuned[:2]
+        traces.in_shown_unit(parameter.name, traces.column(parameter.name))
+        for parameter in traces.tuning.tuned[:2]
     )
     value = traces.column("objective")
-    drawn, good = traces.drawn(), value[np.isfinite(value)]
+    drawn_starts, good = traces.drawn(), value[np.isfinite(value)]
     low, high = float(good.min()), float(np.quantile(good, _COVERED))
     scale = Normalize(low, high if high > low else low + 1e-9)
     points = ax.scatter(
-        x[:, drawn], y[:, drawn], c=value[:, drawn], s=22, cmap=_COLOURS, lw=0, zorder=5, norm=scale
+        x[:, drawn_starts],
+        y[:, drawn_starts],
+        c=value[:, drawn_starts],
+        s=22,
+        cmap=_COLOURS,
+        lw=0,
+        zorder=5,
+        norm=scale,
     )
     colour_bar(figure, ax, points, _LABEL, aspect=28)
     ax.grid(color=GRID, lw=0.8)

@@ -65,18 +65,21 @@ class TuningHistory:
         names = [column.name for column in history_columns(self.tuning, self.metrics)]
         return self.rows[:, :, names.index(name)]
 
-    def extended(self, found: Iterate, wall_seconds: float, code: str) -> TuningHistory:
+    def extended(self, iterate: Iterate, wall_seconds: float, code: str) -> TuningHistory:
         """The history with one more iteration, its duration and its code."""
-        tuning, known = self.tuning, [*(self.tuning.metrics | self.tuning.objective_metrics)]
-        metrics = self.metrics or tuple(sorted(found.metrics, key=known.index))
-        effort = {"simulated_seconds": found.simulated_seconds, "wall_seconds": wall_seconds}
-        numbers: dict[str, np.ndarray] = {"objective": found.value, "ok": found.ok}
+        tuning, metric_names = self.tuning, [*(self.tuning.metrics | self.tuning.objective_metrics)]
+        metrics = self.metrics or tuple(sorted(iterate.metrics, key=metric_names.index))
+        effort = {"simulated_seconds": iterate.simulated_seconds, "wall_seconds": wall_seconds}
+        numbers: dict[str, np.ndarray] = {"objective": iterate.value, "ok": iterate.ok}
         for name, spent in effort.items():
-            before = self.column(name)[-1, 0] if len(self) else 0.0
-            numbers[name] = np.full(len(found.value), before + spent)
+            previous = self.column(name)[-1, 0] if len(self) else 0.0
+            numbers[name] = np.full(len(iterate.value), previous + spent)
         for i, name in enumerate(tuning.names):
-            numbers[name], numbers[f"gradient.{name}"] = found.points[:, i], found.gradient[:, i]
-        numbers |= found.metrics
+            numbers[name], numbers[f"gradient.{name}"] = (
+                iterate.points[:, i],
+                iterate.gradient[:, i],
+            )
+        numbers |= iterate.metrics
         row = np.stack(
             [np.asarray(numbers[c.name], float) for c in history_columns(tuning, metrics)], axis=-1
         )[None]
@@ -107,8 +110,10 @@ class TuningHistory:
             "which start; 0 is the given one",
         )
         types = {"ok": bool, "discarded": int}
-        for i, (name, *about) in enumerate(history_columns(self.tuning, self.metrics)):
-            table.add(name, self.rows[:, :, i].ravel().astype(types.get(name, float)), *about)
+        for i, (name, *column_fields) in enumerate(history_columns(self.tuning, self.metrics)):
+            table.add(
+                name, self.rows[:, :, i].ravel().astype(types.get(name, float)), *column_fields
+            )
         lasted = np.diff([*(first for first, _ in self.codes), iterations])
         codes = np.repeat(np.array([code for _, code in self.codes], object), lasted * starts)
         table.add(
@@ -122,14 +127,14 @@ class TuningHistory:
 
     def point(self, iteration: int, start: int) -> dict[str, Any]:
         """An evaluated point: `parameters`, `objective` and `metrics`; not finite where the robot did not walk."""
-        at = {
+        values = {
             name: float(self.column(name)[iteration, start])
             for name in (*self.tuning.names, *self.metrics)
         }
         return {
-            "parameters": {name: at[name] for name in self.tuning.names},
+            "parameters": {name: values[name] for name in self.tuning.names},
             "objective": float(self.column("objective")[iteration, start]),
-            "metrics": {name: at[name] for name in self.metrics},
+            "metrics": {name: values[name] for name in self.metrics},
         }
 
     def start(self) -> dict[str, Any]:
@@ -196,18 +201,23 @@ def history_columns(tuning: Tuning, metrics: Sequence[str]) -> list[HistoryColum
     """The columns of a tuning's history, but for the index."""
     parameters = tuning.parameters
     value = "value that is minimized; NaN where the robot did not walk to the end"
-    found = [HistoryColumn("objective", "objective", "1", value)]
-    found += [
+    columns = [HistoryColumn("objective", "objective", "1", value)]
+    columns += [
         HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc)
         for name in tuning.names
     ]
     for name in tuning.names:
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
-        found.append(HistoryColumn(f"gradient.{name}", "gradient", unit, f"d objective / d {name}"))
-    known = tuning.metrics | tuning.objective_metrics
-    found += [HistoryColumn(name, "metric", known[name].unit, known[name].doc) for name in metrics]
+        columns.append(
+            HistoryColumn(f"gradient.{name}", "gradient", unit, f"d objective / d {name}")
+        )
+    declarations = tuning.metrics | tuning.objective_metrics
+    columns += [
+        HistoryColumn(name, "metric", declarations[name].unit, declarations[name].doc)
+        for name in metrics
+    ]
     return [
-        *found,
+        *columns,
         HistoryColumn("ok", "status", "1", "whether the robot walked to the end"),
         HistoryColumn(
             "simulated_seconds",

@@ -157,9 +157,9 @@ def _numbers(iterate: Iterate, best: Mapping[str, Any] | None) -> dict[str, floa
     """Metrics of the best start of an iteration, and the simulated time so far, for its progress."""
     numbers: dict[str, float] = {}
     if np.isfinite(iterate.value).any():
-        place = np.nanargmin(iterate.value)
+        best_start = np.nanargmin(iterate.value)
         columns = iterate.metrics | {"objective": iterate.value}
-        numbers = {name: float(column[place]) for name, column in columns.items()}
+        numbers = {name: float(column[best_start]) for name, column in columns.items()}
     return numbers | ({} if best is None else {"simulated_seconds": best["simulated_seconds"]})
 
 
@@ -183,8 +183,8 @@ def _publish(
             directory.held.write(BEST, to_json(best))
         except ParameterError as error:
             notes = (f"Start and best are not verified: {error}",)
-    plots, more = make_figures(directory, walker, watch, history.table(), best)
-    return best, plots, (*notes, *more)
+    plots, extra_files = make_figures(directory, walker, watch, history.table(), best)
+    return best, plots, (*notes, *extra_files)
 
 
 #: Walks of each point that is verified.
@@ -212,24 +212,26 @@ def verified(
     walks = 1 if compared else WALKS
     problem = WalkProblem(tuning, simulator=simulator)
     rng = np.random.default_rng([tuning.seed, _UNSEEN])
-    known = {*tuning.constants, *tuning.names}
+    names = {*tuning.constants, *tuning.names}
     spread = {
         name: rng.uniform(-width, width, walks)
         for name, width in START_SPREAD.items()
-        if name in tuning.parameters and name not in known and not compared
+        if name in tuning.parameters and name not in names and not compared
     }
-    at = np.repeat(
-        [[each[name] for name in tuning.names] for each in points.values()], walks, axis=0
+    repeated = np.repeat(
+        [[point_values[name] for name in tuning.names] for point_values in points.values()],
+        walks,
+        axis=0,
     )
     value, metrics, ok = problem.walk(
-        at, {name: np.tile(column, len(points)) for name, column in spread.items()}
+        repeated, {name: np.tile(column, len(points)) for name, column in spread.items()}
     )
-    found: dict[str, Any] = {"engine": "c", "walks": walks}
+    verification: dict[str, Any] = {"engine": "c", "walks": walks}
     for i, name in enumerate(points):
         mine = i * walks + np.flatnonzero(ok[i * walks : (i + 1) * walks])
-        found[name] = None
+        verification[name] = None
         if len(mine):
-            found[name] = {
+            verification[name] = {
                 "walks_ok": len(mine),
                 "objective": float(value[mine].mean()),
                 "lowest": float(value[mine].min()),
@@ -239,7 +241,7 @@ def verified(
                     for metric in tuning.objective.metrics
                 },
             }
-    return found
+    return verification
 
 
 # ---
@@ -260,21 +262,25 @@ def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
     Raises:
         ParameterError: the tuning's recording cannot be compared with its walk, or a library that is missing.
     """
-    seconds = tuning.seconds({each.name: each.low for each in tuning.tuned})
+    seconds = tuning.seconds({parameter.name: parameter.low for parameter in tuning.tuned})
     if tuning.recording is not None:
         load_reference(tuning.recording, Rollout(tuning.setup, tuning.run), seconds)
-    here, forecasts = pace_here(tuning), []
-    others = (each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))
+    local_pace, forecasts = pace_here(tuning), []
+    others = (
+        parameter()
+        for parameter in TUNING_METHODS.values()
+        if not isinstance(tuning.method, parameter)
+    )
     for method in (tuning.method, *others):
         engine = method.engine_for(len(tuning.names))
         points = (tuning.iterations + 1) * tuning.starts
         walks = points * method.gradient_cost(len(tuning.names))
-        wall = walks * seconds / here
+        wall = walks * seconds / local_pace
         if engine != "c":
             slower = MJX_SLOWER * max(1.0, MJX_WORLDS / tuning.starts)
             wall = wall * slower if jax.default_backend() == "cpu" else math.nan
         counts = {"evaluations": round(walks) if engine == "c" else points}
-        rate = f"{here:,.0f} simulated seconds/s on the engine c, measured now"
+        rate = f"{local_pace:,.0f} simulated seconds/s on the engine c, measured now"
         forecasts.append(Forecast(engine, counts, walks * seconds, wall, rate, method=method.name))
     return forecasts
 

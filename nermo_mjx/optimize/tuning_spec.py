@@ -173,10 +173,10 @@ class Tuned(Spec):
         """The upper bound."""
         return self.bounds[1]
 
-    def of(self, doc: Document, name: str, about: Quantity) -> Tuned:
+    def of(self, doc: Document, name: str, declaration: Quantity) -> Tuned:
         """The parameter of that name, with what a file leaves out; raises `SpecError`."""
         path: FieldPath = ("tune", name)
-        low, high = self.bounds or (about.low, about.high)
+        low, high = self.bounds or (declaration.low, declaration.high)
         if not math.isfinite(low) or not math.isfinite(high):
             doc.fail((*path, "bounds"), f"is [{low:g}, {high:g}]: expected finite numbers.")
         if low >= high:
@@ -190,24 +190,27 @@ class Tuned(Spec):
                     "start.yaw, offset.* and limb.phase.*.",
                 )
             if not is_turn(name, low, high):
-                apart = f"the bounds [{low:g}, {high:g}] are not one period of {period:.5g} apart."
-                doc.fail((*path, "periodic"), f"is true, but {apart}")
+                message = (
+                    f"the bounds [{low:g}, {high:g}] are not one period of {period:.5g} apart."
+                )
+                doc.fail((*path, "periodic"), f"is true, but {message}")
             middle = 0.5 * (low + high)
             low, high = middle - 0.5 * period, middle + 0.5 * period
         # An open bound is allowed: no iterate ever stands on a bound; a closed one counts with its rounding.
         for bound in (low, high):
             if (
-                not about.low - 1e-6 * abs(about.low)
+                not declaration.low - 1e-6 * abs(declaration.low)
                 <= bound
-                <= about.high + 1e-6 * abs(about.high)
+                <= declaration.high + 1e-6 * abs(declaration.high)
             ):
                 doc.fail(
-                    (*path, "bounds"), f"has the bound {bound:g}: allowed is {about.allowed()}."
+                    (*path, "bounds"),
+                    f"has the bound {bound:g}: allowed is {declaration.allowed()}.",
                 )
-        start = float(about.default) if self.start is None else self.start
+        start = float(declaration.default) if self.start is None else self.start
         bounds = f"[{low:g}, {high:g}]"
         if self.start is not None:
-            check_value(doc, (*path, "start"), name, about, start)
+            check_value(doc, (*path, "start"), name, declaration, start)
             if not low <= start <= high:
                 doc.fail((*path, "start"), f"is {start:g}: allowed is within the bounds, {bounds}.")
         elif not low <= start <= high:
@@ -233,8 +236,8 @@ class OptimizerFields(Fields):
     clip: Positive = optional("a longer gradient is clipped to this norm")
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
-        return {"name": given} if isinstance(given, str) else given
+    def written_out(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
 
     @classmethod
     def refuse(cls, key: str) -> None:
@@ -263,13 +266,13 @@ _PLAIN: Final = ("starts", "iterations", "patience", "seed", "plots")
 _KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
 
 
-def _present_method(given: Any) -> Any:
+def _present_method(value: Any) -> Any:
     """The method of a file with its present name."""
-    if isinstance(given, dict):
-        return {_present_method(name): options for name, options in given.items()}
-    if present := FORMER_METHODS.get(str(given)):
-        warn_former(f"method: {given}", f"method: {present}", FutureWarning)
-    return present or given
+    if isinstance(value, dict):
+        return {_present_method(name): options for name, options in value.items()}
+    if present := FORMER_METHODS.get(str(value)):
+        warn_former(f"method: {value}", f"method: {present}", FutureWarning)
+    return present or value
 
 
 class TuningFile(WalkFields):
@@ -317,9 +320,9 @@ class TuningFile(WalkFields):
     """whether figures are made at the end"""
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
+    def written_out(cls, value: Any) -> Any:
         """Without `video: false`, which the directories of earlier releases contain."""
-        data = super().written_out(given)
+        data = super().written_out(value)
         return (
             {key: data[key] for key in data if key != "video" or data[key]}
             if isinstance(data, dict)
@@ -375,7 +378,7 @@ class Tuning(WalkSpec, Described):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the p tuned parameters; numbers of a point come in this order."""
-        return tuple(each.name for each in self.tuned)
+        return tuple(parameter.name for parameter in self.tuned)
 
     @property
     def objective_metrics(self) -> dict[str, Metric]:
@@ -386,9 +389,10 @@ class Tuning(WalkSpec, Described):
     def bounds(self) -> Bounds:
         """Bounds of the tuned parameters, as arrays (p,)."""
         low, high = (
-            jnp.array([getattr(each, end) for each in self.tuned], float) for end in ("low", "high")
+            jnp.array([getattr(parameter, end) for parameter in self.tuned], float)
+            for end in ("low", "high")
         )
-        return Bounds(low, high, jnp.array([each.periodic for each in self.tuned]))
+        return Bounds(low, high, jnp.array([parameter.periodic for parameter in self.tuned]))
 
     @property
     def engine(self) -> str:
@@ -406,20 +410,21 @@ class Tuning(WalkSpec, Described):
 
     def start_points(self) -> np.ndarray:
         """Where each start begins (starts, p): the given point, then Sobol points within the bounds."""
-        given = np.array([[each.start for each in self.tuned]])
+        first_points = np.array([[parameter.start for parameter in self.tuned]])
         exponent = max(
             self.starts - 2, 0
         ).bit_length()  # a power of two keeps the sequence balanced
         sobol = qmc.Sobol(len(self.tuned), rng=np.random.default_rng(self.seed))
         shares = sobol.random_base2(exponent)[: self.starts - 1]
         low, high = (
-            np.array([getattr(each, end) for each in self.tuned]) for end in ("low", "high")
+            np.array([getattr(parameter, end) for parameter in self.tuned])
+            for end in ("low", "high")
         )
-        return np.concatenate([given, low + (high - low) * shares])
+        return np.concatenate([first_points, low + (high - low) * shares])
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         data = self.walk_fields(folder)
-        data["tune"] = {each.name: _without_false(each) for each in self.tuned}
+        data["tune"] = {parameter.name: _without_false(parameter) for parameter in self.tuned}
         data["objective"] = [written(term) for term in self.objective.terms]
         if self.recording is not None:
             data["recording"] = (
@@ -462,7 +467,9 @@ class Tuning(WalkSpec, Described):
             ) from None
         return {
             "fields": self.decisive(),
-            "defaults": {name: about.default for name, about in self.parameters.items()},
+            "defaults": {
+                name: declaration.default for name, declaration in self.parameters.items()
+            },
             "recording": "" if self.recording is None else hashlib.sha256(recorded).hexdigest(),
         }
 
@@ -482,20 +489,20 @@ def _refuse_distance(doc: Document, run: Run) -> None:
         doc.fail(("pilot", "straight", "distance"), f"ends each run at a distance: {why}")
 
 
-def _read_recording(doc: Document, given: Any, objective: Objective, recorded: bool) -> Path | None:
+def _read_recording(doc: Document, value: Any, objective: Objective, recorded: bool) -> Path | None:
     """The path of the recording that the objective is compared with, if any; with `recorded` it exists."""
     compared = TRAJECTORY_ERROR in objective.metrics
-    if given is None:
+    if value is None:
         if compared:
-            missing = f"names {TRAJECTORY_ERROR}, but there is no 'recording' to compare with: give the path of an NPZ."
-            doc.fail(("objective",), missing)
+            message = f"names {TRAJECTORY_ERROR}, but there is no 'recording' to compare with: give the path of an NPZ."
+            doc.fail(("objective",), message)
         return None
-    if not isinstance(given, str):
-        doc.fail(("recording",), f"is {describe(given)}: expected the path of an NPZ.")
+    if not isinstance(value, str):
+        doc.fail(("recording",), f"is {describe(value)}: expected the path of an NPZ.")
     folder = Path(doc.source).parent if doc.lines else Path()
-    recording = (folder / given).expanduser().resolve()
+    recording = (folder / value).expanduser().resolve()
     if recorded and not recording.is_file():
-        doc.fail(("recording",), f"is {given!r}: there is no file {recording}.")
+        doc.fail(("recording",), f"is {value!r}: there is no file {recording}.")
     if not compared:
         doc.fail(("recording",), f"is not read: no term of the objective names {TRAJECTORY_ERROR}.")
     return recording
@@ -510,10 +517,10 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     objective = read_objective(doc, file.objective)
     method = file.method or default_method(len(file.tune))
     if method is None:
-        many = f"with more than {MOST_SECANTS} parameters"
+        secant_note = f"with more than {MOST_SECANTS} parameters"
         doc.fail(
             ("method",),
-            f"is missing: {many}, name local_gradient or wide_differences, or {_SEARCH}.",
+            f"is missing: {secant_note}, name local_gradient or wide_differences, or {_SEARCH}.",
         )
     recording = _read_recording(doc, file.recording, objective, recorded)
     if not file.tune:
@@ -523,7 +530,8 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     tuning = Tuning(
         **walk,
         tuned=tuple(
-            (each or Tuned()).of(doc, name, parameters[name]) for name, each in file.tune.items()
+            (declared or Tuned()).of(doc, name, parameters[name])
+            for name, declared in file.tune.items()
         ),
         objective=objective,
         recording=recording,
@@ -535,7 +543,7 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     if wrong := too_many(round(tuning.starts * walks)):
         doc.fail(("starts",), f"is {tuning.starts:,}, each with {walks:g} walks: {wrong}")
     check_sources(doc, tuning, {"tune": list(tuning.names)})
-    low = {each.name: each.low for each in tuning.tuned}.get("frequency")
+    low = {declared.name: declared.low for declared in tuning.tuned}.get("frequency")
     if low is not None and "frequency" in tuning.setup.timing and tuning.run.duration is None:
         # A run of a given number of cycles lasts longer at a lower frequency.
         cycles = float(tuning.run.cycles)  # type: ignore[arg-type]
@@ -546,6 +554,8 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
                 f"begins at {low:g} Hz, where {cycles:g} cycles {lasts}: allowed is {cycles / LONGEST_RUN:.3g} Hz or "
                 "more, or give run: {duration: seconds}.",
             )
-    ranges = {each.name: np.linspace(each.low, each.high, 5) for each in tuning.tuned}
+    ranges = {
+        declared.name: np.linspace(declared.low, declared.high, 5) for declared in tuning.tuned
+    }
     check_reach(doc, tuning.setup, tuning.fixed, {"tune": ranges})
     return tuning

@@ -103,12 +103,12 @@ def metric(
                 f"metrics has {name}: expected a function with a name, which the column gets."
             )
         doc = (getattr(function, "__doc__", None) or "").strip().partition("\n")[0].rstrip(".")
-        found = OwnMetric(
+        custom_metric = OwnMetric(
             unit, doc or f"{reduce} of {name}", better, name, function, reduce, per, limb, across
         )
         if not isinstance(unit, str) or not unit:
             raise ParameterError(
-                f"metrics has {found.place} with the unit {unit!r}: expected a text, such as 'rad/s'."
+                f"metrics has {custom_metric.place} with the unit {unit!r}: expected a text, such as 'rad/s'."
             )
         choices: dict[str, tuple[str | None, ...]] = {
             "better": (None, *SIDES),
@@ -116,45 +116,47 @@ def metric(
         }
         choices |= {"per": PER, "limb": LIMBS, "across": ACROSS}
         for field, allowed in choices.items():
-            value = getattr(found, field)
+            value = getattr(custom_metric, field)
             if value not in allowed:
                 hint = did_you_mean(str(value), filter(None, allowed))
                 listed = ", ".join(map(str, allowed))
                 raise ParameterError(
-                    f"metrics has {found.place} with {field}={value!r}: allowed is {listed}{hint}"
+                    f"metrics has {custom_metric.place} with {field}={value!r}: allowed is {listed}{hint}"
                 )
-        return found
+        return custom_metric
 
     return made
 
 
-def load_metrics(where: str) -> tuple[OwnMetric, ...]:
+def load_metrics(reference: str) -> tuple[OwnMetric, ...]:
     """The metrics that a text names, in the order of their file; the same objects as long as the file does not change.
 
     Args:
-        where: `FILE.py`, `FILE.py:NAME`, `MODULE` or `MODULE:NAME`.
+        reference: `FILE.py`, `FILE.py:NAME`, `MODULE` or `MODULE:NAME`.
 
     Raises:
         ParameterError: the file, module or name does not exist, cannot be imported, or contains no metric.
         FileError: nothing may be run here, and what says what is in the file is damaged.
     """
-    source = source_of(where)
+    source = source_of(reference)
     name = source.name
-    if not RUNS_CODE.get() and (known := _read_only(source)) is not None:
-        return known
+    if not RUNS_CODE.get() and (declared := _read_only(source)) is not None:
+        return declared
     module = source.module()
-    found = {key: each for key, each in vars(module).items() if isinstance(each, OwnMetric)}
-    if name in vars(module) and name not in found:
+    metrics_by_name = {
+        key: item for key, item in vars(module).items() if isinstance(item, OwnMetric)
+    }
+    if name in vars(module) and name not in metrics_by_name:
         raise ParameterError(
             f"{source.subject}: {name} is no metric; write @metric(unit=...) above its function."
         )
-    if name and name not in found:
-        raise source.missing(list(found))
-    if not found:
+    if name and name not in metrics_by_name:
+        raise source.missing(list(metrics_by_name))
+    if not metrics_by_name:
         raise ParameterError(
             f"{source.subject}: it has no metric; write @metric(unit=...) above a function."
         )
-    return tuple(each for key, each in found.items() if name in ("", key))
+    return tuple(item for key, item in metrics_by_name.items() if name in ("", key))
 
 
 #: The file beside a directory's copies of metrics that says what is in them: whoever only reads does not run these.
@@ -170,15 +172,17 @@ class _Kept(BaseModel, extra="forbid"):
     better: Literal["high", "low", "zero"] | None
 
 
-def kept_metrics(named: Iterable[str]) -> bytes:
+def kept_metrics(references: Iterable[str]) -> bytes:
     """The content of `KEPT`: digest of a file -> name, unit, meaning and side of each metric in it that is named."""
-    found: dict[str, list[dict[str, Any]]] = {}
-    for where in (each for each in named if source_of(each).place.endswith(".py")):
-        found.setdefault(_digest_of_file(source_of(where)), []).extend(
-            {field: getattr(each, field) for field in _Kept.model_fields}
-            for each in load_metrics(where)
+    metrics_by_file: dict[str, list[dict[str, Any]]] = {}
+    for reference in (
+        candidate for candidate in references if source_of(candidate).place.endswith(".py")
+    ):
+        metrics_by_file.setdefault(_digest_of_file(source_of(reference)), []).extend(
+            {field: getattr(candidate, field) for field in _Kept.model_fields}
+            for candidate in load_metrics(reference)
         )
-    return (json.dumps(found, indent=2) + "\n").encode()
+    return (json.dumps(metrics_by_file, indent=2) + "\n").encode()
 
 
 def _read_only(source: Source) -> tuple[OwnMetric, ...] | None:
@@ -191,21 +195,25 @@ def _read_only(source: Source) -> tuple[OwnMetric, ...] | None:
     )
     if several is None:
         return None
-    found = [OwnMetric(**about, function=lambda sensors: sensors.gyro[0]) for about in several]
-    return tuple(each for each in found if source.name in ("", each.name))
+    metrics = [OwnMetric(**fields, function=lambda sensors: sensors.gyro[0]) for fields in several]
+    return tuple(
+        custom_metric for custom_metric in metrics if source.name in ("", custom_metric.name)
+    )
 
 
 def _digest_of_file(source: Source) -> str:
     return hashlib.sha256(source.content()[1]).hexdigest()
 
 
-def metrics_digest(where: str) -> str:
+def metrics_digest(reference: str) -> str:
     """A hash of the names of metrics and of the file that defines them; not of what that file imports.
 
     Raises:
         ParameterError: see `load_metrics`.
     """
-    return source_of(where).digest(*(each.name for each in load_metrics(where)))
+    return source_of(reference).digest(
+        *(custom_metric.name for custom_metric in load_metrics(reference))
+    )
 
 
 def source_of(where: str) -> Source:
@@ -230,8 +238,10 @@ def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
     Raises:
         ParameterError: names the function, its file and what is wrong.
     """
-    for each in metrics:
-        numbers_at_rest(f"metrics has {each.place}", each.function, at_rest(config))
+    for custom_metric in metrics:
+        numbers_at_rest(
+            f"metrics has {custom_metric.place}", custom_metric.function, at_rest(config)
+        )
 
 
 def at_rest(config: RobotConfig) -> Sensors:
@@ -244,7 +254,7 @@ def at_rest(config: RobotConfig) -> Sensors:
 
 
 def numbers_at_rest(
-    subject: str, function: Callable[[Any], Any], given: Any, *, several: bool = False
+    subject: str, function: Callable[[Any], Any], argument: Any, *, several: bool = False
 ) -> np.ndarray:
     """What an own function gives for a robot at rest, `given`; `subject` begins messages.
 
@@ -252,24 +262,24 @@ def numbers_at_rest(
         ParameterError: it cannot be compiled, or gives something else than one finite number, or with `several` a list.
     """
     with user_code(f"{subject}, which fails"):
-        found = jax.jit(function)(given)
-    number = isinstance(found, jax.Array) and not jnp.issubdtype(found.dtype, jnp.complexfloating)
-    if not number or found.ndim > several or not found.size:
+        result = jax.jit(function)(argument)
+    number = isinstance(result, jax.Array) and not jnp.issubdtype(result.dtype, jnp.complexfloating)
+    if not number or result.ndim > several or not result.size:
         expected = "one number, or several in one axis" if several else "one number"
-        raise ParameterError(f"{subject}, which gives {described(found)}: expected {expected}.")
-    values = np.asarray(found, float)
+        raise ParameterError(f"{subject}, which gives {described(result)}: expected {expected}.")
+    values = np.asarray(result, float)
     if not np.isfinite(values).all():
         wrong = f"{float(values):g}" if not values.ndim else values.tolist()
         raise ParameterError(
             f"{subject}, which gives {wrong} for a robot at rest, where forces and velocities are 0: guard it, as by "
             "jnp.where."
         )
-    return np.asarray(found)
+    return np.asarray(result)
 
 
-def described(given: Any) -> str:
+def described(value: Any) -> str:
     """What a function gave, in words."""
-    shape = getattr(given, "shape", None)
+    shape = getattr(value, "shape", None)
     if shape == ():
-        return f"one number of type {given.dtype}"
-    return f"an array of shape {shape}" if shape else type(given).__name__
+        return f"one number of type {value.dtype}"
+    return f"an array of shape {shape}" if shape else type(value).__name__

@@ -158,7 +158,7 @@ def headed() -> dict[str, str]:
     >>> headed()["roll_std"], headed()["electrical_cost_of_transport"]
     ('Attitude', 'Energy')
     """
-    found, heading = {}, ""
+    headings, heading = {}, ""
     for name in METRICS:
-        found[name] = heading = HEADINGS.get(name, heading)
-    return found
+        headings[name] = heading = HEADINGS.get(name, heading)
+    return headings

@@ -161,7 +161,9 @@ class MetricState:
     finished: Truth
 
 
-def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = False) -> MetricState:
+def init(
+    sensors: Sensors, custom: tuple[OwnMetric, ...] = (), switches: bool = False
+) -> MetricState:
     """Accumulators before the first tick, from the readings at rest, with those of custom metrics and of switches."""
     position, angles = sensors.position, attitude(sensors.orientation)
     zero = jnp.zeros((), position.dtype)
@@ -197,8 +199,8 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         eyes=eye_metrics.init_eye(sensors),
         penetration=zero,
         driven=_driven(sensors),
-        own=reduction.init_own(runs, sensors) if (runs := per(own, "run")) else None,
-        strides=stride_metrics.init_strides(per(own, "stride"), sensors),
+        own=reduction.init_own(runs, sensors) if (runs := per(custom, "run")) else None,
+        strides=stride_metrics.init_strides(per(custom, "stride"), sensors),
         switching_roll=zero if switches else None,
         on_path=no,
         lost=no,
@@ -241,7 +243,7 @@ class Tick(NamedTuple):
 
 
 def update(
-    window: Window, state: MetricState, tick: Tick, own: tuple[OwnMetric, ...] = ()
+    window: Window, state: MetricState, tick: Tick, custom: tuple[OwnMetric, ...] = ()
 ) -> MetricState:
     """Add one control tick.
 
@@ -249,35 +251,38 @@ def update(
         window: Time in which metrics are measured.
         state: Accumulators so far.
         tick: Tick to add.
-        own: Custom metrics, the same as for `init`.
+        custom: Custom metrics, the same as for `init`.
     """
-    lost, tick = _without_invalid(state, tick)
+    is_lost, tick = _without_invalid(state, tick)
     sensors, time, dt, rate, path = tick.sensors, tick.time, tick.dt, tick.cycle_rate, tick.path
     last = jax.tree.map(lambda leaf: leaf[-1], sensors)
-    failure = _failure(window, state, tick, last, lost)
+    failure = _failure(window, state, tick, last, is_lost)
 
     angles = attitude(last.orientation)
     turns = jnp.round((angles[2] - state.readings[2]) / (2 * jnp.pi))
     angles = angles.at[2].add(-2 * jnp.pi * turns)
-    course, turning = _course(state, tick, angles[2], lost)
+    course, turning = _course(state, tick, angles[2], is_lost)
     ahead = jnp.stack([jnp.sin(course), -jnp.cos(course)]) if path is None else path.tangent
-    step = jnp.where(lost, 0.0, (last.position - state.position)[:2] @ ahead)
+    step = jnp.where(is_lost, 0.0, (last.position - state.position)[:2] @ ahead)
     travelled = state.travelled + step
 
-    goes_on, far_enough = ~(failure["fell"] | lost | state.finished), travelled >= window.distance
+    goes_on, far_enough = (
+        ~(failure["fell"] | is_lost | state.finished),
+        travelled >= window.distance,
+    )
     part = measured_part(window, state.time, state.path.cycles, time, dt, rate, goes_on, far_enough)
     share = jnp.where(state.begun, part.weight / jnp.where(state.begun, part.elapsed, 1.0), 1.0)
     deviation = angles - state.mean
     mean = state.mean + share * deviation
-    error = jnp.zeros(()) if path is None else jnp.where(lost, 0.0, path.error)
+    error = jnp.zeros(()) if path is None else jnp.where(is_lost, 0.0, path.error)
     readings = jnp.append(angles, error)
     low, high = _extremes(state, readings, part)
     loaded, slid = _contact(sensors)
     integrals = _integrals(state, tick, part.weight, error, loaded, slid)
     switching, roll = _switching(state, tick, part.weight, slid, loaded, step / dt, angles[0])
     ends = _ends(state, last.position, angles[2], part)
-    moved = (last.position - ends["origin"])[:2]
-    meant = ~lost & (time > 0.0)
+    displacement = (last.position - ends["origin"])[:2]
+    is_counted = ~is_lost & (time > 0.0)
     return MetricState(
         time=part.elapsed,
         way=state.way + part.weight / dt * step,
@@ -290,21 +295,21 @@ def update(
         high=high,
         course=course,
         turning=turning,
-        position=jnp.where(lost, state.position, last.position),
+        position=jnp.where(is_lost, state.position, last.position),
         path=path_metrics.update_path(
-            state.path, moved, error, part.weight, part.rest, part.cycle_ends
+            state.path, displacement, error, part.weight, part.rest, part.cycle_ends
         ),
         eyes=eye_metrics.update_eye(state.eyes, last, part.weight, share),
         driven=_driven(last),
         own=None
         if state.own is None
-        else reduction.update_own(per(own, "run"), state.own, sensors, part, share, meant),
+        else reduction.update_own(per(custom, "run"), state.own, sensors, part, share, is_counted),
         strides=stride_metrics.update_strides(
-            per(own, "stride"), state.strides, sensors, loaded, step / dt, part, rate, meant
+            per(custom, "stride"), state.strides, sensors, loaded, step / dt, part, rate, is_counted
         ),
         switching_roll=roll,
         on_path=jnp.asarray(path is not None),
-        lost=lost,
+        lost=is_lost,
         begun=state.begun | part.inside,
         finished=state.finished | part.arrived,
         **failure,
@@ -355,8 +360,10 @@ def _ends(
     state: MetricState, position: Float[Array, " 3"], yaw: Scalar, part: MeasuredPart
 ) -> dict[str, Array]:
     """Positions where measuring began and ended so far, and the yaw there, as fields of `MetricState`."""
-    first, final = (_between(state.position, position, at) for at in (part.begin, part.end))
-    begin, end = (_between(state.readings[2], yaw, at) for at in (part.begin, part.end))
+    first, final = (
+        _between(state.position, position, end_time) for end_time in (part.begin, part.end)
+    )
+    begin, end = (_between(state.readings[2], yaw, end_time) for end_time in (part.begin, part.end))
     begin = jnp.where(state.begun, state.heading[0], begin)
     return {
         "origin": jnp.where(state.begun, state.origin, first),
@@ -438,9 +445,9 @@ def _switching(
     return measured, jnp.maximum(state.switching_roll, within)
 
 
-def per(own: tuple[OwnMetric, ...], what: str) -> tuple[OwnMetric, ...]:
+def per(custom: tuple[OwnMetric, ...], period: str) -> tuple[OwnMetric, ...]:
     """The custom metrics of a `run`, or of a `stride`."""
-    return tuple(each for each in own if each.per == what)
+    return tuple(custom_metric for custom_metric in custom if custom_metric.per == period)
 
 
 def _extremes(state: MetricState, readings: Array, part: MeasuredPart) -> tuple[Array, Array]:
@@ -485,7 +492,7 @@ def result(
     mass: Scalar,
     gravity: Any = GRAVITY,
     supply: electrical.Supply | None = None,
-    own: tuple[OwnMetric, ...] = (),
+    custom: tuple[OwnMetric, ...] = (),
 ) -> dict[str, Scalar]:
     """The metrics of one world, named as in `METRICS`, and the custom ones. A metric that was never measured is NaN.
 
@@ -496,16 +503,16 @@ def result(
         mass: of the robot [kg].
         gravity: for the robot's weight [m/s^2].
         supply: servos and battery; the defaults if None.
-        own: custom metrics, the same as for `init`.
+        custom: custom metrics, the same as for `init`.
     """
-    begun, time = state.begun, jnp.where(state.begun, state.time, 1.0)
+    has_begun, time = state.begun, jnp.where(state.begun, state.time, 1.0)
     metrics = _walk_metrics(state, time) | _foot_metrics(state.sums, time)
     metrics |= _energy_metrics(state, time, mass * gravity, supply)
     if state.switching_roll is not None:
         metrics |= transitions.transition_result(state.sums, state.switching_roll)
     for name, value in metrics.items():
-        known = begun & state.on_path if name.startswith("cross_track") else begun
-        metrics[name] = jnp.where(known, value, jnp.nan)
+        is_known = has_begun & state.on_path if name.startswith("cross_track") else has_begun
+        metrics[name] = jnp.where(is_known, value, jnp.nan)
     metrics |= {
         "duration": state.time,
         "servo_work": state.sums["work"],
@@ -513,10 +520,10 @@ def result(
         "diverged": state.diverged.astype(time.dtype),
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
-    metrics |= stride_metrics.stride_result(state.strides, per(own, "stride"))
+    metrics |= stride_metrics.stride_result(state.strides, per(custom, "stride"))
     if state.own is not None:
-        metrics |= reduction.own_result(per(own, "run"), state.own, begun, time)
-    names = (*METRICS, *transitions.TRANSITION, *(each.name for each in own))
+        metrics |= reduction.own_result(per(custom, "run"), state.own, has_begun, time)
+    names = (*METRICS, *transitions.TRANSITION, *(custom_metric.name for custom_metric in custom))
     return {name: metrics[name] for name in names if name in metrics}
 
 

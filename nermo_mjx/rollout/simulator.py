@@ -141,7 +141,12 @@ class RunResult:
             "engine": self.engine,
             "versions": versions(),
             **(
-                {"units": {each.name: each.unit for each in self.setup.own_metrics}}
+                {
+                    "units": {
+                        custom_metric.name: custom_metric.unit
+                        for custom_metric in self.setup.own_metrics
+                    }
+                }
                 if self.setup.metrics
                 else {}
             ),
@@ -241,7 +246,7 @@ class Simulator:
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = Lanes(functools.partial(measures.result, own=self.loop.own))
+        self._results = Lanes(functools.partial(measures.result, custom=self.loop.own))
 
     def with_setup(self, setup: Setup) -> Simulator:
         """A simulator for a setup that differs only in `PRESETTINGS`, with the same programs: nothing is recompiled.
@@ -253,9 +258,9 @@ class Simulator:
             raise ParameterError(
                 "setup differs in more than gait, steering and profile: it needs its own simulator."
             )
-        other = copy.copy(self)
-        other.setup = setup
-        return other
+        simulator = copy.copy(self)
+        simulator.setup = setup
+        return simulator
 
     def parameters(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Checked parameters of a batch: the setup's defaults, with the named values replaced.
@@ -288,7 +293,7 @@ class Simulator:
             raise ParameterError(f"the batch is too large: {wrong}")
         run = of_type("run", Run() if run is None else run, Run, "a Run")
         rate = np.asarray(self.controller.cycle_rate(params.control), float)
-        begin, end = (np.broadcast_to(each, worlds) for each in run.seconds(rate))
+        begin, end = (np.broadcast_to(bound, worlds) for bound in run.seconds(rate))
         if end.max() > LONGEST:
             raise ParameterError(
                 f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST:g} s."
@@ -510,12 +515,12 @@ def _batched(
 ) -> tuple[WorldParameters, int]:
     """All leaves with a leading world axis, and the number of worlds; `single` has the shapes of one world."""
     sizes = {np.shape(value)[0]: name for name, value in values.items() if np.ndim(value)}
-    own = zip(jax.tree.leaves(params.control), jax.tree.leaves(single.control), strict=True)
-    for leaf, one in own:
-        extra = np.shape(leaf)[: np.ndim(leaf) - np.ndim(one)]
-        if len(extra) > 1 or np.shape(leaf)[len(extra) :] != np.shape(one):
+    leaf_pairs = zip(jax.tree.leaves(params.control), jax.tree.leaves(single.control), strict=True)
+    for leaf, single_leaf in leaf_pairs:
+        extra = np.shape(leaf)[: np.ndim(leaf) - np.ndim(single_leaf)]
+        if len(extra) > 1 or np.shape(leaf)[len(extra) :] != np.shape(single_leaf):
             raise ParameterError(
-                f"policy has a leaf of shape {np.shape(leaf)}: expected {np.shape(one)}, or one entry more in front, a "
+                f"policy has a leaf of shape {np.shape(leaf)}: expected {np.shape(single_leaf)}, or one entry more in front, a "
                 "world each."
             )
         if extra:
@@ -529,9 +534,9 @@ def _batched(
     if not worlds:
         raise ParameterError(f"{sizes[0]} has no values: a batch has at least one world.")
 
-    def spread(leaf: Any, one: Any) -> np.ndarray:
+    def spread(leaf: Any, single_leaf: Any) -> np.ndarray:
         leaf = np.asarray(leaf)
-        return np.broadcast_to(leaf, (worlds, *leaf.shape[leaf.ndim - np.ndim(one) :]))
+        return np.broadcast_to(leaf, (worlds, *leaf.shape[leaf.ndim - np.ndim(single_leaf) :]))
 
     return jax.tree.map(spread, params, single), worlds
 

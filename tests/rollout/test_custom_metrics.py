@@ -89,7 +89,7 @@ def reduced(readings: np.ndarray, begin: float, end: float) -> dict[str, float]:
         jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen
     )
     state, _ = jax.lax.scan(tick, start, (DT * np.arange(len(readings)), seen))
-    found = measures.result(state, jnp.asarray(0.27), own=chosen)
+    found = measures.result(state, jnp.asarray(0.27), custom=chosen)
     return {name: float(found[name]) for name in REDUCTIONS}
 
 
@@ -147,7 +147,7 @@ def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None
         jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen
     )
     state, _ = jax.lax.scan(tick, start, (DT * np.arange(ticks), seen))
-    found = measures.result(state, jnp.asarray(0.27), own=chosen)
+    found = measures.result(state, jnp.asarray(0.27), custom=chosen)
     # The front right foot is down from ticks 55, 155, 255 and 355 on, and settles in the eleventh tick.
     strides = [random[begin : begin + period] for begin in (66, 166, 266)]
     ranges = [
@@ -203,7 +203,7 @@ def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
             return measures.update(Window(begin=0.0), state, known, (root,)), None
 
         state, _ = jax.lax.scan(add, start, (DT * np.arange(4), seen))
-        return measures.result(state, jnp.asarray(0.27), own=(root,))["mean"]
+        return measures.result(state, jnp.asarray(0.27), custom=(root,))["mean"]
 
     assert float(jax.jit(mean)(1.0)) == pytest.approx(2.0)
     for derivative in (jax.grad, jax.jacfwd):
