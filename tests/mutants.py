@@ -241,7 +241,7 @@ MUTANTS: Final[dict[str, Mutant]] = {
     "rest_of_cycle": Mutant(
         "rollout/path_metrics.py",
         "place=is_open * sum_place + rest_time * position",
-        "place=kept * sum_place",
+        "place=is_open * sum_place",
         "The mean position of a gait cycle misses the rest of the tick in which the last cycle ended.",
     ),
     # runs
