@@ -68,7 +68,7 @@ class Body:
     def _add(
         self,
         kind: str,
-        of: str,
+        element: str,
         i: int,
         unit: str,
         default: float = 0.0,
@@ -78,10 +78,18 @@ class Body:
         """Add a parameter if its kind is free, with a range about its default, or about a scale without a default."""
         if kind not in self._free:
             return
-        about, name, default = KINDS[kind], f"{kind}.{of}" if of else kind, float(default)
-        low, value, high = np.array(about["range" if default > 0 else "unset"]) * (default or scale)
+        description, name, default = (
+            KINDS[kind],
+            f"{kind}.{element}" if element else kind,
+            float(default),
+        )
+        low, value, high = np.array(description["range" if default > 0 else "unset"]) * (
+            default or scale
+        )
         neutral = default if default > 0 or low <= 0 else math.nan
-        self.parameters[name] = Parameter(name, kind, unit, value, low, high, about["why"], neutral)
+        self.parameters[name] = Parameter(
+            name, kind, unit, value, low, high, description["why"], neutral
+        )
         self._places[name], self.dofs[name] = (kind, i), dof
 
     def joint(self, name: str) -> int:
@@ -91,8 +99,8 @@ class Body:
             ParameterError: there is none.
         """
         model = self.model
-        if (found := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)) >= 0:
-            return int(found)
+        if (joint_id := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)) >= 0:
+            return int(joint_id)
         return int(model.actuator_trnid[self.actuator(name), 0])
 
     def actuator(self, name: str) -> int:
@@ -102,9 +110,11 @@ class Body:
             ParameterError: there is none.
         """
         model = self.model
-        for each in (name, f"{name}_servo"):
-            if (found := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, each)) >= 0:
-                return int(found)
+        for candidate in (name, f"{name}_servo"):
+            if (
+                actuator_id := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, candidate)
+            ) >= 0:
+                return int(actuator_id)
         joints = [model.joint(int(i)).name for i in model.actuator_trnid[:, 0]]
         if name in joints:
             return joints.index(name)
@@ -112,8 +122,10 @@ class Body:
             raise ParameterError(
                 f"no actuator of the model turns the joint {name!r}: {_SERVO.format(name, name)}."
             )
-        known = [model.actuator(i).name for i in range(model.nu)]
-        raise ParameterError(f"the model has no servo or joint {name!r}{did_you_mean(name, known)}")
+        actuator_names = [model.actuator(i).name for i in range(model.nu)]
+        raise ParameterError(
+            f"the model has no servo or joint {name!r}{did_you_mean(name, actuator_names)}"
+        )
 
     def commanded(self, channel: Channel) -> int:
         """Id of the actuator that a channel commands.
@@ -175,9 +187,9 @@ class Body:
         column = dict(zip(names, values.T, strict=True))
         if not {"dead_band", "backlash"} & column.keys():
             return None
-        model, none = self.model, np.zeros(len(values))
+        model, zeros = self.model, np.zeros(len(values))
         gains = [
-            column.get(f"kp.{model.actuator(i).name}", model.actuator_gainprm[i, 0] + none)
+            column.get(f"kp.{model.actuator(i).name}", model.actuator_gainprm[i, 0] + zeros)
             for i in range(model.nu)
         ]
         force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], 1e6)
@@ -186,7 +198,7 @@ class Body:
             model.actuator_forcelimited, 1.0, 1e6 / (0.1 * model.actuator_gainprm[:, 0])
         )
         dead_band, backlash = (
-            column.get(each, none)[:, None] for each in ("dead_band", "backlash")
+            column.get(kind, zeros)[:, None] for kind in ("dead_band", "backlash")
         )
         return Play(
             dead_band,
@@ -199,9 +211,9 @@ class Body:
 
     def at(self, values: Mapping[str, float]) -> Body:
         """The body with other values of named parameters."""
-        other = copy.copy(self)
-        other.fixed = self.fixed | dict(values)
-        return other
+        body = copy.copy(self)
+        body.fixed = self.fixed | dict(values)
+        return body
 
     def start(self) -> np.ndarray:
         """Positions of the model at rest (nq,)."""
@@ -223,26 +235,31 @@ class MjcfBody(Body):
         """
         try:
             spec = read_mjcf(path)
-            whole = spec.copy()
+            full_spec = spec.copy()
         except ParameterError as error:
             raise ParameterError(f"model{str(error).removeprefix('scene')}") from None
         try:
-            seen = {each.quantity for one in log for each in one.channels}
-            held = not seen & {"gyro", "accelerometer", "position", "yaw"} and _hold(spec)
+            quantities = {
+                logged_channel.quantity for log_part in log for logged_channel in log_part.channels
+            }
+            is_held = not quantities & {"gyro", "accelerometer", "position", "yaw"} and _hold(spec)
             super().__init__(spec.compile(), free)
-            self._spec = whole if held else spec
+            self._spec = full_spec if is_held else spec
         except ParameterError:
             raise
         except (ValueError, OSError) as error:
             raise ParameterError(
                 f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]})."
             ) from None
-        if held:
+        if is_held:
             self.notes.append(
                 "No channel sees the base: it is held where the model puts it, and nothing touches the ground."
             )
         commanded = {
-            channel.of for one in log for channel in one.channels if channel.quantity == "command"
+            channel.of
+            for log_part in log
+            for channel in log_part.channels
+            if channel.quantity == "command"
         }
         self._add_all(sorted(self.actuator(name) for name in commanded))
 
@@ -317,15 +334,16 @@ def _hold(spec: mujoco.MjSpec) -> bool:
     for body in spec.bodies:
         body.name = body.name or f"body_{body.id}"
     # A parent that moves never touches its children, but one that stands still does; one that hangs is above ground.
-    for one in spec.bodies:
-        for other in spec.bodies:
+    for first_body in spec.bodies:
+        for second_body in spec.bodies:
             child = (
-                welded[one.id] in bases and welded[other.id] != welded[one.id] == above[other.id]
+                welded[first_body.id] in bases
+                and welded[second_body.id] != welded[first_body.id] == above[second_body.id]
             )
-            if child or welded[one.id] == 0 < welded[other.id]:
-                spec.add_exclude(bodyname1=one.name, bodyname2=other.name)
-    for each in [*spec.keys, *free]:
-        spec.delete(each)
+            if child or welded[first_body.id] == 0 < welded[second_body.id]:
+                spec.add_exclude(bodyname1=first_body.name, bodyname2=second_body.name)
+    for element in [*spec.keys, *free]:
+        spec.delete(element)
     return True
 
 
@@ -342,16 +360,17 @@ class NermoBody(Body):
         super().__init__(nermo.physical, free)
         self._variation, self.standing = Variation(nermo), dict(mass_values(robot))
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-        known = replace_quantities(ModelParameters(), self.standing)
-        for name, about in _TEXTS["nermo"].items():
-            if about["kind"] not in self._free:
+        parameters = replace_quantities(ModelParameters(), self.standing)
+        for name, description in _TEXTS["nermo"].items():
+            if description["kind"] not in self._free:
                 continue
-            value = about.get(
-                "value", functools.reduce(getattr, name.split("."), known) if "." in name else 0.0
+            value = description.get(
+                "value",
+                functools.reduce(getattr, name.split("."), parameters) if "." in name else 0.0,
             )
-            value = min(max(float(value), about["low"]), about["high"])
+            value = min(max(float(value), description["low"]), description["high"])
             self.parameters[name] = Parameter(
-                **{"name": name, "neutral": math.nan, **about, "value": value}
+                **{"name": name, "neutral": math.nan, **description, "value": value}
             )
         for i, servo in enumerate(nermo.servos[:9]):
             self._add("bias", servo, i, "rad")

@@ -22,7 +22,7 @@ def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
     Returns:
         Formula, relative standard deviation, and the names in it; the best known first.
     """
-    space, found = fit.space, list[tuple[str, float, tuple[str, ...]]]()
+    space, compensations = fit.space, list[tuple[str, float, tuple[str, ...]]]()
     logs = fit.draws * space.deviation
     loose = [i for i in range(len(space)) if space.log[i] and not fit.determined[i]]
     group = {i: i for i in loose}
@@ -31,9 +31,11 @@ def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
         for j in loose[a + 1 :]:
             for exponent in _EXPONENTS:
                 deviation = float(np.std(logs[:, i] + exponent * logs[:, j]))
-                alone = min(float(np.std(logs[:, i])), abs(exponent) * float(np.std(logs[:, j])))
+                single_deviation = min(
+                    float(np.std(logs[:, i])), abs(exponent) * float(np.std(logs[:, j]))
+                )
                 narrow = 3.29 * deviation < DETERMINED * space.width[i]
-                if narrow and deviation * BETTER < alone:
+                if narrow and deviation * BETTER < single_deviation:
                     pairs.append((deviation, i, j, exponent))
     for deviation, i, j, exponent in sorted(
         pairs
@@ -41,12 +43,16 @@ def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
         if group[i] == group[j]:
             continue
         group = {k: group[i] if g == group[j] else g for k, g in group.items()}
-        one, other = space.parameters[i].name, space.parameters[j].name
+        first_name, second_name = space.parameters[i].name, space.parameters[j].name
         power = "" if abs(exponent) == 1 else f"^{abs(exponent):g}"
-        found.append(
-            (f"{one} {'/' if exponent < 0 else '*'} {other}{power}", deviation, (one, other))
+        compensations.append(
+            (
+                f"{first_name} {'/' if exponent < 0 else '*'} {second_name}{power}",
+                deviation,
+                (first_name, second_name),
+            )
         )
-    return found
+    return compensations
 
 
 def percent(share: float) -> str:
@@ -56,31 +62,31 @@ def percent(share: float) -> str:
 
 def determinacy_sentences(fit: Fit) -> list[str]:
     """What the data determine, in words."""
-    space, said = fit.space, list[str]()
-    names = np.array([each.name for each in space.parameters])
+    space, sentences = fit.space, list[str]()
+    names = np.array([parameter.name for parameter in space.parameters])
     bound = fit.at_bound
-    known = [names[i] for i in range(len(names)) if fit.determined[i]]
+    determined_names = [names[i] for i in range(len(names)) if fit.determined[i]]
     loose = [names[i] for i in range(len(names)) if not fit.determined[i]]
     products = combinations(fit)
-    if known:
-        said.append(f"Determined: {', '.join(known)}.")
+    if determined_names:
+        sentences.append(f"Determined: {', '.join(determined_names)}.")
     if products:
         listed = ", ".join(
             f"{formula} to {percent(deviation)}" for formula, deviation, _ in products
         )
-        said.append(
+        sentences.append(
             f"Determined only together: {listed}; each of these parameters alone could be another."
         )
     if loose:
-        said.append(
+        sentences.append(
             f"Not determined by these data: {', '.join(loose)}. Where they stay near the default, that is no result."
         )
-    if not known and not products:
-        said.append("These data determine none of the parameters.")
+    if not determined_names and not products:
+        sentences.append("These data determine none of the parameters.")
     for name, end in zip(names, bound, strict=True):
         if end:
-            said.append(f"{name} is at its {end} bound.")
-    return said
+            sentences.append(f"{name} is at its {end} bound.")
+    return sentences
 
 
 # --- model classes
@@ -108,8 +114,10 @@ EXCESS: Final = 0.05
 
 def judge(measured: LoggedSamples, residual: np.ndarray) -> Judgement:
     """Compare residuals (n,) with their white part, channel by channel."""
-    size = measured.by_channel(lambda each, i: rms(each), residual)
-    noise = measured.by_channel(lambda each, i: floor(each, measured.quantum[i]), residual)
+    size = measured.by_channel(lambda channel_values, i: rms(channel_values), residual)
+    noise = measured.by_channel(
+        lambda channel_values, i: floor(channel_values, measured.quantum[i]), residual
+    )
     counts = np.bincount(measured.channel, minlength=len(measured.quantum))
     with np.errstate(divide="ignore", invalid="ignore"):
         white = np.where(size > 0, np.minimum((noise / size) ** 2, 1.0), 1.0)
@@ -122,28 +130,30 @@ def dispensable(fit: Fit) -> list[str]:
 
     A kind is left out if the mean square rises by less than chance lets it (Wald, with the posterior's covariance).
     """
-    space, left = fit.space, list[str]()
-    kinds = list(dict.fromkeys(each.kind for each in space.parameters))
+    space, left_out = fit.space, list[str]()
+    kinds = list(dict.fromkeys(parameter.kind for parameter in space.parameters))
     optional = [
         k for k in kinds if all(math.isfinite(p.neutral) for p in space.parameters if p.kind == k)
     ]
     covariance = (fit.directions * fit.share**2) @ fit.directions.T
-    away = fit.x - space.coordinates(np.array([each.absent for each in space.parameters]))
+    distance = fit.x - space.coordinates(
+        np.array([parameter.absent for parameter in space.parameters])
+    )
     while optional:
 
         def rise(kind: str) -> float:
-            chosen = [i for i, p in enumerate(space.parameters) if p.kind in (*left, kind)]
-            block = covariance[np.ix_(chosen, chosen)]
-            return float(away[chosen] @ np.linalg.solve(block, away[chosen])) / (
-                len(chosen) + 2 * math.sqrt(2 * len(chosen))
+            indices = [i for i, p in enumerate(space.parameters) if p.kind in (*left_out, kind)]
+            block = covariance[np.ix_(indices, indices)]
+            return float(distance[indices] @ np.linalg.solve(block, distance[indices])) / (
+                len(indices) + 2 * math.sqrt(2 * len(indices))
             )
 
-        least = min(optional, key=rise)
-        if rise(least) > 1.0:
+        least_needed = min(optional, key=rise)
+        if rise(least_needed) > 1.0:
             break
-        left.append(least)
-        optional.remove(least)
-    return left
+        left_out.append(least_needed)
+        optional.remove(least_needed)
+    return left_out
 
 
 def gain_of(fit: Fit, extra: np.ndarray, white: np.ndarray) -> float:

@@ -85,10 +85,10 @@ class ParameterSpace:
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
         self.parameters = tuple(parameters)
-        self.log = np.array([each.logarithmic for each in parameters], bool)
-        self._centre = self._scaled(np.array([each.value for each in parameters], float))
+        self.log = np.array([parameter.logarithmic for parameter in parameters], bool)
+        self._centre = self._scaled(np.array([parameter.value for parameter in parameters], float))
         ends = [
-            self._scaled(np.array([getattr(each, end) for each in parameters], float))
+            self._scaled(np.array([getattr(parameter, end) for parameter in parameters], float))
             for end in ("low", "high")
         ]
         self.width = ends[1] - ends[0]
@@ -128,10 +128,12 @@ class LoggedSamples:
     quantum: np.ndarray
 
     def by_channel(
-        self, of: Callable[[np.ndarray, int], float], residual: np.ndarray
+        self, statistic: Callable[[np.ndarray, int], float], residual: np.ndarray
     ) -> np.ndarray:
         """A number for each channel from its residuals and its index (channels,)."""
-        return np.array([of(residual[self.channel == i], i) for i in range(len(self.quantum))])
+        return np.array(
+            [statistic(residual[self.channel == i], i) for i in range(len(self.quantum))]
+        )
 
 
 def rms(residual: np.ndarray) -> float:
@@ -178,7 +180,7 @@ class Fit:
     @property
     def bodies(self) -> np.ndarray:
         """Values of the draws inside the ranges (n, p): cut at an end, one would lose what is determined together."""
-        free = [not each for each in self.at_bound]
+        free = [not is_bound for is_bound in self.at_bound]
         inside = ((self.draws >= self.space.low) & (self.draws <= self.space.high))[:, free].all(
             axis=1
         )
@@ -201,8 +203,8 @@ class Fit:
         near = 1e-3 * (self.space.high - self.space.low)
         low, high = self.x < self.space.low + near, self.x > self.space.high - near
         return [
-            "lower" if one else "upper" if other else ""
-            for one, other in zip(low, high, strict=True)
+            "lower" if is_low else "upper" if is_high else ""
+            for is_low, is_high in zip(low, high, strict=True)
         ]
 
 
@@ -255,9 +257,11 @@ class Estimation:
 
     def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Whitened residuals (n, k) at coordinates (p, k)."""
-        away = self.problem.predict(self.space.values(x.T)) - self.measured.values
+        difference = self.problem.predict(self.space.values(x.T)) - self.measured.values
         # A model that fails is far away, but not so far that the derivatives beside it are lost.
-        white = np.nan_to_num(away / sigma[self.measured.channel], nan=1e3, posinf=1e3, neginf=-1e3)
+        white = np.nan_to_num(
+            difference / sigma[self.measured.channel], nan=1e3, posinf=1e3, neginf=-1e3
+        )
         return self.problem.project(np.clip(white, -1e3, 1e3).T, sigma)
 
     def minimum(self, x: np.ndarray, sigma: np.ndarray, iterations: int) -> np.ndarray:
@@ -288,33 +292,47 @@ class Estimation:
         return self._cache(found, np.concatenate([x, sigma]))
 
     def _changes(
-        self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, before: np.ndarray
+        self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, base_residual: np.ndarray
     ) -> np.ndarray:
         """Of the residuals (n, 1) at x (p,), by a step (p,) of each parameter alone (n, p), in one batch.
 
         Parameters of parts of the model that do not act on each other share simulations.
         """
-        of, seen = self.problem.parts
-        if len(np.unique(seen)) > 1 and seen.min() >= 0:
-            at = seen[self.measured.channel][:, None]
+        part_of_parameter, part_of_channel = self.problem.parts
+        if len(np.unique(part_of_channel)) > 1 and part_of_channel.min() >= 0:
+            part_of_sample = part_of_channel[self.measured.channel][:, None]
             turn = np.array(
-                [np.sum(of[:i] == each) if each >= 0 else -1 - i for i, each in enumerate(of)]
+                [
+                    np.sum(part_of_parameter[:i] == part) if part >= 0 else -1 - i
+                    for i, part in enumerate(part_of_parameter)
+                ]
             )
-            turns, parts = np.unique(turn), np.unique(of[of >= 0])
-            together = np.concatenate([turn == turns[:, None], of == parts[:, None]])
-            found = self.residual(x[:, None] + step[:, None] * together.T, sigma) - before
-            alone = np.abs(found[:, len(turns) :])
+            turns, parts = np.unique(turn), np.unique(part_of_parameter[part_of_parameter >= 0])
+            joint_steps = np.concatenate(
+                [turn == turns[:, None], part_of_parameter == parts[:, None]]
+            )
+            differences = (
+                self.residual(x[:, None] + step[:, None] * joint_steps.T, sigma) - base_residual
+            )
+            single_parts = np.abs(differences[:, len(turns) :])
             if (
-                alone[at != parts].max(initial=0.0) <= ACTS * alone.max()
+                single_parts[part_of_sample != parts].max(initial=0.0) <= ACTS * single_parts.max()
             ):  # they do not touch each other
-                return np.where((of < 0) | (at == of), found[:, np.searchsorted(turns, turn)], 0.0)
-        return self.residual(x[:, None] + np.diag(step), sigma) - before
+                return np.where(
+                    (part_of_parameter < 0) | (part_of_sample == part_of_parameter),
+                    differences[:, np.searchsorted(turns, turn)],
+                    0.0,
+                )
+        return self.residual(x[:, None] + np.diag(step), sigma) - base_residual
 
     def spread(self) -> np.ndarray:
         """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
         values = self.measured.values
         wide = self.measured.by_channel(
-            lambda each, i: 0.1 * float(np.std(each)) if len(each) else 1.0, values
+            lambda channel_values, i: (
+                0.1 * float(np.std(channel_values)) if len(channel_values) else 1.0
+            ),
+            values,
         )
         return np.maximum(wide, 1e-9)
 
@@ -327,16 +345,23 @@ class Estimation:
 
     def costs(self, points: np.ndarray) -> np.ndarray:
         """Of coordinates (k, p): the sum of the logarithms of the channels' residuals, whose least needs no weights."""
-        of, floor = self.measured, self.spread() * 1e-6
+        samples, floor = self.measured, self.spread() * 1e-6
 
         def found() -> np.ndarray:
-            away = np.nan_to_num(
-                self.problem.predict(self.space.values(points)) - of.values, nan=1e6
+            difference = np.nan_to_num(
+                self.problem.predict(self.space.values(points)) - samples.values, nan=1e6
             )
             return np.array(
                 [
-                    np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each)))
-                    for each in away
+                    np.sum(
+                        np.log(
+                            floor
+                            + samples.by_channel(
+                                lambda channel_values, i: rms(channel_values), channel_values
+                            )
+                        )
+                    )
+                    for channel_values in difference
                 ]
             )
 
@@ -352,19 +377,19 @@ class Estimation:
         """
         low, wide = self.space.low, self.space.high - self.space.low
         middle, random = np.full(len(wide), 0.5), np.random.default_rng(seed)
-        found = strategy(middle, 0.3, POPULATION, random, bounds=[0.0, 1.0], maxiter=generations)
-        while not found.stop():
-            shares = found.ask()
-            found.tell(shares, self.costs(low + np.array(shares) * wide).tolist())
-            if found.countiter % every == 0:
-                yield low + np.asarray(found.best.x) * wide
+        search = strategy(middle, 0.3, POPULATION, random, bounds=[0.0, 1.0], maxiter=generations)
+        while not search.stop():
+            shares = search.ask()
+            search.tell(shares, self.costs(low + np.array(shares) * wide).tolist())
+            if search.countiter % every == 0:
+                yield low + np.asarray(search.best.x) * wide
 
     def weights(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Each channel's residuals, but no less than what its values can tell (channels,)."""
-        away = self.residual(x[:, None], sigma)[:, 0] * sigma[self.measured.channel]
+        difference = self.residual(x[:, None], sigma)[:, 0] * sigma[self.measured.channel]
         coarse = self.measured.quantum / math.sqrt(12)
         return np.maximum(
-            self.measured.by_channel(lambda each, i: rms(each), away),
+            self.measured.by_channel(lambda channel_values, i: rms(channel_values), difference),
             np.maximum(coarse, 1e-3 * self.spread()),
         )
 
@@ -459,19 +484,19 @@ class Estimation:
         few blocks the bootstrap alone would call what it cannot see certain.
         """
         number = self.blocks(white)
-        scores, whole = np.zeros((number.max() + 1, along.shape[1])), np.diag(values + 1.0)
+        scores, precision = np.zeros((number.max() + 1, along.shape[1])), np.diag(values + 1.0)
         for block in range(len(scores)):
             # Of a fit without this block: what it has fitted itself does not tell how much it scatters (CR3).
-            own = along[number == block]
-            scores[block] = whole @ np.linalg.solve(
-                whole - own.T @ own, own.T @ white[number == block]
+            block_rows = along[number == block]
+            scores[block] = precision @ np.linalg.solve(
+                precision - block_rows.T @ block_rows, block_rows.T @ white[number == block]
             )
         scores -= scores.mean(axis=0)
         blocks = len(scores)
         random = np.random.default_rng((seed, 1))
         times = random.multinomial(blocks, np.full(blocks, 1 / blocks), DRAWS)
-        moved = (times - 1) @ scores * math.sqrt(blocks / max(blocks - 1, 1))
-        bootstrap = moved.var(axis=0)
+        jackknife = (times - 1) @ scores * math.sqrt(blocks / max(blocks - 1, 1))
+        bootstrap = jackknife.var(axis=0)
         small = 1.0 + 2.0 / max(blocks - 3, 1)  # variance of Student's t
         return np.sqrt(
             small * np.maximum(bootstrap, values) / (1.0 + values) ** 2 + 1.0 / (1.0 + values) ** 2
@@ -483,10 +508,12 @@ class Estimation:
         span = float(np.ptp(time)) or 1.0
         memory = 0.0
         for i in range(len(self.measured.quantum)):
-            own = white[channel == i]
-            if len(own) > 8 and own.std() > 0:
-                lags = min(len(own) // 4, 400)
-                product = np.correlate(own, own, "full")[len(own) - 1 :][: lags + 1] / (own @ own)
+            channel_samples = white[channel == i]
+            if len(channel_samples) > 8 and channel_samples.std() > 0:
+                lags = min(len(channel_samples) // 4, 400)
+                product = np.correlate(channel_samples, channel_samples, "full")[
+                    len(channel_samples) - 1 :
+                ][: lags + 1] / (channel_samples @ channel_samples)
                 until = np.flatnonzero(product < 0.05)
                 reach = until[0] if len(until) else lags
                 step = float(np.median(np.diff(time[channel == i])))
@@ -517,10 +544,10 @@ def repeated(
         seed: of the starts and of draws.
         report: is told how many searches are done.
     """
-    whole = stages[-1]
-    for each in stages[1:-1]:
-        x, sigma = each.search(x, sigma, steps, 2)
-    fit = whole.fit(x, sigma, steps, seed=seed)
+    full_stage = stages[-1]
+    for stage in stages[1:-1]:
+        x, sigma = stage.search(x, sigma, steps, 2)
+    fit = full_stage.fit(x, sigma, steps, seed=seed)
     random, ends, others, alike = (
         np.random.default_rng((seed, 2)),
         list[np.ndarray](),
@@ -528,28 +555,28 @@ def repeated(
         True,
     )
 
-    def excess(of: Estimation, x: np.ndarray) -> float:
+    def excess(estimation: Estimation, x: np.ndarray) -> float:
         """How much worse a body explains a piece than the result, in standard deviations of what noise would do."""
-        squares = np.sum(of.residual(np.stack([fit.x, x], axis=1), fit.sigma) ** 2, axis=0)
-        return float((squares[1] / squares[0] - 1) * math.sqrt(len(of.measured.values) / 2))
+        squares = np.sum(estimation.residual(np.stack([fit.x, x], axis=1), fit.sigma) ** 2, axis=0)
+        return float((squares[1] / squares[0] - 1) * math.sqrt(len(estimation.measured.values) / 2))
 
     for k in range(times):
         report(k)
         end, weights = fit.x + BESIDE * random.standard_normal(len(fit.x)), None
-        for each in stages:
-            end, weights = each.search(end, weights, steps, 2)
-            if excess(each, end) > CHANCE:
+        for stage in stages:
+            end, weights = stage.search(end, weights, steps, 2)
+            if excess(stage, end) > CHANCE:
                 break
         else:
             ends.append(end)
-            if excess(whole, end) < 0:
-                ends[-1], fit = fit.x, whole.fit(end, weights, rounds=0, seed=seed)
-            others = [each for each in ends if excess(whole, each) < CHANCE]
+            if excess(full_stage, end) < 0:
+                ends[-1], fit = fit.x, full_stage.fit(end, weights, rounds=0, seed=seed)
+            others = [stage for stage in ends if excess(full_stage, stage) < CHANCE]
             near = 3.29 * fit.draws.std(axis=0)  # their intervals of 90 % touch
-            alike = all(np.all(np.abs(each - fit.x) < near) for each in others)
+            alike = all(np.all(np.abs(stage - fit.x) < near) for stage in others)
             if alike and len(others) > 1:
                 break
-    return fit if alike else whole.fit(fit.x, fit.sigma, rounds=0, seed=seed, others=others)
+    return fit if alike else full_stage.fit(fit.x, fit.sigma, rounds=0, seed=seed, others=others)
 
 
 def without(jacobian: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

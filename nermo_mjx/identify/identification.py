@@ -121,89 +121,106 @@ class Identification:
     @property
     def _own(self) -> list[int]:
         """Places of the simplest class's parameters among all."""
-        names = [each.name for each in self.fit.space.parameters]
-        return [names.index(each.name) for each in self.simplest.space.parameters]
+        names = [parameter.name for parameter in self.fit.space.parameters]
+        return [names.index(parameter.name) for parameter in self.simplest.space.parameters]
 
     @property
     def values(self) -> np.ndarray:
         """Of the class that is nearer to what was not fitted (p,): the whole one may follow the noise of what was."""
         if self.simplest is self.fit or self.errors["simplest class"] > self.errors["identified"]:
             return self.fit.values
-        values = np.array([each.absent for each in self.fit.space.parameters])
+        values = np.array([parameter.absent for parameter in self.fit.space.parameters])
         values[self._own] = self.simplest.values
         return values
 
     @property
     def bodies(self) -> np.ndarray:
         """Values of bodies drawn from the posterior, as many of each of both classes (n, p)."""
-        whole, own = self.fit.bodies, self.simplest.bodies
-        simple = np.tile([each.absent for each in self.fit.space.parameters], (len(own), 1))
-        simple[:, self._own] = own
-        each = min(len(whole), len(simple))
-        return whole if self.simplest is self.fit else np.concatenate([whole[:each], simple[:each]])
+        full_bodies, simplest_bodies = self.fit.bodies, self.simplest.bodies
+        simple = np.tile(
+            [parameter.absent for parameter in self.fit.space.parameters], (len(simplest_bodies), 1)
+        )
+        simple[:, self._own] = simplest_bodies
+        parameter = min(len(full_bodies), len(simple))
+        return (
+            full_bodies
+            if self.simplest is self.fit
+            else np.concatenate([full_bodies[:parameter], simple[:parameter]])
+        )
 
     @property
     def intervals(self) -> np.ndarray:
         """Ends of the 90 % intervals over both classes (p, 2); of what one leaves out, those of the other."""
-        drawn = self.fit.space.values(self.fit.draws)
+        sampled_values = self.fit.space.values(self.fit.draws)
         if self.simplest is not self.fit:
-            half = len(drawn) // 2
-            drawn[half:, self._own] = self.simplest.space.values(self.simplest.draws)[half:]
-        return np.quantile(drawn, ENDS, axis=0).T
+            half = len(sampled_values) // 2
+            sampled_values[half:, self._own] = self.simplest.space.values(self.simplest.draws)[
+                half:
+            ]
+        return np.quantile(sampled_values, ENDS, axis=0).T
 
     def sentences(self) -> list[str]:
         """The verdict in words."""
-        said = list(self.body.notes)
+        sentences = list(self.body.notes)
         worst = int(np.argmax(self.fitted.judgement.rms / self.fitted.judgement.noise))
         label, judged = self.fitted.twin.labels[worst], self.fitted.judgement
         if self.right:
-            said.append("The model explains the log to its noise: what is left is white.")
+            sentences.append("The model explains the log to its noise: what is left is white.")
         else:
-            said.append(
+            sentences.append(
                 f"This class of models is wrong: residuals of {label} are "
                 f"{judged.rms[worst] / judged.noise[worst]:.2g} times their noise and smooth "
                 f"(von Neumann's ratio {judged.white[worst]:.2f}, of white noise 1)."
             )
-            most = max(self.missing.values(), default=0.0)
+            largest_gain = max(self.missing.values(), default=0.0)
             likely = sorted(
-                (k for k, v in self.missing.items() if v > 0.8 * most),
+                (k for k, v in self.missing.items() if v > 0.8 * largest_gain),
                 key=lambda k: -self.missing[k],
             )
-            if most > MISSING:
+            if largest_gain > MISSING:
                 removed = ", ".join(f"{kind} {percent(self.missing[kind])}" for kind in likely)
-                said.append(
+                sentences.append(
                     f"What was left out would remove these shares of their squares, each by itself: {removed}."
                 )
             else:
-                said.append("No kind of parameters that is known here removes them.")
-            of = self.after.twin.measured
-            signal = of.by_channel(lambda each, i: float(np.std(each)) or math.inf, of.values)
-            shares = [100 * each.judgement.rms / signal for each in (self.after, self.before)]
+                sentences.append("No kind of parameters that is known here removes them.")
+            measured = self.after.twin.measured
+            signal = measured.by_channel(
+                lambda channel_values, i: float(np.std(channel_values)) or math.inf, measured.values
+            )
+            shares = [
+                100 * channel_values.judgement.rms / signal
+                for channel_values in (self.after, self.before)
+            ]
             best, default = (
                 " to ".join(dict.fromkeys((f"{min(s):.3g}", f"{max(s):.3g}"))) for s in shares
             )
-            said.append(
+            sentences.append(
                 f"On what was not fitted they are {best} % of the channels' signals, with the default body {default} %."
                 " Intervals say how well the log fixes the best values in this class, not how true these are."
             )
         if len(self.fit.others):
-            said.append(
+            sentences.append(
                 f"{len(self.fit.others) + 1} searches end at different bodies that explain the log as well: "
                 "intervals are over all of them."
             )
-        said += determinacy.determinacy_sentences(self.fit)
+        sentences += determinacy.determinacy_sentences(self.fit)
         if self.left_out:
-            said.append(f"The simplest class within noise leaves out {', '.join(self.left_out)}.")
+            sentences.append(
+                f"The simplest class within noise leaves out {', '.join(self.left_out)}."
+            )
         errors = ", ".join(f"{name} {value:.3g}" for name, value in self.errors.items())
-        said.append(f"Error on what was not fitted, in noise: {errors}.")
+        sentences.append(f"Error on what was not fitted, in noise: {errors}.")
         if self.errors.get("simplest class", math.inf) < (1 - WITHIN) * self.errors["identified"]:
-            said.append(
+            sentences.append(
                 "The whole class follows the noise of what was fitted: values are those of the simplest class."
             )
         if self.repeatability:
-            own = ", ".join(f"{name} {value:.3g}" for name, value in self.repeatability.items())
-            said.append(f"Two logs of one command differ by, in noise: {own}.")
-        return said
+            repeatability_text = ", ".join(
+                f"{name} {value:.3g}" for name, value in self.repeatability.items()
+            )
+            sentences.append(f"Two logs of one command differ by, in noise: {repeatability_text}.")
+        return sentences
 
 
 @dataclasses.dataclass(frozen=True)
@@ -249,8 +266,8 @@ class LogSplit:
         twin = LoggedTwin(body, self.validation, names, self.chosen)
         twin.renew(values)
         weights = sigma[twin.measured.channel]
-        away = twin.predict(values[None])[0] - twin.measured.values
-        residual = twin.project((away / weights)[:, None], sigma)[:, 0] * weights
+        difference = twin.predict(values[None])[0] - twin.measured.values
+        residual = twin.project((difference / weights)[:, None], sigma)[:, 0] * weights
         return BodyResidual(twin, residual, judge(twin.measured, residual))
 
 
@@ -291,27 +308,31 @@ def identify_log(
     space = ParameterSpace(_narrowed(list(body.parameters.values()), ranges or {}))
     if not len(space):
         raise ParameterError(f"the model has no parameter of {', '.join(free)}: nothing is free.")
-    names, split = [each.name for each in space.parameters], LogSplit.of(logs, judges)
+    names, split = [parameter.name for parameter in space.parameters], LogSplit.of(logs, judges)
     split.check(body, names)
-    fit, whole = _fit(body, space, split, seed, report, cache)
-    fitted = BodyResidual(whole, fit.residual, judge(whole.measured, fit.residual))
-    after = split.residual(body, names, fit.values, fit.sigma)
+    fit, full_twin = _fit(body, space, split, seed, report, cache)
+    fitted_residual = BodyResidual(full_twin, fit.residual, judge(full_twin.measured, fit.residual))
+    held_out_after = split.residual(body, names, fit.values, fit.sigma)
     default = [
-        each.neutral if math.isfinite(each.neutral) else each.low for each in space.parameters
+        parameter.neutral if math.isfinite(parameter.neutral) else parameter.low
+        for parameter in space.parameters
     ]
-    before = split.residual(body, names, np.array(default), fit.sigma)
-    noise = after.judgement.noise
-    errors = {"default body": before.error(noise), "identified": after.error(noise)}
+    held_out_before = split.residual(body, names, np.array(default), fit.sigma)
+    noise = held_out_after.judgement.noise
+    errors = {
+        "default body": held_out_before.error(noise),
+        "identified": held_out_after.error(noise),
+    }
     left_out, simplest = tuple(determinacy.dispensable(fit)), fit
     if reduced := _reduced(body, fit, left_out, split, seed, cache):
         candidate, error = reduced[0], reduced[1].error(noise)
         if error < (1 + WITHIN) * errors["identified"]:
             simplest, errors["simplest class"] = candidate, error
-    missing = {} if fitted.judgement.right else _missing(make, free, fit, whole)
+    missing_kinds = {} if fitted_residual.judgement.right else _missing(make, free, fit, full_twin)
     report(1.0)
     return Identification(
-        body, fit, simplest, left_out if simplest is not fit else (), missing, before, after, fitted, errors,
-        _repeatability(logs, fit.sigma, whole.labels), time.monotonic() - began,
+        body, fit, simplest, left_out if simplest is not fit else (), missing_kinds, held_out_before, held_out_after, fitted_residual, errors,
+        _repeatability(logs, fit.sigma, full_twin.labels), time.monotonic() - began,
     )  # fmt: skip
 
 
@@ -324,7 +345,7 @@ def _fit(
     cache: Cache,
 ) -> tuple[Fit, LoggedTwin]:
     """The fit of the whole class, from a piece of each log to longer pieces and whole logs, and the twin of these."""
-    names, logs = [each.name for each in space.parameters], split.fitted
+    names, logs = [parameter.name for parameter in space.parameters], split.fitted
     # Starts are compared on a piece, where wrong ones are told from right ones as well.
     pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in logs]
     longer = [until(log, 2 * piece.duration) for log, piece in zip(logs, pieces, strict=True)]
@@ -334,9 +355,17 @@ def _fit(
     if twins[0].stands:
         starts, repeats = STARTS + GENERATIONS // EVERY, REPEATS
     total = starts + repeats + 3
-    x, sigma = _start(stages[0], twins[0].stands, seed, lambda done: report(done / total))
+    x, sigma = _start(
+        stages[0], twins[0].stands, seed, lambda done_count: report(done_count / total)
+    )
     fit = repeated(
-        stages, x, sigma, STEPS, repeats, seed, lambda done: report((starts + 1 + done) / total)
+        stages,
+        x,
+        sigma,
+        STEPS,
+        repeats,
+        seed,
+        lambda done_count: report((starts + 1 + done_count) / total),
     )
     report(1 - 2 / total)
     return fit, twins[-1]
@@ -378,12 +407,14 @@ def _reduced(
 ) -> tuple[Fit, BodyResidual] | None:
     """The fit of the class without some kinds, and its residual on the validation samples; None if there is none."""
     parameters = fit.space.parameters
-    columns = [i for i, each in enumerate(parameters) if each.kind not in left_out]
+    columns = [i for i, parameter in enumerate(parameters) if parameter.kind not in left_out]
     if not 0 < len(columns) < len(parameters):
         return None
-    absent = {each.name: each.absent for each in parameters if each.kind in left_out}
+    absent = {
+        parameter.name: parameter.absent for parameter in parameters if parameter.kind in left_out
+    }
     body, space = body.at(absent), ParameterSpace([parameters[i] for i in columns])
-    names = [each.name for each in space.parameters]
+    names = [parameter.name for parameter in space.parameters]
     estimation = Estimation(space, LoggedTwin(body, split.fitted, names), cache)
     start, others = space.coordinates(fit.values[columns]), list(fit.others[:, columns])
     reduced = estimation.fit(start, fit.sigma, STEPS, 1, seed, others)
@@ -399,20 +430,22 @@ def _narrowed(
         ParameterError: a range of no parameter, or an empty one.
     """
     for name, (low, high) in ranges.items():
-        own = [i for i, each in enumerate(parameters) if name in (each.name, each.kind)]
-        if not own:
+        indices = [
+            i for i, parameter in enumerate(parameters) if name in (parameter.name, parameter.kind)
+        ]
+        if not indices:
             raise ParameterError(f"--range names {name!r}, which is no free parameter.")
         if not -math.inf < low < high < math.inf:
             raise ParameterError(f"--range {name}: {low:g} to {high:g} is empty, or has no end.")
-        for i in own:
-            each = parameters[i]
-            if each.low > 0 >= low:
+        for i in indices:
+            parameter = parameters[i]
+            if parameter.low > 0 >= low:
                 raise ParameterError(
-                    f"--range {name}: {low:g} to {high:g} is not above 0, as {each.name} is."
+                    f"--range {name}: {low:g} to {high:g} is not above 0, as {parameter.name} is."
                 )
-            value = min(max(each.value, low), high)
+            value = min(max(parameter.value, low), high)
             parameters[i] = dataclasses.replace(
-                each, low=low, high=high, value=value, why="as given"
+                parameter, low=low, high=high, value=value, why="as given"
             )
     return parameters
 
@@ -421,35 +454,40 @@ def _missing(
     make: Callable[[Sequence[str]], Body],
     free: Sequence[str],
     fit: Fit,
-    whole: LoggedTwin,
+    full_twin: LoggedTwin,
 ) -> dict[str, float]:
     """Share of the squared residuals that each kind that was left out would remove, together with all that is free."""
     others = tuple(kind for kind in (*KINDS, "torque") if kind not in free)
-    wider, found = make((*free, *others)), dict[str, float]()
-    own = [each.name for each in fit.space.parameters]
-    whole.renew(fit.values)
-    white = Estimation(fit.space, whole).residual(fit.x[:, None], fit.sigma)[:, 0]
+    wider, gains = make((*free, *others)), dict[str, float]()
+    names = [parameter.name for parameter in fit.space.parameters]
+    full_twin.renew(fit.values)
+    white = Estimation(fit.space, full_twin).residual(fit.x[:, None], fit.sigma)[:, 0]
     for kind in others:
-        more = [each for each in wider.parameters.values() if each.kind == kind]
-        if not more:
+        added = [parameter for parameter in wider.parameters.values() if parameter.kind == kind]
+        if not added:
             continue
         base = np.array(
-            [each.neutral if math.isfinite(each.neutral) else each.value for each in more]
+            [
+                parameter.neutral if math.isfinite(parameter.neutral) else parameter.value
+                for parameter in added
+            ]
         )
-        space = ParameterSpace(more)
+        space = ParameterSpace(added)
         start = np.clip(space.coordinates(base), space.low, space.high)
-        away = np.where(start + _TRIED > space.high, -_TRIED, _TRIED)
-        moved = space.values(start + np.diag(away))
-        rows = np.concatenate([np.tile(fit.values, (len(more), 1)), moved], axis=1)
+        step = np.where(start + _TRIED > space.high, -_TRIED, _TRIED)
+        values_moved = space.values(start + np.diag(step))
+        rows = np.concatenate([np.tile(fit.values, (len(added), 1)), values_moved], axis=1)
         still = np.concatenate([fit.values, space.values(start)])[None]
-        tried = LoggedTwin(wider, whole.logs, [*own, *(each.name for each in more)])
+        tried = LoggedTwin(
+            wider, full_twin.logs, [*names, *(parameter.name for parameter in added)]
+        )
         tried.renew(still[0])
         change = (
             tried.predict(np.concatenate([still, rows])) / fit.sigma[tried.measured.channel]
         ).T
         change = tried.project(np.nan_to_num(change), fit.sigma)
-        found[kind] = determinacy.gain_of(fit, (change[:, 1:] - change[:, :1]) / away, white)
-    return found
+        gains[kind] = determinacy.gain_of(fit, (change[:, 1:] - change[:, :1]) / step, white)
+    return gains
 
 
 def _repeatability(
@@ -458,18 +496,27 @@ def _repeatability(
     """How much the robot itself differs between two logs of one command, by channel [noise]."""
     if len(logs) < 2:
         return {}
-    found = {each.name: each.rms / math.sqrt(2) for each in channel_differences(*logs[:2])}
+    differences = {
+        difference.name: difference.rms / math.sqrt(2)
+        for difference in channel_differences(*logs[:2])
+    }
     commands = [
-        found[each.name] for each in logs[0].of_quantity("command").values() if each.name in found
+        differences[difference.name]
+        for difference in logs[0].of_quantity("command").values()
+        if difference.name in differences
     ]
     if not commands or max(commands) > 0.01:
         return {}
     axes = [
-        [found[n] for n in (label, *(f"{label} {axis}" for axis in "xyz")) if n in found]
+        [
+            differences[n]
+            for n in (label, *(f"{label} {axis}" for axis in "xyz"))
+            if n in differences
+        ]
         for label in labels
     ]
     return {
-        label: rms(np.array(each)) / sigma[i]
-        for i, (label, each) in enumerate(zip(labels, axes, strict=True))
-        if each
+        label: rms(np.array(difference)) / sigma[i]
+        for i, (label, difference) in enumerate(zip(labels, axes, strict=True))
+        if difference
     }

@@ -49,16 +49,16 @@ def kept_figures(out: Path) -> NoReturn:
     )
 
 
-def estimates(found: Identification) -> dict[str, dict[str, Any]]:
+def estimates(identification: Identification) -> dict[str, dict[str, Any]]:
     """What identification.json says of the parameters."""
-    fit = found.fit
+    fit = identification.fit
     return {
-        each.name: {
-            "unit": each.unit, "kind": each.kind, "start": each.value, "value": found.values[i],
-            "interval": list(found.intervals[i]), "determined": bool(fit.determined[i]),
-            "at_bound": fit.at_bound[i], "low": each.low, "high": each.high, "why": each.why,
+        parameter.name: {
+            "unit": parameter.unit, "kind": parameter.kind, "start": parameter.value, "value": identification.values[i],
+            "interval": list(identification.intervals[i]), "determined": bool(fit.determined[i]),
+            "at_bound": fit.at_bound[i], "low": parameter.low, "high": parameter.high, "why": parameter.why,
         }
-        for i, each in enumerate(fit.space.parameters)
+        for i, parameter in enumerate(fit.space.parameters)
     }  # fmt: skip
 
 
@@ -68,62 +68,67 @@ HEADINGS: Final = ("parameter", "", "start", "value", "90 %", "range and its rea
 def estimate_rows(estimates: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     """Rows under `HEADINGS` of the parameters in identification.json."""
     rows = []
-    for name, about in estimates.items():
-        known = "determined" if about["determined"] else "not determined"
-        known += f", at its {about['at_bound']} bound" if about["at_bound"] else ""
-        label = f"{name} [{about['unit']}]" if about["unit"] != "1" else name
-        interval = " to ".join(f"{end:.4g}" for end in about["interval"])
-        numbers = [f"{about['start']:.4g}", f"{about['value']:.4g}", interval]
+    for name, estimate in estimates.items():
+        determinacy = "determined" if estimate["determined"] else "not determined"
+        determinacy += f", at its {estimate['at_bound']} bound" if estimate["at_bound"] else ""
+        label = f"{name} [{estimate['unit']}]" if estimate["unit"] != "1" else name
+        interval = " to ".join(f"{end:.4g}" for end in estimate["interval"])
+        numbers = [f"{estimate['start']:.4g}", f"{estimate['value']:.4g}", interval]
         rows.append(
-            [label, known, *numbers, f"{about['low']:.3g} to {about['high']:.3g}: {about['why']}"]
+            [
+                label,
+                determinacy,
+                *numbers,
+                f"{estimate['low']:.3g} to {estimate['high']:.3g}: {estimate['why']}",
+            ]
         )
     return rows
 
 
-def write_identification(found: Identification, out: Path, command: str) -> dict[str, Any]:
+def write_identification(identification: Identification, out: Path, command: str) -> dict[str, Any]:
     """Write the directory, and return the content of identification.json.
 
     Args:
-        found: the result.
+        identification: the result.
         out: the directory.
         command: that makes it again.
     """
     make_writable(out)
-    name, left, commands = next_experiment(found)
-    proposed = _written_commands(found, commands, out) if commands else ""
-    sentences = found.sentences()
-    if left < USEFUL:
+    name, remaining, commands = next_experiment(identification)
+    proposed = _written_commands(identification, commands, out) if commands else ""
+    sentences = identification.sentences()
+    if remaining < USEFUL:
         sentences.append(
-            f"To measure next: {name} ({proposed}) leaves {percent(left)} of the least known direction."
+            f"To measure next: {name} ({proposed}) leaves {percent(remaining)} of the least known direction."
         )
     else:
         sentences.append(
             "No motion of the servos that was tried tells more of the least known direction."
         )
-    files = _written_body(found, out)
-    judged = found.after.judgement
+    files = _written_body(identification, out)
+    judged = identification.after.judgement
     content = {
         "command": command,
-        "logs": list(dict.fromkeys(Path(log.file).name for log in found.after.twin.logs)),
+        "logs": list(dict.fromkeys(Path(log.file).name for log in identification.after.twin.logs)),
         "sentences": sentences,
-        "right": found.right,
-        "parameters": estimates(found),
-        "combinations": {formula: deviation for formula, deviation, _ in determinacy.combinations(found.fit)},
-        "singular_values": np.sqrt(np.maximum(1.0 / np.maximum(found.fit.share, 1e-12) ** 2 - 1.0, 0.0)).tolist(),
-        "left_out": list(found.left_out),
-        "missing": dict(found.missing),
-        "errors": dict(found.errors),
-        "repeatability": dict(found.repeatability),
+        "right": identification.right,
+        "parameters": estimates(identification),
+        "combinations": {formula: deviation for formula, deviation, _ in determinacy.combinations(identification.fit)},
+        "singular_values": np.sqrt(np.maximum(1.0 / np.maximum(identification.fit.share, 1e-12) ** 2 - 1.0, 0.0)).tolist(),
+        "left_out": list(identification.left_out),
+        "missing": dict(identification.missing),
+        "errors": dict(identification.errors),
+        "repeatability": dict(identification.repeatability),
         "channels": {
-            label: {"rms": judged.rms[i], "noise": judged.noise[i], "before": found.before.judgement.rms[i]}
-            for i, label in enumerate(found.after.twin.labels)
+            label: {"rms": judged.rms[i], "noise": judged.noise[i], "before": identification.before.judgement.rms[i]}
+            for i, label in enumerate(identification.after.twin.labels)
         },
-        "next": {"name": name, "left": left, "file": proposed},
+        "next": {"name": name, "left": remaining, "file": proposed},
         "files": files,
-        "wall_seconds": found.seconds,
+        "wall_seconds": identification.seconds,
     }  # fmt: skip
     replace_file(out / RESULT, to_json(content))
-    write_figures(figures_of(found), out / "plots")
+    write_figures(figures_of(identification), out / "plots")
     replace_file(out / "report.html", identification_page(out).encode())
     return content
 
@@ -180,24 +185,24 @@ def _html_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     wrapped = ' style="text-align: left; white-space: normal"'
     cells = ""
     for row in rows:
-        *shown, reason = map(html.escape, row)
-        cells += (
-            f"<tr>{''.join(f'<td>{each}</td>' for each in shown)}<td{wrapped}>{reason}</td></tr>"
-        )
+        *shown_cells, reason = map(html.escape, row)
+        cells += f"<tr>{''.join(f'<td>{cell}</td>' for cell in shown_cells)}<td{wrapped}>{reason}</td></tr>"
     head = (
-        "".join(f"<th>{each}</th>" for each in headings[:-1]) + f"<th{wrapped}>{headings[-1]}</th>"
+        "".join(f"<th>{cell}</th>" for cell in headings[:-1]) + f"<th{wrapped}>{headings[-1]}</th>"
     )
     return f'<div class="wide"><table><tr>{head}</tr>{cells}</table></div>'
 
 
-def _written_commands(found: Identification, commands: Mapping[str, np.ndarray], out: Path) -> str:
+def _written_commands(
+    identification: Identification, commands: Mapping[str, np.ndarray], out: Path
+) -> str:
     """The file of an experiment: a recording that `servos` plays, or for another robot a table."""
-    if isinstance(found.body, NermoBody):
-        model = found.body.model
+    if isinstance(identification.body, NermoBody):
+        model = identification.body.model
         ctrl = np.zeros((len(TIMES), model.nu))
         for name, values in commands.items():
-            ctrl[:, found.body.actuator(name)] = values
-        still = np.repeat(found.body.start()[None], len(TIMES), axis=0)
+            ctrl[:, identification.body.actuator(name)] = values
+        still = np.repeat(identification.body.start()[None], len(TIMES), axis=0)
         Recording(TIMES, still, np.zeros((len(TIMES), model.nv)), ctrl).save(out / "next.npz")
         return "next.npz"
     rows = [
@@ -208,32 +213,44 @@ def _written_commands(found: Identification, commands: Mapping[str, np.ndarray],
     return "next.csv"
 
 
-def _written_body(found: Identification, out: Path) -> list[str]:
+def _written_body(identification: Identification, out: Path) -> list[str]:
     """The file of the identified model; for Nermo the ensemble, the best body first, as `identified` reads it."""
-    names = [each.name for each in found.fit.space.parameters]
-    if isinstance(found.body, MjcfBody):
-        replace_file(out / "identified.xml", found.body.written(names, found.values).encode())
+    names = [parameter.name for parameter in identification.fit.space.parameters]
+    if isinstance(identification.body, MjcfBody):
+        replace_file(
+            out / "identified.xml",
+            identification.body.written(names, identification.values).encode(),
+        )
         return ["identified.xml"]
-    known = [name for name in dict(quantities(ModelParameters)) if name in names]
-    columns = [names.index(name) for name in known]
-    fixed = {name: value for name, value in found.body.standing.items() if name not in known}
+    nermo_names = [name for name in dict(quantities(ModelParameters)) if name in names]
+    columns = [names.index(name) for name in nermo_names]
+    fixed = {
+        name: value
+        for name, value in identification.body.standing.items()
+        if name not in nermo_names
+    }
     bodies = np.vstack(
-        [found.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]]
+        [
+            identification.values,
+            identification.bodies[:: max(len(identification.bodies) // (BODIES - 1), 1)][
+                : BODIES - 1
+            ],
+        ]
     )
-    values = dict(zip(known, bodies[:, columns].T, strict=True))
+    values = dict(zip(nermo_names, bodies[:, columns].T, strict=True))
     values |= {name: np.full(len(bodies), value) for name, value in fixed.items()}
-    about = (
+    comment = (
         "Bodies drawn from the posterior of an identification from a log; the first is the best."
     )
-    replace_file(out / "ensemble.csv", ensemble_text(about, values, np.ones(len(bodies))))
+    replace_file(out / "ensemble.csv", ensemble_text(comment, values, np.ones(len(bodies))))
     return ["ensemble.csv"]
 
 
-def ensemble_text(about: str, values: Mapping[str, np.ndarray], objective: np.ndarray) -> bytes:
+def ensemble_text(comment: str, values: Mapping[str, np.ndarray], objective: np.ndarray) -> bytes:
     """A file that `nermo_mjx.robot.identified` reads, of bodies of equal weight, the best first.
 
     Args:
-        about: lines of the comment that it begins with.
+        comment: lines of the comment that it begins with.
         values: model parameter -> (n,).
         objective: (n,).
     """
@@ -246,24 +263,28 @@ def ensemble_text(about: str, values: Mapping[str, np.ndarray], objective: np.nd
         ",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True)
     ]
     return "\n".join(
-        [*(f"# {line}" for line in about.splitlines()), ",".join(columns), *rows, ""]
+        [*(f"# {line}" for line in comment.splitlines()), ",".join(columns), *rows, ""]
     ).encode()
 
 
-def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:
+def figures_of(identification: Identification) -> Iterator[tuple[str, Figure]]:
     """The figures of a result."""
-    yield from ((name, draw(found)) for name, draw in FIGURES.items())
+    yield from ((name, draw(identification)) for name, draw in FIGURES.items())
 
 
-def _predicted(found: Identification, most: int = 6) -> Figure:
+def _predicted(identification: Identification, limit: int = 6) -> Figure:
     """Measured and predicted curves where nothing was fitted, with a band of the posterior."""
-    twin = found.after.twin
-    drawn = twin.predict(found.bodies[:: max(len(found.bodies) // SHOWN, 1)][:SHOWN])
-    low, high = np.quantile(drawn, ENDS, axis=0)
-    best = twin.measured.values + found.after.residual
-    before = twin.measured.values + found.before.residual
-    units = {each.name: each.unit for log in twin.logs for each in log.channels}
-    worst = np.argsort(-found.after.judgement.rms / found.after.judgement.noise)[:most]
+    twin = identification.after.twin
+    predictions = twin.predict(
+        identification.bodies[:: max(len(identification.bodies) // SHOWN, 1)][:SHOWN]
+    )
+    low, high = np.quantile(predictions, ENDS, axis=0)
+    best = twin.measured.values + identification.after.residual
+    initial_prediction = twin.measured.values + identification.before.residual
+    units = {channel.name: channel.unit for log in twin.logs for channel in log.channels}
+    worst = np.argsort(-identification.after.judgement.rms / identification.after.judgement.noise)[
+        :limit
+    ]
     figure = blank_page(
         "Predicted and measured, where nothing was fitted", 7.5, 1.0 + 1.35 * len(worst),
         f"Band: 90 % of {SHOWN} bodies of the posterior, without the sensors' noise; the channels that fit worst.",
@@ -277,7 +298,7 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
         time = twin.measured.time[rows]
         ax.plot(time, twin.measured.values[rows], ".", ms=2.5, color=INK, label="measured")
         ax.fill_between(time, low[rows], high[rows], color=BAND, lw=0, alpha=0.7)
-        ax.plot(time, before[rows], color=MUTED, lw=0.9, ls="--", label="default body")
+        ax.plot(time, initial_prediction[rows], color=MUTED, lw=0.9, ls="--", label="default body")
         ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
         ax.set_title(
             f"{twin.labels[i]}{' x' * (twin.components[i] > 1)} [{units[twin.labels[i]]}]",
@@ -288,19 +309,19 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
     return figure
 
 
-def _residuals(found: Identification) -> Figure:
-    labels, judged = found.after.twin.labels, found.after.judgement
+def _residuals(identification: Identification) -> Figure:
+    labels, judged = identification.after.twin.labels, identification.after.judgement
     figure = blank_page(
         "Residuals where nothing was fitted, in the noise of each channel",
         7.0,
         1.7 + 0.25 * len(labels),
     )
     ax, y = figure.subplots(), np.arange(len(labels))
-    for shift, of, colour, label in (
-        (-0.18, found.before.judgement.rms, BAND, "default body"),
+    for shift, residual, colour, label in (
+        (-0.18, identification.before.judgement.rms, BAND, "default body"),
         (0.18, judged.rms, LINE, "identified"),
     ):
-        ax.barh(y + shift, of / judged.noise, 0.36, color=colour, label=label)
+        ax.barh(y + shift, residual / judged.noise, 0.36, color=colour, label=label)
     ax.axvline(1.0, color=BEST, lw=0.9, label="noise")
     ax.set_yticks(y, labels)
     ax.set(xscale="log", xlabel="root mean square [noise]", ylim=(len(labels) - 0.4, -0.6))
@@ -308,20 +329,22 @@ def _residuals(found: Identification) -> Figure:
     return figure
 
 
-def _intervals(found: Identification) -> Figure:
+def _intervals(identification: Identification) -> Figure:
     """Intervals in the ranges of the parameters."""
-    space, fit = found.fit.space, found.fit
+    space, fit = identification.fit.space, identification.fit
     span = space.high - space.low
-    low, high = ([getattr(each, end) for each in space.parameters] for end in ("low", "high"))
-    ends = (space.coordinates(np.clip(found.intervals.T, low, high)) - space.low) / span
+    low, high = (
+        [getattr(parameter, end) for parameter in space.parameters] for end in ("low", "high")
+    )
+    ends = (space.coordinates(np.clip(identification.intervals.T, low, high)) - space.low) / span
     figure = blank_page(
         "90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space)
     )
     ax, y = figure.subplots(), np.arange(len(space))
-    colours = [LINE if known else BAND for known in fit.determined]
+    colours = [LINE if is_determined else BAND for is_determined in fit.determined]
     ax.hlines(y, *ends, color=colours, lw=4)
     ax.plot((fit.x - space.low) / span, y, "|", color=INK)
-    ax.set_yticks(y, [each.name for each in space.parameters])
+    ax.set_yticks(y, [parameter.name for parameter in space.parameters])
     ax.set(
         xlim=(-0.02, 1.02),
         ylim=(len(space) - 0.4, -0.6),

@@ -103,16 +103,16 @@ def run_identification(  # each parameter is an option of the command
     ]
     parameters = [repr(parameter) for parameter in body.parameters.values()]
     job = digest_of(stamp.id, parameters, ranges, len(logs), seed, channels)
-    with RunDirectory(out, KIND) as held, resumable(held.out):
-        held.note_session(code.session())
-        runs = Runs(held.out, job, warn=watch.warn, held=held)
+    with RunDirectory(out, KIND) as directory, resumable(directory.out):
+        directory.note_session(code.session())
+        runs = Runs(directory.out, job, warn=watch.warn, held=directory)
         runs.take_codes([stamp], accept=True)
         identification = identify_log(
             logs, model, free, ranges, judges, seed,
             lambda share: watch.progress(Progress(share)), _stored(runs),
         )  # fmt: skip
-        content = write_identification(identification, held.out, last_command(held.out))
-        return IdentificationResult(held.out, identification, content)
+        content = write_identification(identification, directory.out, last_command(directory.out))
+        return IdentificationResult(directory.out, identification, content)
 
 
 def _digest(*arrays: np.ndarray) -> str:

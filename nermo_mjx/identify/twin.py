@@ -47,14 +47,14 @@ class LoggedTwin:
         body: Body,
         logs: Sequence[Log],
         names: Sequence[str],
-        only: Callable[[np.ndarray, float], np.ndarray] | None = None,
+        selection: Callable[[np.ndarray, float], np.ndarray] | None = None,
     ) -> None:
         """
         Args:
             body: that is driven.
             logs: one or several.
             names: of the parameters that the values of `predict` are of.
-            only: which samples count, of times (n,) and the duration of their log: (n,) bool.
+            selection: which samples count, of times (n,) and the duration of their log: (n,) bool.
 
         Raises:
             ParameterError: a channel of a part that the model does not have, no command, or nothing to compare.
@@ -72,25 +72,41 @@ class LoggedTwin:
                 "no channel of the log is one that a model predicts: give angles, an IMU, or a track."
             )
         self.stands = any(leg.stands for leg in self._legs)
-        labels = list(dict.fromkeys(each.name for leg in self._legs for each in leg.channels))
+        labels = list(
+            dict.fromkeys(leg_channel.name for leg in self._legs for leg_channel in leg.channels)
+        )
         parts, keep, offset = [], [], 0.0
         for leg in self._legs:
-            for each in leg.channels:
-                size = each.values.reshape(len(each.times), -1).shape[1]
-                chosen = leg.inside(each) & (
-                    True if only is None else only(each.times, leg.log.duration)
+            for leg_channel in leg.channels:
+                size = leg_channel.values.reshape(len(leg_channel.times), -1).shape[1]
+                is_selected = leg.inside(leg_channel) & (
+                    True if selection is None else selection(leg_channel.times, leg.log.duration)
                 )
-                keep.append(np.repeat(chosen, size))
-                of = np.repeat(offset + each.times, size)
-                values = np.unwrap(each.values) if each.quantity == "yaw" else each.values
-                parts.append((values.ravel(), np.full(len(of), labels.index(each.name)), of))
+                keep.append(np.repeat(is_selected, size))
+                sample_times = np.repeat(offset + leg_channel.times, size)
+                values = (
+                    np.unwrap(leg_channel.values)
+                    if leg_channel.quantity == "yaw"
+                    else leg_channel.values
+                )
+                parts.append(
+                    (
+                        values.ravel(),
+                        np.full(len(sample_times), labels.index(leg_channel.name)),
+                        sample_times,
+                    )
+                )
             offset += leg.log.duration + 1.0
         self.keep = np.concatenate(keep)
         values, channel, times = (
             np.concatenate(column)[self.keep] for column in zip(*parts, strict=True)
         )
         self.labels = tuple(labels)
-        sizes = {each.name: each.values[:1].size for leg in self._legs for each in leg.channels}
+        sizes = {
+            leg_channel.name: leg_channel.values[:1].size
+            for leg in self._legs
+            for leg_channel in leg.channels
+        }
         self.components = tuple(sizes[label] for label in labels)
         quantum = np.array([_quantum(values[channel == i]) for i in range(len(labels))])
         self.measured = LoggedSamples(values, channel, times, quantum)
@@ -108,17 +124,17 @@ class LoggedTwin:
     def parts(self) -> tuple[np.ndarray, np.ndarray]:
         """Kinematic tree that each parameter (p,) and each channel is of; -1 of several, or of one that others pull."""
         body, model = self.body, self.body.model
-        seen = {
-            each.name: model.jnt_dofadr[body.joint(each.of)]
-            if each.quantity in ("angle", "velocity")
+        part_of_channel = {
+            channel.name: model.jnt_dofadr[body.joint(channel.of)]
+            if channel.quantity in ("angle", "velocity")
             else -1
             for leg in self._legs
-            for each in leg.channels
+            for channel in leg.channels
         }
         dofs = np.array(
             [
                 *(body.dofs.get(name, -1) for name in self.names),
-                *(seen[label] for label in self.labels),
+                *(part_of_channel[label] for label in self.labels),
             ]
         )
         trees = np.where((dofs < 0) | (model.neq + model.ntendon > 0), -1, model.dof_treeid[dofs])
@@ -129,13 +145,13 @@ class LoggedTwin:
         self._around, first = [], 0
         for leg in self._legs:
             columns, window = leg.nuisance(self.names, values)
-            kept = self.keep[first : first + len(window)]
-            place = np.cumsum(self.keep)[first : first + len(window)] - 1
+            is_kept = self.keep[first : first + len(window)]
+            row = np.cumsum(self.keep)[first : first + len(window)] - 1
             first += len(window)
-            for w in np.unique(window[kept]):
-                rows = np.flatnonzero(kept & (window == w))
+            for w in np.unique(window[is_kept]):
+                rows = np.flatnonzero(is_kept & (window == w))
                 if len(rows) > columns.shape[1] > 0:
-                    self._around.append((place[rows], columns[rows]))
+                    self._around.append((row[rows], columns[rows]))
         self._remove: dict[bytes, list[tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]]] = {}
 
     def project(self, residual: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -143,9 +159,9 @@ class LoggedTwin:
         if not self._around:
             return residual
         if (key := sigma.tobytes()) not in self._remove:
-            of = self.measured.channel
+            channel_index = self.measured.channel
             self._remove[key] = [
-                (rows, without(c / sigma[of[rows]][:, None])) for rows, c in self._around
+                (rows, without(c / sigma[channel_index[rows]][:, None])) for rows, c in self._around
             ]
         residual = residual.copy()
         for rows, remove in self._remove[key]:
@@ -164,16 +180,16 @@ def replay_on_model(log: Log, model: str | os.PathLike[str]) -> tuple[Log, tuple
     """
     body = body_of(model, [log], ())
     twin = LoggedTwin(body, [log], ())
-    predicted, made = twin.predict(np.zeros((1, 0)))[0], list[Channel]()
+    predicted, channels = twin.predict(np.zeros((1, 0)))[0], list[Channel]()
     if not np.isfinite(predicted).all():
         raise ParameterError(f"{model} diverges under the commands of {log.file}.")
-    for each in log.channels:
-        if each.name in twin.labels:
-            rows = twin.measured.channel == twin.labels.index(each.name)
-            values = predicted[rows].reshape(-1, *each.values.shape[1:])
+    for channel in log.channels:
+        if channel.name in twin.labels:
+            rows = twin.measured.channel == twin.labels.index(channel.name)
+            values = predicted[rows].reshape(-1, *channel.values.shape[1:])
             times = twin.measured.time[rows].reshape(len(values), -1)[:, 0]
-            made.append(dataclasses.replace(each, times=times, values=values))
-    return Log(tuple(made), str(model)), tuple(body.notes)
+            channels.append(dataclasses.replace(channel, times=times, values=values))
+    return Log(tuple(channels), str(model)), tuple(body.notes)
 
 
 def _quantum(values: np.ndarray) -> float:
@@ -186,9 +202,13 @@ def _quantum(values: np.ndarray) -> float:
 def until(log: Log, end: float) -> Log:
     """The samples of a log before a time [s]; every channel keeps at least one."""
     parts = []
-    for each in log.channels:
-        kept = each.times < max(end, float(each.times[0]) + 1e-9)
-        parts.append(dataclasses.replace(each, times=each.times[kept], values=each.values[kept]))
+    for channel in log.channels:
+        is_before = channel.times < max(end, float(channel.times[0]) + 1e-9)
+        parts.append(
+            dataclasses.replace(
+                channel, times=channel.times[is_before], values=channel.values[is_before]
+            )
+        )
     return dataclasses.replace(log, channels=tuple(parts))
 
 
@@ -197,29 +217,29 @@ class _Driven:
 
     def __init__(self, body: Body, log: Log, window: float | None) -> None:
         self.body, self.log, model = body, log, body.model
-        self.channels = tuple(each for each in log.channels if each.quantity in PREDICTED)
+        self.channels = tuple(channel for channel in log.channels if channel.quantity in PREDICTED)
         self.step = float(model.opt.timestep)
         self.stands = any(kind == mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type)
         total = max(1, math.ceil(log.duration / self.step))
         self.steps = total if window is None or self.stands else max(1, round(window / self.step))
         self.windows = math.ceil(total / self.steps)
         self.settle = round(SETTLING / self.step) if self.stands else 0
-        self.readings = [self._reading(each) for each in self.channels]
+        self.readings = [self._reading(channel) for channel in self.channels]
         grid = np.arange(self.windows * self.steps + 1) * self.step
         self.grid = np.concatenate([(np.arange(self.settle) - self.settle) * self.step, grid])
         self.commands: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        for each in log.channels:
-            if each.quantity == "command":
-                held = np.concatenate([[each.values[0]], each.values])
+        for channel in log.channels:
+            if channel.quantity == "command":
+                values_held = np.concatenate([[channel.values[0]], channel.values])
                 knots = np.concatenate(
                     [
-                        [min(each.times[0], 0.0) - 10.0],
-                        each.times,
-                        [max(grid[-1], each.times[-1]) + 10.0],
+                        [min(channel.times[0], 0.0) - 10.0],
+                        channel.times,
+                        [max(grid[-1], channel.times[-1]) + 10.0],
                     ]
                 )
-                area = np.concatenate([[0.0], np.cumsum(held * np.diff(knots))])
-                self.commands[body.commanded(each)] = (knots, area)
+                area = np.concatenate([[0.0], np.cumsum(values_held * np.diff(knots))])
+                self.commands[body.commanded(channel)] = (knots, area)
         self.start = self._start()
 
     def inside(self, channel: Channel) -> np.ndarray:
@@ -236,25 +256,25 @@ class _Driven:
             return "actuator_force", [body.actuator(channel.of)]
         if channel.quantity in _SENSORS:
             kind = getattr(mujoco.mjtSensor, f"mjSENS_{_SENSORS[channel.quantity]}")
-            of = [i for i in range(model.nsensor) if model.sensor_type[i] == kind]
-            named = [
+            sensor_ids = [i for i in range(model.nsensor) if model.sensor_type[i] == kind]
+            named_sensors = [
                 i
-                for i in of
+                for i in sensor_ids
                 if channel.of in (model.sensor(i).name, model.site(int(model.sensor_objid[i])).name)
             ]
-            chosen = named or (of if len(of) == 1 else [])
-            if not chosen:
+            candidates = named_sensors or (sensor_ids if len(sensor_ids) == 1 else [])
+            if not candidates:
                 raise ParameterError(
                     f"channel {channel.name!r}: the model has no {channel.quantity} sensor {channel.of!r}."
                 )
-            first = int(model.sensor_adr[chosen[0]])
+            first = int(model.sensor_adr[candidates[0]])
             return "sensordata", list(
                 range(first, first + channel.values.reshape(len(channel.times), -1).shape[1])
             )
-        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, channel.of)
-        if found < 0:
+        body_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, channel.of)
+        if body_id < 0:
             raise ParameterError(f"channel {channel.name!r}: the model has no body {channel.of!r}.")
-        return ("xpos" if channel.quantity == "position" else "xmat"), int(found)
+        return ("xpos" if channel.quantity == "position" else "xmat"), int(body_id)
 
     def _start(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities at the start of each window, (windows, nq) and (windows, nv)."""
@@ -282,24 +302,24 @@ class _Driven:
         """Controls (k, settle + windows * steps, nu) of values (k, p)."""
         model, column = self.body.model, dict(zip(names, values.T, strict=True))
         delay = column.get("delay", np.zeros(len(values)))
-        rest = self.body.start()
-        found = np.zeros((len(values), len(self.grid) - 1, model.nu))
-        held = [
-            rest[model.jnt_qposadr[j]] if servo else 0.0
+        start_values = self.body.start()
+        controls = np.zeros((len(values), len(self.grid) - 1, model.nu))
+        held_commands = [
+            start_values[model.jnt_qposadr[j]] if servo else 0.0
             for j, servo in zip(model.actuator_trnid[:, 0], self.body.servos, strict=True)
         ]
-        found[:] = held
+        controls[:] = held_commands
         for a, (knots, area) in self.commands.items():
-            for each in np.unique(delay):
-                mean = np.diff(np.interp(self.grid - each, knots, area)) / self.step
-                found[delay == each, :, a] = mean
+            for delay_value in np.unique(delay):
+                mean = np.diff(np.interp(self.grid - delay_value, knots, area)) / self.step
+                controls[delay == delay_value, :, a] = mean
             for name in {
                 f"bias.{model.actuator(a).name}",
                 f"bias.{model.actuator(a).name.removesuffix('_servo')}",
             }:
                 if name in column:
-                    found[:, :, a] += column[name][:, None]
-        return found
+                    controls[:, :, a] += column[name][:, None]
+        return controls
 
     def predict(self, names: Sequence[str], values: np.ndarray, starts: Any = None) -> np.ndarray:
         """Predictions of all samples (k, n) for values (k, p); NaN where a simulation fails.
@@ -321,14 +341,14 @@ class _Driven:
             _rollout(batch, ctrl[:, : self.settle], recorded, servos)
         driven = ctrl[:, self.settle :].reshape(k * w, self.steps, model.nu)
         first = {"qpos": np.array(batch.bind("qpos")), "qvel": np.array(batch.bind("qvel"))}
-        found = _rollout(batch, driven, recorded, servos)
-        lost = batch.warning.reshape(k, -1).any(axis=1)
+        recorded_states = _rollout(batch, driven, recorded, servos)
+        is_diverged = batch.warning.reshape(k, -1).any(axis=1)
         rows = [
-            self._sampled(channel, reading, found, first, k)
+            self._sampled(channel, reading, recorded_states, first, k)
             for channel, reading in zip(self.channels, self.readings, strict=True)
         ]
         result = np.concatenate(rows, axis=1)
-        result[lost] = np.nan
+        result[is_diverged] = np.nan
         return result
 
     def _batch(self, names: Sequence[str], values: np.ndarray, starts: Any) -> Batch:
@@ -350,27 +370,27 @@ class _Driven:
         self,
         channel: Channel,
         reading: tuple[str, Any],
-        found: Mapping[str, np.ndarray],
+        readings: Mapping[str, np.ndarray],
         first: Mapping[str, np.ndarray],
         k: int,
     ) -> np.ndarray:
         """A channel's samples (k, n) by straight lines between steps."""
-        name, of = reading
-        series = found[name].reshape(k, self.windows, self.steps, *found[name].shape[2:])
+        name, element = reading
+        series = readings[name].reshape(k, self.windows, self.steps, *readings[name].shape[2:])
         if name == "xpos":
-            series = series[..., of, : channel.values.shape[1]]
+            series = series[..., element, : channel.values.shape[1]]
         elif name == "xmat":
-            turned = series[..., of, :]
+            turned = series[..., element, :]
             series = np.unwrap(np.arctan2(turned[..., 3], turned[..., 0]), axis=2)[..., None]
         else:
-            series = series[..., of]
+            series = series[..., element]
         times = np.clip(channel.times, 0.0, self.windows * self.steps * self.step - 1e-9)
         window = np.minimum((times / (self.steps * self.step)).astype(int), self.windows - 1)
         local = times / self.step - window * self.steps
         if (
             name in first
         ):  # states come after their step, everything else belongs to the state before
-            start = first[name].reshape(k, self.windows, 1, -1)[..., of]
+            start = first[name].reshape(k, self.windows, 1, -1)[..., element]
             series = np.concatenate([start, series], axis=2)
         low = (
             np.minimum(local.astype(int), series.shape[2] - 2)
@@ -385,42 +405,46 @@ class _Driven:
 
     def nuisance(self, names: Sequence[str], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the samples to unknown starts (n, m), and the window of each sample (n,)."""
-        which = np.concatenate([self._window(each) for each in self.channels])
+        windows = np.concatenate([self._window(channel) for channel in self.channels])
         columns = self._frame()
         if not self.stands:
             # The whole of a log that servos drive is one window, whose start they soon forget.
-            early = (
+            is_early = (
                 self if self.windows > 1 else _Driven(self.body, until(self.log, FORGOTTEN), None)
             )
             near = np.concatenate(
                 [np.repeat(e.times < FORGOTTEN, e.values[:1].size) for e in self.channels]
             )
-            columns += early.to_starts(names, values, near | (self.windows > 1))
-        return (np.stack(columns, axis=1) if columns else np.zeros((len(which), 0))), which
+            columns += is_early.to_starts(names, values, near | (self.windows > 1))
+        return (np.stack(columns, axis=1) if columns else np.zeros((len(windows), 0))), windows
 
     def _window(self, channel: Channel) -> np.ndarray:
         """Of each number of a channel."""
-        own = np.clip((channel.times / (self.steps * self.step)).astype(int), 0, self.windows - 1)
-        return np.repeat(own, channel.values[:1].size)
+        window_index = np.clip(
+            (channel.times / (self.steps * self.step)).astype(int), 0, self.windows - 1
+        )
+        return np.repeat(window_index, channel.values[:1].size)
 
     def to_starts(
         self, names: Sequence[str], values: np.ndarray, rows: np.ndarray
     ) -> list[np.ndarray]:
         """Derivatives of the samples `rows` (n,) to positions and velocities of the starts, (n,) each, normalized."""
         model, starts, columns = self.body.model, list[Any](), list[np.ndarray]()
-        for way in np.eye(2 * model.nv):
+        for direction in np.eye(2 * model.nv):
             for sign in (1.0, -1.0):
                 qpos, qvel = (
                     self.start[0].copy(),
-                    self.start[1] + sign * START_WIDTH[1] * way[model.nv :],
+                    self.start[1] + sign * START_WIDTH[1] * direction[model.nv :],
                 )
                 for row in qpos:
-                    mujoco.mj_integratePos(model, row, way[: model.nv], sign * START_WIDTH[0])
+                    mujoco.mj_integratePos(model, row, direction[: model.nv], sign * START_WIDTH[0])
                 starts.append((qpos, qvel))
         for i in range(0, len(starts), LANES):
-            both = tuple(np.stack(part) for part in zip(*starts[i : i + LANES], strict=True))
-            found = self.predict(names, np.repeat(values[None], len(both[0]), axis=0), both)
-            for change in np.nan_to_num(found[0::2] - found[1::2]):
+            start_pairs = tuple(np.stack(part) for part in zip(*starts[i : i + LANES], strict=True))
+            predictions = self.predict(
+                names, np.repeat(values[None], len(start_pairs[0]), axis=0), start_pairs
+            )
+            for change in np.nan_to_num(predictions[0::2] - predictions[1::2]):
                 columns.append(np.zeros(len(rows)))
                 columns[-1][rows] = change / max(float(np.abs(change).max()), 1e-30)
         return columns
@@ -428,16 +452,18 @@ class _Driven:
     def _frame(self) -> list[np.ndarray]:
         """What an unknown frame of a track does to its samples: shifts, and a turn."""
         columns = []
-        sizes = [each.values.size for each in self.channels]
+        sizes = [channel.values.size for channel in self.channels]
         ends = np.cumsum([0, *sizes])
-        tracks = [i for i, each in enumerate(self.channels) if each.quantity in ("position", "yaw")]
+        tracks = [
+            i for i, channel in enumerate(self.channels) if channel.quantity in ("position", "yaw")
+        ]
         turn = np.zeros(ends[-1])
         for i in tracks:
-            each = self.channels[i]
-            if each.quantity == "yaw":
+            channel = self.channels[i]
+            if channel.quantity == "yaw":
                 turn[ends[i] : ends[i + 1]] = 1.0
                 continue
-            values = each.values
+            values = channel.values
             for axis in range(values.shape[1]):
                 shift = np.zeros_like(values)
                 shift[:, axis] = 1.0
