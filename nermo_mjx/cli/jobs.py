@@ -169,7 +169,7 @@ def sweep_command(
     if dry_run and how["workers"] != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     from nermo_mjx.sweep import Sweep, run_sweep
-    from nermo_mjx.sweep.run import sweep_forecast
+    from nermo_mjx.sweep.forecast import sweep_forecast
 
     sweep = (
         Sweep.from_rows(rows, spec, body) if rows is not None else Sweep.from_file(str(spec), body)
