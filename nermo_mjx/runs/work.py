@@ -21,7 +21,7 @@ from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, parquet_table
 from nermo_mjx.runs.job import SILENT, Progress, Watch
 from nermo_mjx.runs.rows import Runs
-from nermo_mjx.runs.workers import TaskFailed, Workers
+from nermo_mjx.runs.workers import Computer, TaskFailed, Workers
 
 #: Rows that are taken from other directories at once, if they have no time series.
 _TAKEN: Final = 65_536
@@ -37,30 +37,23 @@ class RowBatch(NamedTuple):
     worlds: int
 
 
-class RowComputer(Protocol):
-    """Simulates the batches of a job; a `nermo_mjx.runs.workers.Computer`.
+class RowComputer(Computer, Protocol):
+    """Simulates the batches of a job."""
 
-    Attributes:
-        engine: its name.
-    """
-
-    engine: str
-
-    def warm(self) -> None:
-        """See `Computer`."""
+    @property
+    def engine(self) -> str:
+        """Its name."""
         ...
 
     def stamp(self, structure: int = 0) -> CodeStamp:
         """Stamp of the code, a structure's model and the engine that simulate here."""
         ...
 
-    def __call__(self, task: Any, /, progress: Callable[[float], None] | None = None) -> Any:
-        """See `Computer`."""
-        ...
 
-
-class RowJob(Protocol):
+class RowJob:
     """What a job knows of its rows, which have numbers from 0 on; further rows have the numbers after these.
+
+    Further rows and rows of other jobs are for jobs that have them.
 
     Attributes:
         group: digest of the job, see `nermo_mjx.runs.rows`; hexadecimal.
@@ -74,39 +67,39 @@ class RowJob(Protocol):
 
     group: str
     command: str
-    label: str
+    label: str = ""
     structures: np.ndarray
     seconds: np.ndarray
-    with_series: bool
-    several_models: bool
+    with_series: bool = False
+    several_models: bool = False
 
     def further(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Structures and seconds of further rows, by their numbers, (n,) each."""
-        ...
+        raise NotImplementedError
 
     def keys(self, index: np.ndarray) -> np.ndarray:
         """Keys of rows by their numbers, (n,) of 32 bytes."""
-        ...
+        raise NotImplementedError
 
     def task(self, batch: RowBatch) -> Any:
         """What the computer gets for a batch."""
-        ...
+        raise NotImplementedError
 
     def tables(
         self, index: np.ndarray, result: Any, stamp: CodeStamp
     ) -> tuple[pa.Table, pa.Table | None]:
         """The table of simulated rows, by their numbers, and that of their time series."""
-        ...
+        raise NotImplementedError
 
     def adopted(
         self, index: np.ndarray, table: pa.Table, series: Iterable[pa.Table]
     ) -> tuple[pa.Table, pa.Table | None]:
         """The same of rows that another job has made, as its table has them."""
-        ...
+        raise NotImplementedError
 
     def failure(self, index: np.ndarray, error: BaseException, out: Path) -> Exception:
         """What is raised where rows cannot be simulated."""
-        ...
+        raise NotImplementedError
 
 
 class Work:
@@ -394,4 +387,5 @@ def _simulated(
                 former.result()
     except TaskFailed as failed:
         work, batch = queue[failed.key]
-        raise work.job.failure(batch.rows, failed.error, work.out) from failed.error
+        error = work.job.failure(batch.rows, failed.error, work.out)
+        raise error from (None if error is failed.error else failed.error)

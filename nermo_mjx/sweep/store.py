@@ -19,7 +19,7 @@ from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import JobFailed
 from nermo_mjx.runs.rows import keys_of
-from nermo_mjx.runs.work import RowBatch
+from nermo_mjx.runs.work import RowBatch, RowJob
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import WalkSpec
 from nermo_mjx.sweep.simulating import (
@@ -35,7 +35,7 @@ from nermo_mjx.sweep.table import chunk_table, columns_of
 _NO_MEMORY: Final = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", re.IGNORECASE)
 
 
-class SweepRows:
+class SweepRows(RowJob):
     """The rows of a sweep; a `nermo_mjx.runs.work.RowJob`.
 
     Attributes:
@@ -43,7 +43,7 @@ class SweepRows:
         sought: the optimum that is sought, if any, and the repeats and variants of the sweep.
     """
 
-    command, label = "sweep", ""
+    command = "sweep"
 
     def __init__(self, sweep: Sweep) -> None:
         self._sweep, self.sample = sweep, Sample(sweep)

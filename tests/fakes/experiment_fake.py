@@ -110,12 +110,17 @@ class Fake:
         about = ABOUT if bodies is None else ABOUT | {BODY: Column("1", "number of the body")}
         return CaseRuns(self.name, columns, about, {} if bodies is not None else {RUN: recording()})
 
+    @staticmethod
+    def rows(asked: Settings) -> int:
+        """See `Experiment`."""
+        return len(asked.profiles) * max(asked.body_count, 1) * 2 * asked.repeats
+
     def experiment(self) -> Experiment:
         """As the catalogue has one."""
         metrics = ("speed", "theory_speed", "followed")
         about = {"quick": "little", "metrics": metrics, "own_figures": FIGURES}
         return Experiment(
-            self.name, self.run, SETTABLE, f"The {self.name}", "What is done.", **about
+            self.name, self.run, self.rows, SETTABLE, f"The {self.name}", "What is done.", **about
         )
 
 
