@@ -16,6 +16,7 @@ import pyarrow as pa
 from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, Column, texts
 from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, line_counts, set_ups
+from nermo_mjx.files import json_of
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
 from nermo_mjx.runs.code import local_time
@@ -87,7 +88,10 @@ def table_of(
 def outcome_of(content: pa.Table, recordings: Mapping[str, Recording]) -> CaseRuns:
     """The outcome that `table_of` converted to a table; its recordings are stored separately."""
     metadata = content.schema.metadata
-    fields = {name: content.schema.field(name) for name in json.loads(metadata[b"columns"])}
+    fields = {
+        name: content.schema.field(name)
+        for name in json_of(metadata[b"columns"], list[str], "a table of an experiment")
+    }
     # Texts become string arrays again instead of object arrays.
     columns = {name: np.array(content.column(name).to_pylist()) for name in fields}
     for name, field in fields.items():

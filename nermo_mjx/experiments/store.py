@@ -30,6 +30,7 @@ from pydantic import BaseModel
 from nermo_mjx.experiments.cases import BODY, CaseRuns, Settings
 from nermo_mjx.experiments.published import Experiment
 from nermo_mjx.experiments.report import collect, outcome_of, report_page, table_of
+from nermo_mjx.files import FileError
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import CodeStamp, DirectoryError, JobFailed, Written
@@ -133,7 +134,7 @@ class Directory:
                 return None
             outcome = outcome_of(table, _Recordings(files))
             parts = list(map(_part, part_files(folder)))
-        except (KeyError, DirectoryError):
+        except (KeyError, FileError):
             return None
         made = {
             "engine": parts[0].engine,
