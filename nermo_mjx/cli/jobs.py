@@ -239,7 +239,8 @@ def _print_sweep(result: SweepResult) -> None:
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.counting import told
-    from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
+    from nermo_mjx.sweep.optimum import optimum_in
+    from nermo_mjx.sweep.optimum_tables import optimum_cells
     from nermo_mjx.sweep.replay import recording_file
     from nermo_mjx.sweep.table import LEADING, Results, meta, profile_text
 

@@ -30,7 +30,8 @@ from nermo_mjx.runs.directory import with_article
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
 from nermo_mjx.sweep.counting import counts, same_values
-from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
+from nermo_mjx.sweep.optimum import optimum_in
+from nermo_mjx.sweep.optimum_tables import optimum_cells
 from nermo_mjx.sweep.table import (
     LEADING,
     MAIN_METRICS,
