@@ -7,7 +7,7 @@ import contextlib
 import dataclasses
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,10 @@ from nermo_mjx.runs.files import (
     parquet_bytes,
     to_json,
 )
-from nermo_mjx.runs.job import SILENT, TensorBoard, Watch, resumable
+from nermo_mjx.runs.job import SILENT, Interruption, TensorBoard, Watch, resumable
 from nermo_mjx.runs.work import Work, finish
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.directory import check_sources, claim
 from nermo_mjx.sweep.optimum import find_optimum
 from nermo_mjx.sweep.plots import figures_of_results, findings
 from nermo_mjx.sweep.scalars import BatchLog
@@ -35,7 +34,7 @@ from nermo_mjx.sweep.simulating import (
     engine_name,
 )
 from nermo_mjx.sweep.spec import SoughtOptimum, Sweep
-from nermo_mjx.sweep.store import SweepRows, chunk_of, sought_in
+from nermo_mjx.sweep.store import SweepRows
 from nermo_mjx.sweep.table import (
     Results,
     read_table,
@@ -77,6 +76,7 @@ class SweepResult:
         return read_table(self.out)
 
 
+# The options of the command, each a keyword: a record of them would only rename them.
 @shows_progress("sweep", "runs")
 def run_sweep(
     spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
@@ -127,25 +127,25 @@ def run_sweep(
     Raises:
         SpecError, OtherCode, DirectoryError, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
-    sweep = Sweep.of(spec)
-    _check_options(sweep, chunk, shard, extend, tensorboard)
+    rows = SweepRows(Sweep.of(spec))
+    _check_options(rows, chunk, shard, extend, tensorboard)
     sources = [Path(source) for source in use]
-    check_sources(sources, sweep)
+    rows.check_sources(sources)
     workers = LocalWorkers() if workers is None else workers
     parts = workers.parts * (1 if shard is None else shard[1])
-    size = chunk_of(sweep, chunk, engine, parts, simulate)
+    size = rows.chunk(chunk, engine, parts, simulate)
     with (
         RunDirectory(out, "sweep", shard) as directory,
         resumable(directory.out, f"sweep {directory.out / 'sweep.yaml'}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         watch = interruption.watched(watch)
-        sweep = claim(directory, dataclasses.replace(sweep, chunk=size), extend=extend)
+        rows = rows.claimed(directory, size, extend=extend)
         log = None
         if tensorboard:
             part = "" if shard is None else "shard-{}-of-{}".format(*shard)
             log = BatchLog(stack.enter_context(TensorBoard(directory.out, part))).add
-        rows, size = SweepRows(sweep), sweep.chunk or size
+        size = rows.sweep.chunk or size
         work = Work(rows, directory.out, size, sources, shard, watch, directory, log)
         rows.check_room(directory.out, work.unfinished)
         begun_on = engine_of(directory.out) or next((part.engine for part in work.runs.parts), None)
@@ -154,22 +154,10 @@ def run_sweep(
         done, summary, plots, recordings = work.done, dict[str, Any](), list[Path](), list[Path]()
         if done.all():
             results = work_results(work)
-            summary, plots = _publish(directory, sweep, results, work.effort(), watch)
-            if sweep.keep is not None:
-                from nermo_mjx.sweep.replay import record_rows
-
-                also = dict[int, str]()
-                if rows.sought is not None and sweep.keep.optimum:
-                    also = find_optimum(results, *rows.sought).shown_rows()
-                recordings = record_rows(
-                    directory,
-                    rows.group,
-                    results,
-                    sweep.keep,
-                    computer.used,
-                    interruption.check,
-                    watch.warn,
-                    also,
+            summary, plots = _publish(directory, rows, results, work.effort(), watch)
+            if rows.sweep.keep is not None:
+                recordings = _record(
+                    directory, rows, results, computer.used, interruption, watch.warn
                 )
         finished, count = work.count
         return SweepResult(
@@ -186,7 +174,7 @@ def run_sweep(
 
 
 def _check_options(
-    sweep: Sweep,
+    rows: SweepRows,
     chunk: int | None,
     shard: tuple[int, int] | None,
     extend: bool,
@@ -203,7 +191,7 @@ def _check_options(
         raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
     if tensorboard:
         require("tensorboard", "tensorboardX", "tensorboard")
-    if sweep.sampler == "saltelli":
+    if rows.sweep.sampler == "saltelli":
         require("sample: saltelli", "SALib", "sensitivity")
 
 
@@ -238,14 +226,37 @@ def _complete(
         work.add_further(further)
 
 
+def _record(
+    directory: RunDirectory,
+    rows: SweepRows,
+    results: Results,
+    simulator: SimulatorLike | None,
+    interruption: Interruption,
+    warn: Callable[[str], None],
+) -> list[Path]:
+    """Record the rows that are kept; files of their recordings."""
+    from nermo_mjx.sweep.replay import record_rows
+
+    keep, also = rows.sweep.keep, dict[int, str]()
+    assert keep is not None
+    if rows.sought is not None and keep.optimum:
+        also = find_optimum(results, *rows.sought).shown_rows()
+    check = interruption.check
+    return record_rows(directory, rows.group, results, keep, simulator, check, warn, also)
+
+
 def _publish(
-    directory: RunDirectory, sweep: Sweep, results: Results, effort: Mapping[str, Any], watch: Watch
+    directory: RunDirectory,
+    rows: SweepRows,
+    results: Results,
+    effort: Mapping[str, Any],
+    watch: Watch,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Write what is made of a complete table; the content of summary.json, and the files of the figures."""
     summary, figures = {**summarize(results), **effort}, figures_of_results(results)
-    comparison = None if sweep.compare is None else sweep.compare.written()
+    comparison = None if rows.sweep.compare is None else rows.sweep.compare.written()
     for name, table, about, drawn, files in findings(
-        results, comparison, sought_in(sweep), notify=watch.warn
+        results, comparison, rows.sought, notify=watch.warn
     ):
         directory.write(f"{name}.parquet", parquet_bytes(table))
         for file, content in files.items():
@@ -253,4 +264,4 @@ def _publish(
         summary[name] = about
         figures = itertools.chain(figures, drawn)
     directory.write("summary.json", to_json(summary))
-    return summary, write_figures(figures, directory.out / "plots") if sweep.plots else []
+    return summary, write_figures(figures, directory.out / "plots") if rows.sweep.plots else []

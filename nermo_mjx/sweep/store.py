@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import re
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,19 +18,21 @@ from nermo_mjx.rollout import Series
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.rollout.saving import Signal, chosen_signals
 from nermo_mjx.runs.code import CodeStamp
+from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import JobFailed
 from nermo_mjx.runs.rows import keys_of
 from nermo_mjx.runs.work import RowBatch, RowJob
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import WalkSpec
+from nermo_mjx.sweep.directory import check_sources, claim
 from nermo_mjx.sweep.simulating import (
     Simulated,
     SimulatorLike,
     SweepSimulator,
     chunk_rows_here,
 )
-from nermo_mjx.sweep.spec import Rows, Sample, SoughtOptimum, Sweep
+from nermo_mjx.sweep.spec import Rows, Sample, Sweep
 from nermo_mjx.sweep.table import chunk_table, columns_of
 
 #: How JAX, CUDA and Warp say that a batch does not fit.
@@ -39,18 +43,70 @@ class SweepRows(RowJob):
     """The rows of a sweep; a `nermo_mjx.runs.work.RowJob`.
 
     Attributes:
-        sample: all of them, each made on demand.
+        sweep: whose rows.
         sought: the optimum that is sought, if any, and the repeats and variants of the sweep.
     """
 
     command = "sweep"
 
     def __init__(self, sweep: Sweep) -> None:
-        self._sweep, self.sample = sweep, Sample(sweep)
-        self.group, self.structures = sweep.digest(), self.sample.structures()
-        self.seconds = simulated_seconds(sweep, self.sample)
+        self.sweep, self.group = sweep, sweep.digest()
         self.with_series, self.several_models = sweep.save is not None, len(sweep.structures) > 1
-        self.sought = sought_in(sweep)
+        self.sought = (
+            None if sweep.optimum is None else (sweep.optimum, sweep.repeats, sweep.variants)
+        )
+
+    @functools.cached_property
+    def sample(self) -> Sample:
+        """All rows, each made on demand."""
+        return Sample(self.sweep)
+
+    @functools.cached_property
+    def structures(self) -> np.ndarray:  # type: ignore[override]  # made on first use
+        """See `RowJob`."""
+        return self.sample.structures()
+
+    @functools.cached_property
+    def seconds(self) -> np.ndarray:  # type: ignore[override]  # made on first use
+        """See `RowJob`."""
+        return simulated_seconds(self.sweep, self.sample)
+
+    def check_sources(self, sources: Sequence[Path]) -> None:
+        """See `nermo_mjx.sweep.directory.check_sources`."""
+        check_sources(sources, self.sweep)
+
+    def claimed(self, held: RunDirectory, chunk: int, *, extend: bool) -> SweepRows:
+        """The rows of the sweep as a directory has it, see `nermo_mjx.sweep.directory.claim`."""
+        sweep = dataclasses.replace(self.sweep, chunk=chunk)
+        return SweepRows(claim(held, sweep, extend=extend))
+
+    def chunk(self, requested: int | None, engine: str, parts: int, simulate: bool = True) -> int:
+        """Rows of a chunk: as many as are requested, or fill this machine.
+
+        Raises:
+            SpecError: as many do not fit.
+        """
+        rows = self.sweep.variants * self.sweep.repeats
+        size = self._chunk_with_series(
+            requested or self.sweep.chunk, lambda: chunk_rows_here(engine, rows, parts)
+        )
+        if simulate and (reason := too_many(min(size, rows))):
+            raise SpecError(f"chunk is {size:,}: {reason}")
+        return size
+
+    def _chunk_with_series(self, requested: int | None, usual: Callable[[], int]) -> int:
+        """Rows of a chunk whose series fit into memory."""
+        if not self.with_series:
+            return requested or usual()
+        longest = self.seconds.max(keepdims=True)
+        most = max(1, int(LARGEST_CHUNK / max(series_bytes(self.sweep, longest), 1.0)))
+        if requested is not None and requested > most:
+            needed = series_bytes(self.sweep, np.sort(self.seconds)[-requested:])
+            raise SpecError(
+                f"save takes {size(needed)} of memory for a chunk of {requested:,} "
+                f"runs: allowed is {size(LARGEST_CHUNK)}; take chunk: {most}, fewer sensors or a lower rate."
+            )
+        return requested or min(usual(), most)
 
     def check_room(self, out: Path, index: np.ndarray) -> None:
         """Refuse missing rows, by their numbers, for whose time series the disk has no room.
@@ -58,7 +114,7 @@ class SweepRows(RowJob):
         Raises:
             WrongDirectory: the series of these runs need more than is free.
         """
-        needed, free = series_bytes(self._sweep, self.seconds[index]), shutil.disk_usage(out).free
+        needed, free = series_bytes(self.sweep, self.seconds[index]), shutil.disk_usage(out).free
         if needed > free:
             raise WrongDirectory(
                 f"{out} has room for {size(free)}, and the time series would take up to {size(needed)}: choose another "
@@ -69,21 +125,21 @@ class SweepRows(RowJob):
         self, engine: str, simulator: SimulatorLike | None, notify: Callable[[str], None]
     ) -> SweepSimulator:
         """What simulates the rows on an engine, or a simulator that replaces it."""
-        sweep = self._sweep
+        sweep = self.sweep
         return SweepSimulator(sweep.structures, engine, simulator, notify, sweep.save)
 
     def further(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `RowJob`: further repeats of some variants."""
-        seconds = simulated_seconds(self._sweep, self.sample, index)
+        seconds = simulated_seconds(self.sweep, self.sample, index)
         return self.sample.take(index).structure, seconds
 
     def keys(self, index: np.ndarray) -> np.ndarray:
         """See `RowJob`."""
-        return keys_of_rows(self._sweep, self.sample.take(index))
+        return keys_of_rows(self.sweep, self.sample.take(index))
 
     def task(self, batch: RowBatch) -> tuple[int, Mapping[str, np.ndarray]]:
         """See `RowJob`: what `SweepSimulator` takes."""
-        walk = self._sweep.structures[batch.structure]
+        walk = self.sweep.structures[batch.structure]
         return batch.structure, batch_values(walk, self.sample.take(batch.rows), batch.worlds)
 
     def tables(
@@ -99,7 +155,7 @@ class SweepRows(RowJob):
         }
         metrics = {name: column[:count] for name, column in result.metrics.items()}
         table = self._table(index, metrics, result.status[:count], stamp.id, about)
-        series = None if result.series is None else series_table(self._sweep, index, result.series)
+        series = None if result.series is None else series_table(self.sweep, index, result.series)
         return table, series
 
     def adopted(
@@ -140,7 +196,7 @@ class SweepRows(RowJob):
         about: Mapping[str, Any],
     ) -> pa.Table:
         rows = self.sample.take(index)
-        return chunk_table(self._sweep, rows, index, metrics, status, code, about)
+        return chunk_table(self.sweep, rows, index, metrics, status, code, about)
 
 
 # ---
@@ -266,50 +322,6 @@ def series_bytes(sweep: Sweep, seconds: np.ndarray) -> float:
         return 0.0
     sample = _INDEX_BYTES + _SIGNAL_BYTES * len(signals_of(sweep))
     return float(np.sum(seconds)) * sweep.save.rate * sample
-
-
-def sought_in(sweep: Sweep) -> tuple[SoughtOptimum, int, int] | None:
-    """The optimum that a sweep seeks, if any, and its repeats and variants."""
-    return None if sweep.optimum is None else (sweep.optimum, sweep.repeats, sweep.variants)
-
-
-def chunk_of(
-    sweep: Sweep, chunk: int | None, engine: str, parts: int, simulate: bool = True
-) -> int:
-    """Rows of a chunk: as many as are asked for, or fill this machine.
-
-    Raises:
-        SpecError: as many do not fit.
-    """
-    rows = sweep.variants * sweep.repeats
-    size = chunk_with_series(
-        sweep, chunk or sweep.chunk, lambda: chunk_rows_here(engine, rows, parts)
-    )
-    if simulate and (reason := too_many(min(size, rows))):
-        raise SpecError(f"chunk is {size:,}: {reason}")
-    return size
-
-
-def chunk_with_series(sweep: Sweep, wanted: int | None, usual: Callable[[], int]) -> int:
-    """Rows of a chunk whose series fit into memory.
-
-    Args:
-        wanted: by the user, if at all.
-        usual: gives what is taken otherwise.
-
-    Raises:
-        SpecError: as many as are wanted do not fit.
-    """
-    if sweep.save is None:
-        return wanted or usual()
-    seconds = simulated_seconds(sweep, Sample(sweep))
-    most = max(1, int(LARGEST_CHUNK / max(series_bytes(sweep, seconds.max(keepdims=True)), 1.0)))
-    if wanted is not None and wanted > most:
-        raise SpecError(
-            f"save takes {size(series_bytes(sweep, np.sort(seconds)[-wanted:]))} of memory for a chunk of {wanted:,} "
-            f"runs: allowed is {size(LARGEST_CHUNK)}; take chunk: {most}, fewer sensors or a lower rate."
-        )
-    return wanted or min(usual(), most)
 
 
 def size(amount: float) -> str:
