@@ -147,25 +147,7 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
             ) from None
         sweep = dataclasses.replace(sweep, chunk=begun.chunk or sweep.chunk)
         if begun.digest() != sweep.digest():
-            why = refusal(begun, sweep)
-            if extend and why:
-                raise DirectoryError(
-                    f"{out} holds a sweep that cannot be extended to this one: {why}; choose another directory."
-                )
-            if not extend:
-                also = "" if why else ", or add these rows to it with --extend"
-                raise DirectoryError(
-                    f"{out} holds the results of another sweep: {sweep_differences(begun, sweep)}; choose another "
-                    f"directory, or resume with {path}{also}."
-                )
-            # Killed at any moment, the results are in one of two folders, and both sweeps find them there.
-            (out / FORMER).mkdir(exist_ok=True)
-            held.write(f"{FORMER}/sweep-{begun.digest()}.yaml", read_bytes(path, MOST_JSON))
-            retire(held, sweep.digest())
-            for name in _MADE:
-                held.move_aside(name, FORMER)
-            sweep = _with_files(held, sweep)
-            held.write(path.name, sweep.to_yaml(folder).encode())
+            sweep = _extended(held, begun, sweep, extend=extend)
         elif held.shard is None and (begun.compare, begun.optimum) != (
             sweep.compare,
             sweep.optimum,
@@ -174,32 +156,60 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
                 begun, compare=sweep.compare, optimum=sweep.optimum
             )  # no row depends on them
             held.write(path.name, again.to_yaml(folder).encode())
-        values = dict[str, set[float]]()
-        for walk in sweep.structures:
-            own = walk.setup.defaults() | walk.constants
-            for name in sweep.parameters:
-                values.setdefault(name, set()).update(
-                    [own[name]] if unread(walk.setup, name) is None else []
-                )
-        asked: Any = None if sweep.compare is None else sweep.compare.written()
-        read = SweepRecord(
-            rows=sweep.variants * sweep.repeats,
-            fields=sweep.walk_fields() | code_identity(sweep.setup),
-            labelled=sweep.labelled,
-            parameters={
-                name: each.pop() if len(each) == 1 else None for name, each in values.items()
-            },
-            comparison=asked,
-            optimum=None if sweep.optimum is None else sweep.optimum.written(),
-            variants=sweep.variants,
-            repeats=sweep.repeats,
-        )
-        record = to_json(dataclasses.asdict(read))
+        record = _record_of(sweep)
         if held.shard is not None:
             create_file(out / RECORD, record)
         elif content_of(out / RECORD) != record:
             held.write(RECORD, record)
     return sweep
+
+
+def _extended(held: RunDirectory, begun: Sweep, sweep: Sweep, *, extend: bool) -> Sweep:
+    """Turn the sweep of a directory into another one, or refuse; what was made of the former rows moves aside."""
+    out, path = held.out, held.out / "sweep.yaml"
+    why = refusal(begun, sweep)
+    if extend and why:
+        raise DirectoryError(
+            f"{out} holds a sweep that cannot be extended to this one: {why}; choose another directory."
+        )
+    if not extend:
+        also = "" if why else ", or add these rows to it with --extend"
+        raise DirectoryError(
+            f"{out} holds the results of another sweep: {sweep_differences(begun, sweep)}; choose another "
+            f"directory, or resume with {path}{also}."
+        )
+    # Killed at any moment, the results are in one of two folders, and both sweeps find them there.
+    (out / FORMER).mkdir(exist_ok=True)
+    held.write(f"{FORMER}/sweep-{begun.digest()}.yaml", read_bytes(path, MOST_JSON))
+    retire(held, sweep.digest())
+    for name in _MADE:
+        held.move_aside(name, FORMER)
+    sweep = _with_files(held, sweep)
+    held.write(path.name, sweep.to_yaml(out.resolve()).encode())
+    return sweep
+
+
+def _record_of(sweep: Sweep) -> bytes:
+    """The content of sweep.json."""
+    values = dict[str, set[float]]()
+    for walk in sweep.structures:
+        own = walk.setup.defaults() | walk.constants
+        for name in sweep.parameters:
+            values.setdefault(name, set()).update(
+                [own[name]] if unread(walk.setup, name) is None else []
+            )
+    asked: Any = None if sweep.compare is None else sweep.compare.written()
+    read = SweepRecord(
+        rows=sweep.variants * sweep.repeats,
+        fields=sweep.walk_fields() | code_identity(sweep.setup),
+        labelled=sweep.labelled,
+        parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
+        comparison=asked,
+        optimum=None if sweep.optimum is None else sweep.optimum.written(),
+        variants=sweep.variants,
+        repeats=sweep.repeats,
+    )
+    return to_json(dataclasses.asdict(read))
 
 
 def _with_files(held: RunDirectory, sweep: Sweep) -> Sweep:

@@ -74,46 +74,7 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     ] or list(answers[0].points)
     flat = len(across) > 1
     for i, (ax, answer, gain) in enumerate(zip(maps, answers, gains, strict=True)):
-        x, *more = (_axis(found, name, answer.points[name]) for name in across[:2])
-        here, inside = answer.judged.best, answer.judged.region
-        if flat:
-            shown_here = np.logical_and.reduce(
-                [
-                    np.full(len(gain), True),
-                    *(answer.points[name] == answer.at[name] for name in across[2:]),
-                ]
-            )
-            _draw_map(ax, [x, *more], gain, inside, shown_here, colours)
-        else:
-            order = np.argsort(x.values)
-            ax.plot(x.values[order], gain[order], color=SERIES[0], lw=1.2, zorder=2)
-            ax.scatter(
-                x.values,
-                gain,
-                s=30,
-                ec=SERIES[0],
-                fc=np.where(inside, SERIES[0], "white"),
-                zorder=3,
-            )
-            ax.axhline(0, color=MUTED, lw=0.8)
-        ax.plot(x.values[here], (more[0].values if flat else gain)[here], **_STAR, clip_on=False)
-        set_scales(ax, x, more[0] if flat else None)
-        _, share, ends = found.numbers(answer, asked.metric)
-        place = ", ".join(found.text(key, value) for key, value in answer.at.items())
-        ax.set_title(f"{share} {ends}\nat {place}", color=INK)
-        head: dict[str, Any] = {"ha": "center", "fontweight": "bold", "color": INK}
-        ax.annotate(
-            found.called(answer), (0.5, 1), (0, 29), "axes fraction", "offset points", **head
-        )
-        ax.set(
-            xlabel=x.label,
-            ylabel=""
-            if i % columns
-            else more[0].label
-            if flat
-            else f"gain against {found.base} [%]",
-        )
-        ax.tick_params(labelleft=not (flat and i % columns))
+        _draw_group(ax, found, answer, gain, across, colours, first=not i % columns)
     if flat:
         label = f"{spoken(asked.metric)} against {found.base} [%]"
         bar = colour_bar(figure, list(maps), colours, label, extend="both", shrink=0.9, aspect=26)
@@ -141,6 +102,58 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
         else []
     )
     yield "optimum", around(figure, found.title, " ".join(notes), handles)
+
+
+def _draw_group(
+    ax: Axes,
+    found: FoundOptimum,
+    answer: OptimumAnswer,
+    gain: np.ndarray,
+    across: Sequence[str],
+    colours: ScalarMappable,
+    *,
+    first: bool,
+) -> None:
+    """The gain of the points of a group, (k,), over the first two columns `across`, as a map, or over one as a line.
+
+    Args:
+        first: whether it stands at the left, where the vertical axis is labelled.
+    """
+    flat = len(across) > 1
+    x, *more = (_axis(found, name, answer.points[name]) for name in across[:2])
+    here, inside = answer.judged.best, answer.judged.region
+    if flat:
+        shown_here = np.logical_and.reduce(
+            [
+                np.full(len(gain), True),
+                *(answer.points[name] == answer.at[name] for name in across[2:]),
+            ]
+        )
+        _draw_map(ax, [x, *more], gain, inside, shown_here, colours)
+    else:
+        order = np.argsort(x.values)
+        ax.plot(x.values[order], gain[order], color=SERIES[0], lw=1.2, zorder=2)
+        ax.scatter(
+            x.values,
+            gain,
+            s=30,
+            ec=SERIES[0],
+            fc=np.where(inside, SERIES[0], "white"),
+            zorder=3,
+        )
+        ax.axhline(0, color=MUTED, lw=0.8)
+    ax.plot(x.values[here], (more[0].values if flat else gain)[here], **_STAR, clip_on=False)
+    set_scales(ax, x, more[0] if flat else None)
+    _, share, ends = found.numbers(answer, found.asked.metric)
+    place = ", ".join(found.text(key, value) for key, value in answer.at.items())
+    ax.set_title(f"{share} {ends}\nat {place}", color=INK)
+    head: dict[str, Any] = {"ha": "center", "fontweight": "bold", "color": INK}
+    ax.annotate(found.called(answer), (0.5, 1), (0, 29), "axes fraction", "offset points", **head)
+    ax.set(
+        xlabel=x.label,
+        ylabel="" if not first else more[0].label if flat else f"gain against {found.base} [%]",
+    )
+    ax.tick_params(labelleft=first or not flat)
 
 
 def _axis(found: FoundOptimum, name: str, values: np.ndarray) -> ShownValues:
