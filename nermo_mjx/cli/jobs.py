@@ -798,9 +798,13 @@ def _print_experiments(result: ExperimentsResult) -> None:
     click.echo("Only predicted lines count as evidence.")
     for sentence in content["differences"]:
         click.echo(sentence)
-    folders = ("plots", "recordings", "videos")
-    made = {name: name for name in folders if any(getattr(each, name) for each in result.results)}
-    print_places(result.out, report="report.md", tables="results", **made)
+    folders = {"plots": "plots", "recordings": "*/recordings", "videos": "videos"}
+    made = {
+        name: place
+        for name, place in folders.items()
+        if any(getattr(each, name) for each in result.results)
+    }
+    print_places(result.out, report="report.md", tables="*/results", **made)
 
 
 def _counted(summary: dict[str, Any]) -> str:
