@@ -194,7 +194,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 #: Modules that make simulators by this name.
 MAKERS = (
     "rollout",
-    "sweep.run",
+    "sweep.forecast",
     "sweep.replay",
     "sweep.simulating",
     "optimize.problems",

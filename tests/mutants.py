@@ -296,7 +296,7 @@ MUTANTS: Final[dict[str, Mutant]] = {
         "A normal distribution is clipped to the range instead of truncated, so that samples pile up at its ends.",
     ),
     "fresh_runs_choose": Mutant(
-        "sweep/optimum.py",
+        "sweep/selection.py",
         "begin = asked.fresh + look * repeats",
         "begin = look * repeats",
         "The runs that validate the optimum also choose it.",
@@ -366,8 +366,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "early_commands": Mutant(
         "identify/twin.py",
-        "np.interp(self.grid - each, knots, area)",
-        "np.interp(self.grid + each, knots, area)",
+        "np.interp(self.grid - delay_value, knots, area)",
+        "np.interp(self.grid + delay_value, knots, area)",
         "A delay makes the twin follow its commands before they come.",
     ),
     "judged_on_fitted": Mutant(

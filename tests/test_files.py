@@ -32,7 +32,8 @@ from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.control import protocol
 from nermo_mjx.experiments.cases import CaseRuns
 from nermo_mjx.experiments.report import table_of
-from nermo_mjx.experiments.run import EXPERIMENTS, Directory
+from nermo_mjx.experiments.run import EXPERIMENTS
+from nermo_mjx.experiments.store import RECORD, Directory
 from nermo_mjx.files import FileError, read_bytes
 from nermo_mjx.hardware.channels import read_channels
 from nermo_mjx.identify.report import RESULT, identification_page
@@ -246,11 +247,16 @@ def kinds_of_files(
         for name in ABOUT
     }
     experiments = Directory(top / "experiments")
-    (experiments.out / "results").mkdir(parents=True)
-    metadata = {"started": "2026-01-01", "engine": "c", "recordings": {}, "code": "0"}
     name = "free_gait" if "free_gait" in EXPERIMENTS else next(iter(EXPERIMENTS))
-    table = table_of(CaseRuns(name, columns, ABOUT, {}), {"about": json.dumps(metadata)}, "0")
-    pq.write_table(table, experiments.path(name))
+    rows = experiments.folder(name)
+    (rows / "results").mkdir(parents=True)
+    write_json(
+        rows / RECORD, {"started": "2026-01-01", "settings": {}, "rows": 2, "recordings": {}}
+    )
+    about = {"engine": "c", "steps": 0, "wall_seconds": 1.0}
+    table = table_of(CaseRuns(name, columns, ABOUT, {}), 0, 0, 0, "0", about)
+    walked = rows / "results" / f"part-0-{0:016x}.parquet"
+    pq.write_table(table, walked)
     pq.write_table(pa.table({"frequency": [0.5, 0.8]}), top / "rows.parquet")
     part = next((sweep / "results").glob("*.parquet"))
     text, table_like = (
@@ -323,7 +329,7 @@ def kinds_of_files(
             text,
             lambda: (identification_status(identified), identification_page(identified)),
         ),
-        "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
+        "experiment": (walked, table_like, kind("experiments", experiments.out)),
         "part": (
             part,
             table_like,

@@ -24,6 +24,8 @@ ELSEWHERE = {
     "rollout/eye_metrics.py": "control",  # head control
     "rollout/saving.py": "sweep",  # the series that a sweep stores
     "rollout/transitions.py": "control",  # a schedule's switches
+    "runs/work.py": "sweep",  # a sweep asks for rows
+    "sweep/scalars.py": "runs",  # the writer of TensorBoard
     "runs/status.py": "cli",  # the command `status`
     "view/trained.py": "learn",  # the page of a training
 }

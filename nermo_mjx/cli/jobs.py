@@ -167,7 +167,7 @@ def sweep_command(
     if dry_run and how["workers"] != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     from nermo_mjx.sweep import Sweep, run_sweep
-    from nermo_mjx.sweep.run import sweep_forecast
+    from nermo_mjx.sweep.forecast import sweep_forecast
 
     sweep = (
         Sweep.from_rows(rows, spec, body) if rows is not None else Sweep.from_file(str(spec), body)
@@ -237,7 +237,8 @@ def _print_sweep(result: SweepResult) -> None:
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.counting import told
-    from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
+    from nermo_mjx.sweep.optimum import optimum_in
+    from nermo_mjx.sweep.optimum_tables import optimum_cells
     from nermo_mjx.sweep.replay import recording_file
     from nermo_mjx.sweep.table import LEADING, Results, meta, profile_text
 
@@ -795,9 +796,13 @@ def _print_experiments(result: ExperimentsResult) -> None:
     click.echo("Only predicted lines count as evidence.")
     for sentence in content["differences"]:
         click.echo(sentence)
-    folders = ("plots", "recordings", "videos")
-    made = {name: name for name in folders if any(getattr(each, name) for each in result.results)}
-    print_places(result.out, report="report.md", tables="results", **made)
+    folders = {"plots": "plots", "recordings": "*/recordings", "videos": "videos"}
+    made = {
+        name: place
+        for name, place in folders.items()
+        if any(getattr(each, name) for each in result.results)
+    }
+    print_places(result.out, report="report.md", tables="*/results", **made)
 
 
 def _counted(summary: dict[str, Any]) -> str:

@@ -331,9 +331,18 @@ def identify_log(
     missing_kinds = {} if fitted_residual.judgement.right else _missing(make, free, fit, full_twin)
     report(1.0)
     return Identification(
-        body, fit, simplest, left_out if simplest is not fit else (), missing_kinds, held_out_before, held_out_after, fitted_residual, errors,
-        _repeatability(logs, fit.sigma, full_twin.labels), time.monotonic() - began,
-    )  # fmt: skip
+        body,
+        fit,
+        simplest,
+        left_out if simplest is not fit else (),
+        missing_kinds,
+        held_out_before,
+        held_out_after,
+        fitted_residual,
+        errors,
+        _repeatability(logs, fit.sigma, full_twin.labels),
+        time.monotonic() - began,
+    )
 
 
 def _fit(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -35,6 +35,9 @@ from nermo_mjx.runs.files import (
     stored_json,
     to_json,
 )
+
+if TYPE_CHECKING:
+    from nermo_mjx.view.page import Page
 
 RESULT: Final = "identification.json"
 #: Bodies in ensemble.csv, and draws in the posterior predictive check.
@@ -129,7 +132,7 @@ def write_identification(identification: Identification, out: Path, command: str
     }  # fmt: skip
     replace_file(out / RESULT, to_json(content))
     write_figures(figures_of(identification), out / "plots")
-    replace_file(out / "report.html", identification_page(out).encode())
+    replace_file(out / "report.html", identification_page(out).html.encode())
     return content
 
 
@@ -156,12 +159,13 @@ class Report(BaseModel):
     parameters: dict[str, Estimate]
 
 
-def identification_page(out: Path) -> str:
+def identification_page(out: Path) -> Page:
     """The page of a complete identification: its verdict, estimates, the command, and figures.
 
     Raises:
         DirectoryError: The identification is not complete, or its file is damaged.
     """
+    from nermo_mjx.view.page import Page
     from nermo_mjx.view.trained import image, offline_page  # views know of experiments, too
 
     report = stored_json(out / RESULT, Report)
@@ -177,7 +181,7 @@ def identification_page(out: Path) -> str:
         *(image(name, content_of(out / "plots" / f"{name}.svg") or b"") for name in FIGURES),
     ]
     title = f"What {', '.join(report['logs'])} says of the robot"
-    return offline_page(html.escape(title), "an identification", parts, ())
+    return Page(offline_page(html.escape(title), "an identification", parts, ()), 680)
 
 
 def _html_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -116,12 +116,17 @@ class Fake:
             self.name, columns, columns_info, {} if bodies is not None else {RUN: recording()}
         )
 
+    @staticmethod
+    def rows(settings: Settings) -> int:
+        """See `Experiment`."""
+        return len(settings.profiles) * max(settings.body_count, 1) * 2 * settings.repeats
+
     def experiment(self) -> Experiment:
         """As the catalogue has one."""
         metrics = ("speed", "theory_speed", "followed")
         options = {"quick": "little", "metrics": metrics, "own_figures": FIGURES}
         return Experiment(
-            self.name, self.run, SETTABLE, f"The {self.name}", "What is done.", **options
+            self.name, self.run, self.rows, SETTABLE, f"The {self.name}", "What is done.", **options
         )
 
 

@@ -1,4 +1,4 @@
-# Tests of runs/job.py
+# Tests of runs/job.py, sweep/scalars.py
 """Scalars of each chunk for TensorBoard: read with its own reader, over two sessions."""
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from command import call
+from fakes.experiment_fake import pretend
 from fakes.explore_data import MEASURES, atlas, falling, many, sweep
 from fakes.sweep_fake import SPEC, FakeSimulator
 from scipy.spatial.transform import Rotation
@@ -22,10 +23,18 @@ from scipy.spatial.transform import Rotation
 from nermo_mjx import Recording, Run, load_robot, show
 from nermo_mjx.cli.walk import planned_walk
 from nermo_mjx.cli.walk import walk_command as walk
+from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.runs import DirectoryError
 from nermo_mjx.sweep import Sweep, run_sweep
 from nermo_mjx.view.clip import COMPACT, FULL, Frames, Models, clip_of
-from nermo_mjx.view.explore import commands_of, explore, runs_of, start_of, with_gain
+from nermo_mjx.view.explore import (
+    commands_of,
+    explore,
+    recordings_in,
+    runs_of,
+    start_of,
+    with_gain,
+)
 from nermo_mjx.view.page import Packer
 from nermo_mjx.view.recorded import motion_of
 
@@ -362,11 +371,7 @@ def test_wrong_use_is_said_in_a_sentence(swept: Path, dropped: Recording, tmp_pa
         ([file, "--recordings", "3"], 2, "--recordings is for the page of a directory"),
         ([swept, "--recordings", "-1"], 2, "-1"),
         ([tmp_path / "empty"], 2, "is not a results directory"),
-        (
-            [tmp_path / "tuned"],
-            2,
-            "is the directory of a tuning: the page of a directory shows the runs",
-        ),
+        ([tmp_path / "tuned"], 2, "tuning.yaml: there is no such file"),
         ([tmp_path / "begun"], 1, "holds no results yet"),
         ([path], 1, "atlas.parquet cannot be read"),
         ([tmp_path / "missing"], 2, "does not exist"),
@@ -375,3 +380,22 @@ def test_wrong_use_is_said_in_a_sentence(swept: Path, dropped: Recording, tmp_pa
         result = call("view", *arguments, "--no-open")
         assert result.exit_code == code, (arguments, result.output)
         assert sentence in result.stderr, (sentence, result.stderr)
+
+
+def test_experiments_are_shown_one_by_one_or_all_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their recordings belong to rows; what is measured in one alone is missing in the others."""
+    pretend(monkeypatch)
+    run_experiments(["turning", "maze"], tmp_path, engine="c", video=False)
+    alone, both = (runs_of(path) for path in (tmp_path / "maze", tmp_path))
+    assert (alone.kind, both.kind) == ("experiment", "experiments")
+    assert (len(alone.rows), len(both.rows), both.rows.tolist()) == (18, 36, list(range(36)))
+    assert {*both.columns} - {*alone.columns} == {"experiment"}
+    assert both.columns["experiment"].distinct.tolist() == ["maze", "turning"]
+    assert list(recordings_in(tmp_path)) == [3, 21]
+    assert commands_of(tmp_path, both)["replay"] == ""
+    assert call("view", tmp_path, "--no-open", "--out", tmp_path / "a.html").exit_code == 0
+    result = call("compare", tmp_path / "maze", tmp_path / "turning", "--metric", "speed")
+    assert result.exit_code == 0, result.stderr
+    assert call("plot", tmp_path / "maze", "--x", "frequency", "--y", "speed").exit_code == 0
