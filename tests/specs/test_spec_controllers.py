@@ -40,7 +40,7 @@ CONTROLLERS = {
     "nothing": (
         UPDATE,
         "        pass\n",
-        r"update \(own.py:39\), which gives NoneType: expected two",
+        r"update \(own.py:44\), which gives NoneType: expected two",
     ),
     "no servos": (
         UPDATE,
@@ -56,27 +56,27 @@ CONTROLLERS = {
     "raises": (
         UPDATE,
         "        raise RuntimeError('boom')\n",
-        "update .* fails at own.py:40: RuntimeError: boom",
+        "update .* fails at own.py:45: RuntimeError: boom",
     ),
     "if": (
         UPDATE,
         "        if phase > 0.5: pass\n" + UPDATE,
-        "at own.py:40: it cannot be compiled",
+        "at own.py:45: it cannot be compiled",
     ),
     "numpy": (
         UPDATE,
         "        import numpy\n        numpy.asarray(phase)\n" + UPDATE,
-        "at own.py:41: it cannot be",
+        "at own.py:46: it cannot be",
     ),
     "range": (
         UPDATE,
         "        for i in range(phase): pass\n" + UPDATE,
-        "at own.py:40: (it cannot be|TypeError)",
+        "at own.py:45: (it cannot be|TypeError)",
     ),
     "sensor": (
         UPDATE,
         "        sensors.gyros\n" + UPDATE,
-        "at own.py:40: AttributeError.*did you mean 'gyro'",
+        "at own.py:45: AttributeError.*did you mean 'gyro'",
     ),
     "whole start": (
         "        return phase\n\n    def initial",
@@ -129,7 +129,7 @@ CONTROLLERS = {
     "maker": (
         "    dt = 0.01",
         "    dt = 0.01\n    def __init__(self): 1 / 0",
-        "at own.py:24: ZeroDivisionError",
+        "at own.py:26: ZeroDivisionError",
     ),
     "arguments": (
         "    dt = 0.01",
