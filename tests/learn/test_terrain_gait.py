@@ -52,8 +52,8 @@ def test_the_search_counts_a_way_beside_the_path(howto):
     gait = howto.gaits().loc["stiff", "begin"].dropna().to_dict()
     run = Run(duration=1.0, warmup=0.5)
     wide, narrow = (
-        ground.walk(place, [gait], np.random.default_rng(0), run).aside.item()
-        for place in (
+        ground.walk(variant, [gait], np.random.default_rng(0), run).aside.item()
+        for variant in (
             test_place,
             dataclasses.replace(test_place, corridor=0.1 * test_place.corridor),
         )

@@ -26,8 +26,9 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def documented(start: str) -> str:
-    """The first line of the page that begins so."""
-    return re.findall(rf"^({re.escape(start)}.*)$", PAGE.read_text(), re.MULTILINE)[0]
+    """The first statement of the page that begins so, with its indented lines and the closing brace."""
+    statement = rf"^({re.escape(start)}.*(?:\n[ }}].*)*)$"
+    return re.findall(statement, PAGE.read_text(), re.MULTILINE)[0]
 
 
 @pytest.mark.parametrize("package", ["pandas", "polars", "duckdb"])
