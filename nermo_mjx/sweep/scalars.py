@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from nermo_mjx.plotting.shown import cost
-from nermo_mjx.rollout.own_metrics import SIDES
+from nermo_mjx.rollout.metric_table import SIDES
 from nermo_mjx.runs.job import TensorBoard
 from nermo_mjx.sweep.counting import counts
 from nermo_mjx.sweep.table import better, columns_of
