@@ -290,6 +290,7 @@ def _report(
 _MOST_GROUPS = 30
 
 
+# Long because it prints the parts of one report in their order.
 def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool) -> None:
     """Tables for people: the chosen metrics, or all of them, over all variants, and the drawn ones by groups; where
     lines have an end, what differs, in the columns that fit."""

@@ -225,6 +225,7 @@ def _with_unit(name: str, unit: str, value: float) -> str:
     return "–" if math.isnan(number) else f"{number + 0.0:.4g} {unit}".rstrip()
 
 
+# Long because it prints the parts of one report in their order.
 def _print_sweep(result: SweepResult) -> None:
     """A directory's contents in readable form."""
     summary = result.summary
@@ -844,6 +845,7 @@ def _counted(summary: dict[str, Any]) -> str:
 )
 @number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
 @options.robot
+# Many parameters because each is an option of the command.
 def identify_command(
     out: Path,
     *,

@@ -349,6 +349,7 @@ DRIVE_NEEDS = {
     click.FloatRange(0, 1),
     default=0.0,
 )
+# Long because it checks each option of the command before anything starts.
 def drive_command(
     connect: str | None,
     serve: str | None,
@@ -516,6 +517,8 @@ REPLAY_NEEDS = {
     "FILE",
     "Your copy of the controller of a drive, FILE.py:NAME or a policy FILE.npz; of a FILE.",
 )
+# Long because it checks each option of the command before anything starts.
+# Many parameters because each is an option of the command.
 def replay_command(
     out: Path | None,
     commands: Path | None,
@@ -753,6 +756,7 @@ def _replay_drive(
 )
 @text("--topic", "NAME", "MQTT or ROS topic.", default="q_values", show_default=True)
 @number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
+# Long because it checks each option of the command before anything starts.
 def servos_command(
     recording: Path | None, out: Path | None, send: str | None, seconds: float | None, **chosen: Any
 ) -> Output:

@@ -208,6 +208,7 @@ def plane_box(first: GeomInfo, second: GeomInfo) -> Contacts:
     return dist, pos, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
 
 
+# Long because the steps of one Newton iteration share the shapes that they close over.
 def _round(
     one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector, radius: Scalar
 ) -> Contacts:

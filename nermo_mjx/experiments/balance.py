@@ -404,7 +404,7 @@ SETTABLE: Final = frozenset(SPINE_NAMES) | {
 OFFSET_COMPENSATION: Final = 1.0
 
 
-def world_count(settings: Settings) -> int:
+def balance_world_count(settings: Settings) -> int:
     """How many worlds `run` simulates."""
     repeats = 1 if settings.quick else settings.repeats
     return max(settings.body_count, 1) * len(settings.profiles) * len(LIMBS) * 2 * repeats

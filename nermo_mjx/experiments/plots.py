@@ -421,6 +421,7 @@ def _number(value: Any) -> float | None:
     return None if value is None or isinstance(value, bool | str | list | tuple) else float(value)
 
 
+# Long because one figure is laid out from top to bottom.
 def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     """All numbers that were published and measured."""
     rows = []
@@ -742,6 +743,7 @@ _BASED: Final = {name: f"{name}-based" for name in walks.STRATEGIES}
 _NOT_FOLLOWED: Final = "a repeat did not follow the path"
 
 
+# Long because one figure is laid out from top to bottom.
 def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
     names = profiles(outcome)
     kinds = [

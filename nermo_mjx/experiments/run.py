@@ -72,17 +72,17 @@ def _catalogue() -> Iterator[Experiment]:
     for name, (run, rows, settable) in {
         "straight-line": walking(walks.walk_line, line, walks.line_cases()),
         "turning": walking(walks.walk_turns, walks.walked_turns, walks.turn_cases()),
-        "balance": (tested, balance.world_count, balance.SETTABLE),
+        "balance": (tested, balance.balance_world_count, balance.SETTABLE),
         "maze": walking(walks.walk_maze, maze, walks.maze_cases()),
-        "body": (stands.run_body, stands.world_count([{}]), stands.BODY_SETTABLE),
+        "body": (stands.run_body, stands.world_counter([{}]), stands.BODY_SETTABLE),
         "leg-stand": (
             stands.run_leg,
-            stands.world_count(stands.LEG_CASES),
+            stands.world_counter(stands.LEG_CASES),
             stands.STAND_SETTABLE,
         ),
         "spine-stand": (
             stands.run_spine,
-            stands.world_count(stands.SPINE_CASES),
+            stands.world_counter(stands.SPINE_CASES),
             stands.STAND_SETTABLE,
         ),
     }.items():
@@ -213,6 +213,8 @@ def run_experiment(name: str, out: str | os.PathLike[str], **options: Any) -> Ex
 
 # The options of the command, each a keyword: a record of them would only rename them.
 @shows_progress("experiments")
+# Long because the job passes through all its stages in one place.
+# Many parameters because each is an option of the job, most by keyword only.
 def run_experiments(
     names: Sequence[str],
     out: str | os.PathLike[str],

@@ -183,7 +183,7 @@ def _measured(
     )
 
 
-def world_count(cases: Sequence[Mapping[str, Any]]) -> Callable[[Settings], int]:
+def world_counter(cases: Sequence[Mapping[str, Any]]) -> Callable[[Settings], int]:
     """How many worlds an experiment of these cases has."""
     return lambda settings: max(settings.body_count, 1) * len(cases) * len(settings.profiles)
 

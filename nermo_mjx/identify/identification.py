@@ -159,6 +159,7 @@ class Identification:
             ]
         return np.quantile(sampled_values, ENDS, axis=0).T
 
+    # Long because each finding of the report is one statement.
     def sentences(self) -> list[str]:
         """The verdict in words."""
         sentences = list(self.body.notes)

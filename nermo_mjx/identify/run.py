@@ -54,6 +54,7 @@ class IdentificationResult:
 
 
 @shows_progress("identify")
+# Many parameters because each is an option of the job, most by keyword only.
 def run_identification(  # each parameter is an option of the command
     logs: Sequence[Log],
     out: str | os.PathLike[str],

@@ -107,6 +107,7 @@ class PPO(Spec):
         rate = jnp.where(slower, rate / _FACTOR, jnp.where(faster, rate * _FACTOR, rate))
         return jnp.clip(rate, _SLOWEST, _FASTEST)
 
+    # Long because one update of the algorithm can be read next to the paper.
     def _updated(
         self, observed: int, learned: Learned, experience: Experience
     ) -> tuple[Learned, dict[str, Array]]:

@@ -72,6 +72,7 @@ class PolicyEvaluator:
         self.training, self.engine = training, engine
         self._simulators: dict[tuple[str, str], Simulator] = {}
 
+    # Long because one evaluation passes from the cases to the table.
     def __call__(
         self,
         policy: Policy,

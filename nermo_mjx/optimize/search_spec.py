@@ -454,6 +454,7 @@ def _read_method(doc: Document, chosen_method: SearchMethod | None, aim: Aim) ->
     return method
 
 
+# Long because each field of the file is checked in its order.
 def _read_search(doc: Document) -> Search:
     with known_names(doc):
         doc = written_out(doc)

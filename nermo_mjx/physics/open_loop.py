@@ -180,6 +180,7 @@ class Trajectory:
         a, b, kinks = self._steps(states, controls)
         return Linearized(States(*(part[0] for part in self._parts(states))), a[0], b[0], kinks[0])
 
+    # Long because the rule of the derivative closes over the functions before it.
     def _differentiable(self) -> Callable[..., States]:
         m = self.model
         nx = 2 * m.nv + m.na

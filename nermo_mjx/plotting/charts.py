@@ -766,6 +766,7 @@ BEST_LINES: Final = 5
 _EACH: Final = 9
 
 
+# Long because one figure is laid out from top to bottom.
 def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note: str) -> Figure:
     """A line for each point through its parameters to the metric; the last lines, which are the best, are orange."""
     scale, extend = colour_scale(z.values)

@@ -249,6 +249,7 @@ class ClosedLoop:
         )
 
 
+# Long because each part of the protocol is checked in its order.
 def check_controller(robot: Robot, controller: ControllerLike) -> None:
     """Reject a controller whose functions fail, do not fit together, or give no finite numbers for a robot at rest.
 

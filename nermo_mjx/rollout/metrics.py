@@ -242,6 +242,7 @@ class Tick(NamedTuple):
     transition: tuple[Scalar, Scalar] | None = None
 
 
+# Long because each sum of a control tick is one statement.
 def update(
     window: Window, state: MetricState, tick: Tick, custom: tuple[OwnMetric, ...] = ()
 ) -> MetricState:

@@ -181,6 +181,7 @@ class RayWorkers:
         assert self._stamp is not None
         return self._stamp
 
+    # Long because the states of tasks and nodes change in one loop.
     def results(self, tasks: Iterable[tuple[int, Any]], tell: Tell) -> Iterator[tuple[int, Any]]:
         """See `Workers`; the progress of a task remains unknown until it is done."""
         coming, again, lost = (

@@ -42,6 +42,7 @@ class Status:
     notes: tuple[str, ...] = ()
 
 
+# Many parameters because each is a part of the status that every job reports.
 def status_of(
     unit: str,
     out: Path,

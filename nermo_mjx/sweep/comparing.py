@@ -354,6 +354,7 @@ def _numbered(keys: pd.DataFrame) -> np.ndarray:
     return label
 
 
+# Long because each column of the table is one statement.
 def difference_rows(
     pairing: Pairing,
     groups: Sequence[str],
@@ -592,6 +593,7 @@ class Comparison:
         return about | (each[0] if len(each) == 1 else {"comparisons": each})
 
 
+# Long because one comparison passes from the tables to the report.
 def compare(
     a: Source,
     b: Source | None = None,
@@ -945,6 +947,7 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{more}")
 
 
+# Long because one figure is laid out from top to bottom.
 def _by_groups(
     rows: Sequence[Row],
     metrics: Sequence[str],

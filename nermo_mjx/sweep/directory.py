@@ -236,7 +236,7 @@ def sweep_in(source: Path) -> Sweep:
         raise DirectoryError(f"{source} holds a sweep that cannot be read ({error}).") from None
 
 
-def check_sources(sources: Sequence[Path], sweep: Sweep) -> None:
+def check_source_sweeps(sources: Sequence[Path], sweep: Sweep) -> None:
     """Refuse directories whose sweeps differ from another one in more than their rows.
 
     Raises:

@@ -22,7 +22,7 @@ from nermo_mjx.runs.files import (
 from nermo_mjx.runs.job import Forecast, Watch
 from nermo_mjx.runs.rows import PartFile
 from nermo_mjx.runs.work import RowBatch, Work
-from nermo_mjx.sweep.directory import check_sources, refusal, sweep_differences
+from nermo_mjx.sweep.directory import check_source_sweeps, refusal, sweep_differences
 from nermo_mjx.sweep.simulating import (
     PROBE,
     WORLD_BYTES,
@@ -44,6 +44,7 @@ C_WORLD_BYTES: Final = 100_000
 _WORLDS: Final = 64
 
 
+# Many parameters because each is an option of the job, most by keyword only.
 def sweep_forecast(
     sweep: Sweep,
     out: str | os.PathLike[str] | None = None,
@@ -73,7 +74,7 @@ def sweep_forecast(
         DirectoryError, SpecError: the directory holds another sweep, or one named under `use` no rows of such a sweep.
     """
     sources = [Path(source) for source in use]
-    check_sources(sources, sweep)
+    check_source_sweeps(sources, sweep)
     folder = None if out is None else Path(out)
     begun = None if folder is None else _begun(folder, sweep, extend)
     engine = (engine_of(folder) if folder is not None and engine == "auto" else None) or engine

@@ -78,6 +78,8 @@ class SweepResult:
 
 # The options of the command, each a keyword: a record of them would only rename them.
 @shows_progress("sweep", "runs")
+# Long because the job passes through all its stages in one place.
+# Many parameters because each is an option of the job, most by keyword only.
 def run_sweep(
     spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],

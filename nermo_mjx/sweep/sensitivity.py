@@ -77,6 +77,7 @@ class Sensitivity:
         }
 
 
+# Long because one analysis passes from the table to the report.
 def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     """Each varied parameter's share of a metric's variance, alone (first) and including interactions (total).
 

@@ -297,6 +297,7 @@ def narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
     }
 
 
+# Long because each pair of fields is checked in its order.
 def check_together(doc: Document, sweep: Sweep) -> None:
     """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
     section = "vary" if sweep.rows is None else "rows"

@@ -25,7 +25,7 @@ from nermo_mjx.runs.rows import keys_of
 from nermo_mjx.runs.work import RowBatch, RowJob
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import WalkSpec
-from nermo_mjx.sweep.directory import check_sources, claim
+from nermo_mjx.sweep.directory import check_source_sweeps, claim
 from nermo_mjx.sweep.simulating import (
     Simulated,
     SimulatorLike,
@@ -72,8 +72,8 @@ class SweepRows(RowJob):
         return simulated_seconds(self.sweep, self.sample)
 
     def check_sources(self, sources: Sequence[Path]) -> None:
-        """See `nermo_mjx.sweep.directory.check_sources`."""
-        check_sources(sources, self.sweep)
+        """See `nermo_mjx.sweep.directory.check_source_sweeps`."""
+        check_source_sweeps(sources, self.sweep)
 
     def claimed(self, held: RunDirectory, chunk: int, *, extend: bool) -> SweepRows:
         """The rows of the sweep as a directory has it, see `nermo_mjx.sweep.directory.claim`."""

@@ -346,6 +346,7 @@ class Plot:
     bars: bool = False
 
 
+# Long because each plot of the page is one statement.
 def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
     """The plots of a run at the motion's samples; those whose sensors the recording lacks are left out."""
     samples, time = np.searchsorted(recording.time, motion.time), motion.time

@@ -148,12 +148,14 @@ def test_series_that_do_not_fit_are_refused_or_make_smaller_chunks(
     assert store.series_bytes(sweep, seconds) == 22 * 20 * 32
     monkeypatch.setattr(store, "LARGEST_CHUNK", 3 * 160 * 32)
     monkeypatch.setattr(store, "simulated_seconds", lambda *_: seconds)
-    assert store.chunk_with_series(sweep, None, lambda: 64) == 3
-    assert store.chunk_with_series(sweep, 2, lambda: 64) == 2
+    monkeypatch.setattr(store, "chunk_rows_here", lambda *_: 64)
+    rows = store.SweepRows(sweep)
+    assert rows.chunk(None, "c", 1, simulate=False) == 3
+    assert rows.chunk(2, "c", 1, simulate=False) == 2
     with pytest.raises(
         SpecError, match=r"save takes 14.1 kB of memory for a chunk of 4 runs: .* take chunk: 3"
     ):
-        store.chunk_with_series(sweep, 4, lambda: 64)
+        rows.chunk(4, "c", 1, simulate=False)
 
 
 def test_a_full_disk_is_seen_before_the_work(
