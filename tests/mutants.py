@@ -443,8 +443,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # cli
     "first_assignment": Mutant(
         "cli/options.py",
-        "values |= {each: parameters[each].numbers(each, number) for each in found}",
-        "values = {each: parameters[each].numbers(each, number) for each in found} | values",
+        "            values |= {\n",
+        "            values = values or {\n",
         "Of two --set of one parameter the first is used instead of the last.",
     ),
     "lost_output": Mutant(

@@ -59,14 +59,17 @@ def status_command(path: Path) -> Output:
         of_all = f" of {status.rows:,}" if status.rows is not None and not status.complete else ""
         amount = f"{status.rows_done:,}{of_all} {status.unit}, {'complete' if status.complete else 'not complete'}"
         click.echo(f"{path}: {kind.called}, {amount}")
-        named = [f"{name}: {code}" for name, code in codes.items()] or [
+        code_names = [f"{name}: {code}" for name, code in codes.items()] or [
             ", ".join(status.code) or "not known"
         ]
-        made = [("engine", status.engine or "not known"), *(("code", each) for each in named)]
-        how = "figures" if status.complete and " plot " in status.command else "resume"
+        pairs = [
+            ("engine", status.engine or "not known"),
+            *(("code", code_name) for code_name in code_names),
+        ]
+        action = "figures" if status.complete and " plot " in status.command else "resume"
         notes = [("note", note) for note in status.notes]
-        again = status.command or "with the command that started it, not recorded here"
-        print_pairs([*made, *_worked(sessions), *notes, (how, again)])
+        command_text = status.command or "with the command that started it, not recorded here"
+        print_pairs([*pairs, *_worked(sessions), *notes, (action, command_text)])
 
     content = {name: getattr(status, name) for name in ("rows", "rows_done", "engine", "complete")}
     return Output({"kind": kind.name, **content, "code": [*codes] or status.code}, show)
@@ -79,21 +82,23 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     latest = sessions[-3:]
     if len(sessions) > len(latest):
         yield "session", f"and {len(sessions) - len(latest)} earlier"
-    for each in latest:
-        versions, machine = each.get("versions", {}), each.get("machine", {})
-        named = ", ".join(
+    for entry in latest:
+        versions, machine = entry.get("versions", {}), entry.get("machine", {})
+        version_text = ", ".join(
             f"{name} {versions[name]}"
             for name in ("nermo-mjx", "mujoco", "jax")
             if name in versions
         )
-        where = ", ".join(str(machine[name]) for name in ("host", "processor") if name in machine)
+        machine_text = ", ".join(
+            str(machine[name]) for name in ("host", "processor") if name in machine
+        )
         cores = f", {machine['cores']} cores" if "cores" in machine else ""
         yield (
             "session",
-            f"{local_time(each.get('started', 'some time'))}, {named}, on {where}{cores}",
+            f"{local_time(entry.get('started', 'some time'))}, {version_text}, on {machine_text}{cores}",
         )
-        if each.get("command"):
-            yield "", str(each["command"])
+        if entry.get("command"):
+            yield "", str(entry["command"])
 
 
 @command("plot", reads=True)
@@ -103,7 +108,7 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
 @column("--x", "One figure of these columns: across,")
 @column("--y", "up (by default the speed),")
 @column("--color", "and as colours.")
-def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str | None) -> Output:
+def plot_command(path: Path, out: Path | None, form: str | None, **columns: str | None) -> Output:
     """Redraw the figures of PATH from its tables; nothing is simulated.
 
     PATH is the directory of a sweep, a search, a tuning, a training or
@@ -122,22 +127,25 @@ def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str |
       nermo-mjx plot walk.npz --out plots --format png
     """
     kind = RECORDING if path.is_file() else kind_of_directory(path)
-    if not set(chosen) <= set(kind.options) and any(chosen.values()):
-        place = "" if kind is RECORDING else "the directory of "
+    if not set(columns) <= set(kind.options) and any(columns.values()):
+        subject = "" if kind is RECORDING else "the directory of "
         raise WrongUse(
-            f"--x, --y and --color choose columns of a sweep or a search, but {path} is {place}{kind.called}."
+            f"--x, --y and --color choose columns of a sweep or a search, but {path} is {subject}{kind.called}."
         )
     if out is None and kind is RECORDING:
         raise WrongUse(f"{path} is a recording: give the directory for its figures with --out DIR.")
     notes: list[str] = []
-    given = {
-        name: each
-        for name, each in {**chosen, "notify": notes.append}.items()
+    figure_options = {
+        name: value
+        for name, value in {**columns, "notify": notes.append}.items()
         if name in kind.options
     }
     from nermo_mjx.plotting.files import write_figures
 
-    figures, folder = kind.load(kind.figures)(path, **given), path / "plots" if out is None else out
+    figures, folder = (
+        kind.load(kind.figures)(path, **figure_options),
+        path / "plots" if out is None else out,
+    )
     with _drawing(kind, path, folder, notes) as write:
         files = write_figures(figures, folder, write, FORMATS if form is None else (form,))
     if not files:
@@ -196,7 +204,7 @@ _report_out = options.text(
 @column(
     "--metric",
     "Metric to show; by default all, and for groups the speed.",
-    among=METRICS,
+    suggestions=METRICS,
     multiple=True,
 )
 @flag("--all", "Every row and column, also those that are equal, empty or too wide.")
@@ -210,7 +218,7 @@ def compare_command(
     where: tuple[str, ...],
     out: Path | None,
     channels: Path | None,
-    **chosen: Any,
+    **choices: Any,
 ) -> Output:
     """Compare two sweeps, A and B, or with --by the values of a column of A; or
     a robot's log with another one, or with a recording of the twin.
@@ -248,29 +256,29 @@ def compare_command(
         raise click.UsageError(
             "--base is a value of --by; for two directories, the first one is the base."
         )
-    wanted = {}
+    conditions = {}
     for text in where:
         name, equals, value = text.partition("=")
         if not equals:
             raise click.UsageError(f"--where {text}: expected NAME=VALUE, such as gait=trot.")
-        wanted[name.strip()] = value.strip()
+        conditions[name.strip()] = value.strip()
     from nermo_mjx.sweep.comparing import compare, figures_of_comparison
 
-    with ProgressBar("compare") as shown:
-        told_of = {"groups": chosen["for"], "where": wanted, "drawn": chosen["metric"]}
-        found = compare(a, b, by=by, base=base, **told_of, progress=shown.share)
+    with ProgressBar("compare") as bar:
+        told_of = {"groups": choices["for"], "where": conditions, "drawn": choices["metric"]}
+        comparison = compare(a, b, by=by, base=base, **told_of, progress=bar.share)
     return _report(
         "comparison",
-        found,
+        comparison,
         figures_of_comparison,
         out,
-        lambda: _print_comparison(found, chosen["metric"], whole=chosen["all"]),
+        lambda: _print_comparison(comparison, choices["metric"], show_all=choices["all"]),
     )
 
 
 def _report(
     kind: str,
-    found: Any,
+    report: Any,
     figures: Callable[[Any], Figures],
     out: Path | None,
     show: Callable[[], None],
@@ -280,10 +288,12 @@ def _report(
     if out is not None:
         from nermo_mjx.sweep.table import write_report
 
-        files, moved = write_report(out, kind, found.table, found.about(), figures(found.table))
-        if moved:
-            say(moved)
-    return Output({**found.about(), "files": files}, show, files)
+        files, backups = write_report(
+            out, kind, report.table, report.about(), figures(report.table)
+        )
+        if backups:
+            say(backups)
+    return Output({**report.about(), "files": files}, show, files)
 
 
 #: Groups of a metric that a terminal shows: those that differ most surely.
@@ -291,15 +301,15 @@ _MOST_GROUPS = 30
 
 
 # Long because it prints the parts of one report in their order.
-def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool) -> None:
+def _print_comparison(comparison: Comparison, metrics: Sequence[str], *, show_all: bool) -> None:
     """Tables for people: the chosen metrics, or all of them, over all variants, and the drawn ones by groups; where
     lines have an end, what differs, in the columns that fit."""
     from nermo_mjx.rollout.metric_table import headed
     from nermo_mjx.sweep.table import profile_text
 
-    profile = profile_text(found.profiles)
+    profile = profile_text(comparison.profiles)
     headings, hidden, columns = headed(), collections.Counter[str](), dict[str, None]()
-    whole = whole or room() is None
+    show_all = show_all or room() is None
 
     def unit(row: Mapping[str, Any]) -> str:
         return in_unit(row["metric"], row["metric_unit"])[1] or "1"
@@ -317,96 +327,110 @@ def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool)
             hidden.update([why] if why else [])
             return not why
 
-        kept = rows if whole else [row for row in rows if shown(row)]
-        if whole or not kept or kept[0]["group"] < 0 or len(kept) <= _MOST_GROUPS:
-            return kept
-        hidden["less sure"] += len(kept) - _MOST_GROUPS
+        shown_rows = rows if show_all else [row for row in rows if shown(row)]
+        if (
+            show_all
+            or not shown_rows
+            or shown_rows[0]["group"] < 0
+            or len(shown_rows) <= _MOST_GROUPS
+        ):
+            return shown_rows
+        hidden["less sure"] += len(shown_rows) - _MOST_GROUPS
         order = sorted(
-            range(len(kept)), key=lambda i: kept[i]["p"] if math.isfinite(kept[i]["p"]) else 2.0
+            range(len(shown_rows)),
+            key=lambda i: shown_rows[i]["p"] if math.isfinite(shown_rows[i]["p"]) else 2.0,
         )
-        return [kept[i] for i in sorted(order[:_MOST_GROUPS])]
+        return [shown_rows[i] for i in sorted(order[:_MOST_GROUPS])]
 
     def show(title: str, heads: list[Any], numbers: list[Any], cells: list[list[Any]]) -> None:
         first, unit_too = len(heads), [1] if heads[1:] == ["unit"] else []
         lost = [] if any(line[first + 6] for line in cells) else [first + 6]
-        spare = [] if whole else [*lost, first + 5, first, first + 1, first + 4, *unit_too]
+        spare = [] if show_all else [*lost, first + 5, first, first + 1, first + 4, *unit_too]
         columns.update(
             dict.fromkeys(filter(None, print_table(title, [*heads, *numbers], cells, spare)))
         )
 
-    for sentence in found.lost:
+    for sentence in comparison.lost:
         click.echo(f"{sentence}\n")
-    for other in found.others:
-        numbers: list[Any] = [(found.base, "right"), (other, "right")]
+    for other_name in comparison.others:
+        numbers: list[Any] = [(comparison.base, "right"), (other_name, "right")]
         numbers += ["difference>", "95 % interval", "relative>", "variants>", "lost", ""]
         cells, heading = list[list[Any]](), ""
         for row in chosen(
-            [row for row in found.rows(other) if not metrics or row["metric"] in metrics]
+            [row for row in comparison.rows(other_name) if not metrics or row["metric"] in metrics]
         ):
             if (now := headings.get(row["metric"], "Own metrics")) != heading:
                 heading = now
                 cells.append([f"{heading}:", *[""] * (1 + len(numbers))])
             cells.append([row["metric"], unit(row), *_cells(row)])
-        show(f"{other} minus {found.base}, {profile}", ["metric", "unit"], numbers, cells)
-        for metric in found.drawn if found.groups else ():
+        show(f"{other_name} minus {comparison.base}, {profile}", ["metric", "unit"], numbers, cells)
+        for metric in comparison.drawn if comparison.groups else ():
             lines = chosen(
-                [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
+                [
+                    row
+                    for row in comparison.rows(other_name, grouped=True)
+                    if row["metric"] == metric
+                ]
             )
             cells = []
             for row in lines:
                 group = [
-                    f"{each:.6g}" if isinstance(each, float) else each
-                    for each in map(row.get, found.groups)
+                    f"{group_value:.6g}" if isinstance(group_value, float) else group_value
+                    for group_value in map(row.get, comparison.groups)
                 ]
                 cells.append([*group, *_cells(row)])
-            heads: list[Any] = [(name, "right") for name in found.groups]
+            heads: list[Any] = [(name, "right") for name in comparison.groups]
             if lines:
                 show(
-                    f"{metric} [{unit(lines[0])}]: {other} minus {found.base}, {profile}",
+                    f"{metric} [{unit(lines[0])}]: {other_name} minus {comparison.base}, {profile}",
                     heads,
                     numbers,
                     cells,
                 )
-    for side, counts in found.status.items():
+    for side, counts in comparison.status.items():
         click.echo(
             f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}"
         )
-    for note in found.notes[len(found.lost) :]:
+    for note in comparison.notes[len(comparison.lost) :]:
         click.echo(note)
-    left = [f"rows {why} ({many:,})" for why, many in hidden.items() if many]
-    left += [f"the columns {', '.join(columns)}"] if columns else []
-    if left:
-        click.echo(f"Not shown, but with --all: {'; '.join(left)}.")
+    hidden_notes = [
+        f"rows {why} ({hidden_count:,})" for why, hidden_count in hidden.items() if hidden_count
+    ]
+    hidden_notes += [f"the columns {', '.join(columns)}"] if columns else []
+    if hidden_notes:
+        click.echo(f"Not shown, but with --all: {'; '.join(hidden_notes)}.")
     click.echo("* beyond noise; at most 5 % of all marked differences are expected to be false")
 
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
     shares = row["lost_base"], row["lost_other"]
-    lost = (
+    lost_text = (
         ", ".join(f"{float(f'{100 * share:.2g}'):g} %" for share in shares) if any(shares) else ""
     )
     if not row["variants"]:
-        return ["", "", "no run has it", "", "", "0", lost, ""]
+        return ["", "", "no run has it", "", "", "0", lost_text, ""]
     values = (row[name] for name in ("base_mean", "other_mean", "difference", "low", "high"))
-    (base, other, difference, low, high), _ = in_unit(row["metric"], row["metric_unit"], *values)
+    (base, other_mean, difference, low, high), _ = in_unit(
+        row["metric"], row["metric_unit"], *values
+    )
     interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
     relative = (
         f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
     )
-    means = [f"{base:.4g}", f"{other:.4g}", f"{difference:+.3g}"]
+    means = [f"{base:.4g}", f"{other_mean:.4g}", f"{difference:+.3g}"]
     return [
         *means,
         interval,
         relative,
         str(row["variants"]),
-        lost,
+        lost_text,
         "*" if row["beyond_noise"] else "",
     ]
 
 
 @command("sensitivity", reads=True)
 @click.argument("path", metavar="DIR", type=options.PATH)
-@column("--metric", "Whose variance.", among=METRICS, default="speed", show_default=True)
+@column("--metric", "Whose variance.", suggestions=METRICS, default="speed", show_default=True)
 @_report_out
 def sensitivity_command(path: Path, metric: str, out: Path | None) -> Output:
     """Estimate each parameter's share of a metric's variance in a sweep.
@@ -421,12 +445,12 @@ def sensitivity_command(path: Path, metric: str, out: Path | None) -> Output:
     """
     from nermo_mjx.sweep.sensitivity import figures_of_indices, sensitivity
 
-    found = sensitivity(path, metric)
+    analysis = sensitivity(path, metric)
 
     def show() -> None:
         from nermo_mjx.sweep.table import labelled
 
-        structures = labelled(found.table)
+        structures = labelled(analysis.table)
         rows = [
             [
                 *(line[name] for name in structures),
@@ -436,7 +460,7 @@ def sensitivity_command(path: Path, metric: str, out: Path | None) -> Output:
                 f"[{line['low']:.3f}, {line['high']:.3f}]",
             ]
             for line in sorted(
-                found.table.to_pylist(), key=lambda line: (line["order"], -line["index"])
+                analysis.table.to_pylist(), key=lambda line: (line["order"], -line["index"])
             )
         ]
         heads: list[Any] = [
@@ -446,8 +470,8 @@ def sensitivity_command(path: Path, metric: str, out: Path | None) -> Output:
             "index>",
             "95 % interval",
         ]
-        print_table(f"{found.metric}: share of the variance", heads, rows)
-        for note in found.notes:
+        print_table(f"{analysis.metric}: share of the variance", heads, rows)
+        for note in analysis.notes:
             click.echo(note)
 
-    return _report("sensitivity", found, figures_of_indices, out, show)
+    return _report("sensitivity", analysis, figures_of_indices, out, show)

@@ -47,7 +47,7 @@ _tensorboard = "Log each {} to TensorBoard, in DIR."
 @contextlib.contextmanager
 def _working(
     unit: str,
-    how: dict[str, Any],
+    job_options: dict[str, Any],
     *,
     compiles: Callable[[str], bool] | None = None,
     details: Callable[[Progress], str] = lambda _: "",
@@ -56,7 +56,7 @@ def _working(
 
     Args:
         unit: what it counts.
-        how: the options that its function takes, and those that say where it works.
+        job_options: the options that its function takes, and those that say where it works.
         compiles, details: see `Stages`.
 
     Yields:
@@ -65,19 +65,19 @@ def _working(
     from nermo_mjx.robot.quantity import require
     from nermo_mjx.runs.job import Watch
 
-    kind, address = how.pop("workers", None), how.pop("ray_address", None)
+    kind, address = job_options.pop("workers", None), job_options.pop("ray_address", None)
     name = click.get_current_context().info_name or ""
     with contextlib.ExitStack() as stack:
-        shown = Stages(name, unit, compiles or (lambda _: kind != "ray"), details)
+        stages = Stages(name, unit, compiles or (lambda _: kind != "ray"), details)
         if kind == "ray":
             require("--workers ray", "ray", "ray")
             from nermo_mjx.runs.ray_workers import RayWorkers
 
-            how["workers"] = stack.enter_context(RayWorkers(address, shown.say))
+            job_options["workers"] = stack.enter_context(RayWorkers(address, stages.say))
         elif address is not None:
             raise click.UsageError("--ray-address is given without --workers ray.")
-        stack.enter_context(shown)
-        yield how | {"watch": Watch(shown.show, shown.say)}
+        stack.enter_context(stages)
+        yield job_options | {"watch": Watch(stages.show, stages.say)}
 
 
 def _fields(how: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def sweep_command(
     list_parameters: bool,
     optimum: str | None,
     body: str | None,
-    **how: Any,
+    **job_options: Any,
 ) -> Output:
     """Run every variant of a sweep file.
 
@@ -164,7 +164,7 @@ def sweep_command(
         raise click.UsageError(
             "A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters)."
         )
-    if dry_run and how["workers"] != "local":
+    if dry_run and job_options["workers"] != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     from nermo_mjx.sweep import Sweep, run_sweep
     from nermo_mjx.sweep.forecast import sweep_forecast
@@ -172,20 +172,20 @@ def sweep_command(
     sweep = (
         Sweep.from_rows(rows, spec, body) if rows is not None else Sweep.from_file(str(spec), body)
     )
-    sweep = dataclasses.replace(sweep, **_fields(how, "seed"))
+    sweep = dataclasses.replace(sweep, **_fields(job_options, "seed"))
     sweep = sweep if optimum is None else sweep.seeking(optimum)
     if dry_run or out is None:
         cost = sweep_forecast(
             sweep,
             out,
-            **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")},
+            **{name: job_options[name] for name in ("engine", "chunk", "shard", "extend", "use")},
         )
         return Output(cost.content, lambda: _print_forecast(cost))
     for name, places in {} if is_given("quiet") else sweep.partly_read().items():
-        read = f"{len(places)} of {len(sweep.structures)} structures"
-        say(f"{name} is varied in {read}: the others do not read it.")
-    with _working("runs", how) as given:
-        result = run_sweep(sweep, out, **given)
+        progress_text = f"{len(places)} of {len(sweep.structures)} structures"
+        say(f"{name} is varied in {progress_text}: the others do not read it.")
+    with _working("runs", job_options) as watch_options:
+        result = run_sweep(sweep, out, **watch_options)
     return Output(_sweep_content(out, result), lambda: _print_sweep(result))
 
 
@@ -199,9 +199,11 @@ def _forecast_in_short(forecast: Forecast) -> str:
         f"{count:,} {name.replace('_', ' ')}" for name, count in forecast.counts.items()
     )
     method = f"method {forecast.method}: " if forecast.method else ""
-    known = math.isfinite(forecast.wall_seconds)
+    is_known = math.isfinite(forecast.wall_seconds)
     time = (
-        f"about {duration(forecast.wall_seconds)} here" if known else "for a time that is not known"
+        f"about {duration(forecast.wall_seconds)} here"
+        if is_known
+        else "for a time that is not known"
     )
     disk = "" if forecast.disk_bytes is None else f", {forecast.disk_bytes / 1e6:.3g} MB on disk"
     compiles = (
@@ -262,17 +264,28 @@ def _print_sweep(result: SweepResult) -> None:
 
     for name, best in [
         *summary["best"].items(),
-        *((LEADING, each) for each in summary["best_of_each"]),
+        *((LEADING, objective) for objective in summary["best_of_each"]),
     ]:
         if best is not None:
-            at = [
+            location = [
                 f"{key} {value if isinstance(value, str) else _with_unit(key, unit(key), value)}"
                 for key, value in best["parameters"].items()
             ]
-            (mean, high), shown = in_unit(name, unit(name), best["mean"], best["high"] or math.nan)
+            (mean, high), unit_shown = in_unit(
+                name, unit(name), best["mean"], best["high"] or math.nan
+            )
             half = f" ± {high - mean:.2g}" if math.isfinite(high) else ""
-            lost = f"{best['lost']:.0%}".replace("%", " %") + told(best["why"])
-            rows.append([name, best["side"], f"{mean:.4g}{half}", shown, lost, ", ".join(at)])
+            lost_text = f"{best['lost']:.0%}".replace("%", " %") + told(best["why"])
+            rows.append(
+                [
+                    name,
+                    best["side"],
+                    f"{mean:.4g}{half}",
+                    unit_shown,
+                    lost_text,
+                    ", ".join(location),
+                ]
+            )
     if rows:
         print_table(
             "Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows
@@ -314,19 +327,19 @@ def _list_parameters(spec: Path | None) -> Output:
     def show() -> None:
         headings = "name, default>, allowed, meaning"
         rows = [
-            [name, f"{about.default:.5g}", about.allowed(), about.doc]
-            for name, about in gathered(parameters)
+            [name, f"{declaration.default:.5g}", declaration.allowed(), declaration.doc]
+            for name, declaration in gathered(parameters)
         ]
         print_table("Parameters of a sweep (SI units, radians)", headings, rows)
         rows = [
-            [name, each["default"], ", ".join(each["allowed"]), each["doc"]]
-            for name, each in structures.items()
+            [name, structure["default"], ", ".join(structure["allowed"]), structure["doc"]]
+            for name, structure in structures.items()
         ]
         print_table("Structures, which vary and rows can name, too", headings, rows)
 
     listed = {
-        name: _content(about, "default", "unit", "low", "high", "doc")
-        for name, about in parameters.items()
+        name: _content(declaration, "default", "unit", "low", "high", "doc")
+        for name, declaration in parameters.items()
     }
     return Output({"parameters": listed, "structures": structures}, show)
 
@@ -335,7 +348,7 @@ def _list_parameters(spec: Path | None) -> Output:
 @options.out
 @click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=options.PATH)
 @options.accept_new_code
-def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Output:
+def merge_command(sources: tuple[Path, ...], out: Path, **job_options: Any) -> Output:
     """Merge the rows of several sweeps into one directory.
 
     The sweeps may differ in what they vary, and in their repeats; what is
@@ -346,10 +359,10 @@ def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Output:
     Examples:
       nermo-mjx merge runs/slow runs/fast --out runs/both
     """
-    with _working("runs", how, compiles=lambda _: False) as given:
+    with _working("runs", job_options, compiles=lambda _: False) as watch_options:
         from nermo_mjx.sweep import merge_sweeps
 
-        result = merge_sweeps(sources, out, **given)
+        result = merge_sweeps(sources, out, **watch_options)
 
     def show() -> None:
         _print_sweep(result)
@@ -375,7 +388,7 @@ def search_command(
     seed: int | None,
     body: str | None,
     dry_run: bool,
-    **how: Any,
+    **job_options: Any,
 ) -> Output:
     """Search for the best parameters that a search file allows.
 
@@ -399,10 +412,12 @@ def search_command(
     if seed is not None:
         search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
     if dry_run:
-        cost = search_forecast(search, how["engine"])
+        cost = search_forecast(search, job_options["engine"])
         return Output({"cost": cost.content}, lambda: _print_forecast(cost))
-    with _working("evaluations", how, details=functools.partial(_search_so_far, search)) as given:
-        result = run_search(search, out, **given)
+    with _working(
+        "evaluations", job_options, details=functools.partial(_search_so_far, search)
+    ) as watch_options:
+        result = run_search(search, out, **watch_options)
     content = _content(result, "out", "best", "evaluations_run", "recordings", "plots")
     return Output(content, lambda: _print_search(result))
 
@@ -425,8 +440,8 @@ def _print_search(result: SearchResult) -> None:
     units = {("parameters", name): search.sweep.parameters[name].unit for name in search.names}
     units |= {("metrics", name): search.sweep.metrics[name].unit for name in search.aim.metrics}
     for (kind, name), unit in units.items():
-        (number,), shown = in_unit(name, unit, best[kind][name])
-        rows.append([name, f"{number + 0.0:.4g}", shown])
+        (number,), unit_shown = in_unit(name, unit, best[kind][name])
+        rows.append([name, f"{number + 0.0:.4g}", unit_shown])
     middle = "In the middle of the front" if search.aim.pareto else "Best"
     print_table(f"{middle}: row {best['row']}, profile {search.setup.profile}", ", best>, ", rows)
     effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
@@ -439,11 +454,11 @@ def _print_search(result: SearchResult) -> None:
         click.echo(
             f"{best['filled']:,} of {best['cells']:,} cells filled, QD score {best['qd_score']:.4g}"
         )
-    made = {
+    files = {
         "atlas": search.aim.measures and "atlas.parquet",
         "records": result.recordings and "recordings",
     }
-    places = {"table": "results", "best": "best.json", "sweep": "best.yaml"} | made
+    places = {"table": "results", "best": "best.json", "sweep": "best.yaml"} | files
     print_places(result.out, **places, plots=result.plots and "plots")
 
 
@@ -460,7 +475,9 @@ def _print_search(result: SearchResult) -> None:
 @_seed
 @flag("--dry-run", "Estimate the cost of each method on this machine; write nothing.")
 @_on_workers
-def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: Any) -> Output:
+def tune_command(
+    spec: Path, out: Path, body: str | None, dry_run: bool, **job_options: Any
+) -> Output:
     """Tune the parameters that a tuning file names.
 
     The file's method says how: by local gradients, or by wide differences.
@@ -484,26 +501,29 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
     from nermo_mjx.optimize.tuning_run import tuning_forecasts
 
     tuning = Tuning.from_file(spec, body)
-    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed"))
+    tuning = dataclasses.replace(tuning, **_fields(job_options, "iterations", "starts", "seed"))
     # A resumed tuning keeps the method with which it started.
     begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
     costs = tuning_forecasts(tuning) if dry_run or begins else []
     sentences = [
-        f"{'instead of it, ' if i else ''}{_forecast_in_short(each)}"
-        for i, each in enumerate(costs)
+        f"{'instead of it, ' if i else ''}{_forecast_in_short(cost)}"
+        for i, cost in enumerate(costs)
     ]
     if dry_run:
-        content = {"costs": [each.content for each in costs]}
+        content = {"costs": [cost.content for cost in costs]}
         return Output(content, lambda: click.echo("\n".join(sentences)))
     for sentence in sentences:
         say(sentence)
     details = functools.partial(_tuning_so_far, tuning)
     with _working(
-        "evaluations", how, compiles=lambda what: what in ("tune", "landscape"), details=details
-    ) as given:
-        result = run_tuning(tuning, out, **given)
+        "evaluations",
+        job_options,
+        compiles=lambda stage: stage in ("tune", "landscape"),
+        details=details,
+    ) as watch_options:
+        result = run_tuning(tuning, out, **watch_options)
         for note in result.notes:
-            given["watch"].warn(note)
+            watch_options["watch"].warn(note)
     content = _content(result, "out", "iterations_run", "start", "best", "plots", "notes")
     return Output(content, lambda: _print_tuning(result))
 
@@ -529,27 +549,29 @@ def _print_tuning(result: TuningResult) -> None:
         "start>",
         "best>",
         "change>",
-        *((each, "right") for each in engines),
+        *((engine, "right") for engine in engines),
         "",
     ]
-    where = f" of start {best['start']}" if tuning.starts > 1 else ""
-    print_table(f"Iteration {best['iteration']}{where} is the best", headings, _tuning_rows(result))
+    start_text = f" of start {best['start']}" if tuning.starts > 1 else ""
+    print_table(
+        f"Iteration {best['iteration']}{start_text} is the best", headings, _tuning_rows(result)
+    )
     wall = result.history.column("wall_seconds")[-1].as_py()
     effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
     if verified:  # what the columns of the engine c mean
         completed = [
             (verified[point] or {"walks_ok": 0})["walks_ok"] for point in ("start", "best")
         ]
-        fell = sum(verified["walks"] - each for each in completed)
+        fell = sum(verified["walks"] - engine for engine in completed)
         fallen = f", of which {fell} were not completed" if fell else ""
-        many = (
+        secant_note = (
             "1 walk"
             if verified["walks"] == 1
             else f"means of {verified['walks']} walks from unseen starts"
         )
         ends = verified["best"] if verified["walks"] > 1 else None
         spread = f"; the best gave {ends['lowest']:.4g} to {ends['highest']:.4g}" if ends else ""
-        click.echo(f"Engine {verified['engine']}: {many}{fallen}{spread}.")
+        click.echo(f"Engine {verified['engine']}: {secant_note}{fallen}{spread}.")
     click.echo(f"{best['iterations']} iterations in the profile {tuning.setup.profile} ({effort})")
     if best["stopped"]:
         click.echo(best["stopped"])
@@ -576,8 +598,8 @@ def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
         numbers.insert(2, _shortest(tuning, name, numbers[1] - numbers[0]))
         unit = "lower is better"
         if kind:
-            about = tuning.parameters.get(name) or tuning.objective_metrics[name]
-            numbers, unit = in_unit(name, about.unit, *numbers)
+            declaration = tuning.parameters.get(name) or tuning.objective_metrics[name]
+            numbers, unit = in_unit(name, declaration.unit, *numbers)
         texts = [
             f"{number + 0.0:{'+.3g' if i == 2 else '.4g'}}" for i, number in enumerate(numbers)
         ]
@@ -593,9 +615,9 @@ def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
 
 def _shortest(tuning: Tuning, name: str, change: float) -> float:
     """A change of a parameter; for a periodic one, the shorter way around."""
-    if name not in tuning.names or not tuning.bounds.periodic[place := tuning.names.index(name)]:
+    if name not in tuning.names or not tuning.bounds.periodic[index := tuning.names.index(name)]:
         return change
-    period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
+    period = float(tuning.bounds.high[index] - tuning.bounds.low[index])
     return change - period * round(change / period)
 
 
@@ -613,7 +635,7 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
 @options.engine
 @options.accept_new_code
 def train_command(
-    spec: Path, out: Path, body: str | None, onnx: bool, dry_run: bool, **how: Any
+    spec: Path, out: Path, body: str | None, onnx: bool, dry_run: bool, **job_options: Any
 ) -> Output:
     """Train a policy as described in a training file.
 
@@ -629,7 +651,9 @@ def train_command(
     """
     from nermo_mjx.learn.spec import Training, changed
 
-    training = changed(Training.from_file(spec, body), **_fields(how, "steps", "worlds", "seed"))
+    training = changed(
+        Training.from_file(spec, body), **_fields(job_options, "steps", "worlds", "seed")
+    )
     if onnx:
         from nermo_mjx.robot.quantity import require
 
@@ -637,7 +661,7 @@ def train_command(
     if dry_run:
         from nermo_mjx.learn.run import training_forecast
 
-        cost = training_forecast(training, how["engine"])
+        cost = training_forecast(training, job_options["engine"])
         return Output({"cost": cost.content}, lambda: _print_forecast(cost))
 
     def details(done: Progress) -> str:
@@ -647,10 +671,10 @@ def train_command(
             f"{name} {value:.3g}" for name, value in numbers.items() if math.isfinite(value)
         )
 
-    with _working("steps", how, details=details) as given:
+    with _working("steps", job_options, details=details) as watch_options:
         from nermo_mjx.learn.run import run_training
 
-        exported, result = None, run_training(training, out, **given)
+        exported, result = None, run_training(training, out, **watch_options)
         if onnx and result.policy is not None:
             from nermo_mjx.learn.policy import export, load_policy
             from nermo_mjx.runs.files import replace_file
@@ -664,19 +688,19 @@ def train_command(
 
 def _print_training(result: TrainingResult, exported: Path | None) -> None:
     summary, rows = result.summary, []
-    for scene, about in summary["scenes"].items():
-        for who, name in (("policy", "policy"), ("alone", "controller alone")):
-            found = about[who]
+    for scene, statistics in summary["scenes"].items():
+        for walker, name in (("policy", "policy"), ("alone", "controller alone")):
+            walker_statistics = statistics[walker]
             costs = [
-                f"{found[cost]:.3g}"
+                f"{walker_statistics[cost]:.3g}"
                 for cost in ("cost_of_transport", "electrical_cost_of_transport")
             ]
             rows.append(
                 [
                     scene,
                     name,
-                    f"{100 * found['success']:.0f}",
-                    f"{1e3 * found['speed']:.1f}",
+                    f"{100 * walker_statistics['success']:.0f}",
+                    f"{1e3 * walker_statistics['speed']:.1f}",
                     *costs,
                 ]
             )
@@ -689,8 +713,12 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
             "cost of transport, mechanical>",
             "electrical>",
         ]
-        how = f"physics {summary['judged']['physics']}, profile {result.training.setup.profile}"
-        title = f"On {result.training.evaluation.bodies:,} unseen bodies and starts, in {how}"
+        conditions = (
+            f"physics {summary['judged']['physics']}, profile {result.training.setup.profile}"
+        )
+        title = (
+            f"On {result.training.evaluation.bodies:,} unseen bodies and starts, in {conditions}"
+        )
         print_table(title, headings, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(
@@ -729,7 +757,12 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
 @options.set_option("A parameter of the body, such as contact.friction; repeatable.")
 @_on_engine
 def experiment_command(
-    name: str, out: Path, profile: str, no_video: bool, assignments: tuple[str, ...], **how: Any
+    name: str,
+    out: Path,
+    profile: str,
+    no_video: bool,
+    assignments: tuple[str, ...],
+    **job_options: Any,
 ) -> Output:
     """Run a published experiment, or all of them, and compare.
 
@@ -748,7 +781,7 @@ def experiment_command(
       nermo-mjx experiment all --bodies 64 --out runs/published
       nermo-mjx experiment maze --controller policy.npz --out runs/learned
     """
-    with _working("", how, compiles=lambda what: "," not in what) as given:
+    with _working("", job_options, compiles=lambda stage: "," not in stage) as watch_options:
         from nermo_mjx.experiments.run import run_experiments
         from nermo_mjx.robot.quantity import quantities
         from nermo_mjx.rollout.setup import WorldParameters
@@ -758,9 +791,12 @@ def experiment_command(
         profiles = PROFILE if profile == "all" else (profile,)
         names = EXPERIMENTS if name == "all" else [name]
         result = run_experiments(
-            names, out, profiles=profiles, values=values, video=not no_video, **given
+            names, out, profiles=profiles, values=values, video=not no_video, **watch_options
         )
-    run = {each.name: {"kept": each.kept} for each in result.results}
+    run = {
+        experiment_result.name: {"kept": experiment_result.kept}
+        for experiment_result in result.results
+    }
     return Output(
         {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
     )
@@ -774,22 +810,24 @@ def _print_experiments(result: ExperimentsResult) -> None:
         result.report,
         72,
     )  # the longest text of a cell; the names of figures are shorter
-    for each in result.results:
-        lines = [cells(line) for line in content["lines"] if line["experiment"] == each.name]
+    for experiment_result in result.results:
+        lines = [
+            cells(line) for line in content["lines"] if line["experiment"] == experiment_result.name
+        ]
         rows = [
             [text if len(text) <= widest else f"{text[: widest - 1]}…" for text in line]
             for line in lines
         ]
-        print_table(CATALOGUE[each.name].title, HEADINGS, rows)
-    for each in result.results:
-        about, summary = (
-            content["experiments"][each.name],
-            content["summary"]["by_experiment"][each.name],
+        print_table(CATALOGUE[experiment_result.name].title, HEADINGS, rows)
+    for experiment_result in result.results:
+        metadata, summary = (
+            content["experiments"][experiment_result.name],
+            content["summary"]["by_experiment"][experiment_result.name],
         )
-        took = (
-            f"{about['worlds']} runs in {duration(about['wall_seconds'])}, engine {about['engine']}"
+        took = f"{metadata['worlds']} runs in {duration(metadata['wall_seconds'])}, engine {metadata['engine']}"
+        click.echo(
+            f"{experiment_result.name}: {_counted(summary)} ({took}{', kept' if experiment_result.kept else ''})"
         )
-        click.echo(f"{each.name}: {_counted(summary)} ({took}{', kept' if each.kept else ''})")
     kinds = content["summary"]["by_kind"]
     click.echo(
         f"all of {result.out}: {'; '.join(f'{kind}: {_counted(kinds[kind])}' for kind in kinds)}"
@@ -798,12 +836,12 @@ def _print_experiments(result: ExperimentsResult) -> None:
     for sentence in content["differences"]:
         click.echo(sentence)
     folders = {"plots": "plots", "recordings": "*/recordings", "videos": "videos"}
-    made = {
-        name: place
-        for name, place in folders.items()
-        if any(getattr(each, name) for each in result.results)
+    files = {
+        name: folder
+        for name, folder in folders.items()
+        if any(getattr(experiment_result, name) for experiment_result in result.results)
     }
-    print_places(result.out, report="report.md", tables="*/results", **made)
+    print_places(result.out, report="report.md", tables="*/results", **files)
 
 
 def _counted(summary: dict[str, Any]) -> str:
@@ -891,15 +929,15 @@ def identify_command(
     if channels is None:
         raise WrongUse("--log needs --channels FILE.yaml, which says what the columns are.")
     ranges = dict[str, tuple[float, float]]()
-    for each in range:
-        name, _, ends = each.partition("=")
+    for bound in range:
+        name, _, ends = bound.partition("=")
         try:
             low, high = map(float, ends.split(":"))
         except ValueError:
-            raise WrongUse(f"--range {each}: expected NAME=LOW:HIGH, such as kp=1:3.") from None
+            raise WrongUse(f"--range {bound}: expected NAME=LOW:HIGH, such as kp=1:3.") from None
         ranges[name] = (low, high)
     logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
-    with ProgressBar("identify") as shown:
+    with ProgressBar("identify") as bar:
         result = run_identification(
             logs,
             out,
@@ -908,7 +946,7 @@ def identify_command(
             ranges=ranges,
             judges=judges,
             seed=seed,
-            watch=Watch(lambda done: shown.share(done.fraction), say),
+            watch=Watch(lambda progress: bar.share(progress.fraction), say),
         )
     content = result.content
 

@@ -40,9 +40,9 @@ class Kind:
     page: str = ""
     follows: bool = False
 
-    def load(self, place: str) -> Callable[..., Any]:
+    def load(self, location: str) -> Callable[..., Any]:
         """The function of a place, imported now."""
-        module, _, name = place.partition(":")
+        module, _, name = location.partition(":")
         function: Callable[..., Any] = getattr(importlib.import_module(f"nermo_mjx.{module}"), name)
         return function
 
@@ -142,9 +142,9 @@ def kind_of_directory(path: Path) -> Kind:
         raise WrongUse(f"{path}: there is no such file or directory.")
     name = kind_of(path) if path.is_dir() else None
     if name is None:
-        *most, last = (kind.called for kind in KINDS.values())
+        *first_names, last_name = (kind.called for kind in KINDS.values())
         raise WrongUse(
-            f"{path} is not a results directory: it contains neither {', '.join(most)} nor {last}."
+            f"{path} is not a results directory: it contains neither {', '.join(first_names)} nor {last_name}."
         )
     if name not in KINDS:
         raise WrongUse(

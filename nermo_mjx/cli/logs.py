@@ -80,30 +80,40 @@ def log_command(file: Path, channels: Path | None) -> Output:
     log, table = log_of(file, channels), table_of_log(file)
     commands, findings = log.of_quantity("command"), findings_of(log)
     rows = []
-    for each in log.channels:
-        other = commands.get(each.of) if each.quantity == "angle" else None
-        lag = None if other is None or np.ptp(other.values) <= MOVED else lag_of(each, other)[0]
-        low, high = float(each.values.min()), float(each.values.max())
-        about = {
-            "channel": each.name,
-            "quantity": each.quantity,
-            "of": each.of,
-            "rate": 1.0 / each.interval,
+    for channel in log.channels:
+        command_channel = commands.get(channel.of) if channel.quantity == "angle" else None
+        lag = (
+            None
+            if command_channel is None or np.ptp(command_channel.values) <= MOVED
+            else lag_of(channel, command_channel)[0]
+        )
+        low, high = float(channel.values.min()), float(channel.values.max())
+        report = {
+            "channel": channel.name,
+            "quantity": channel.quantity,
+            "of": channel.of,
+            "rate": 1.0 / channel.interval,
         }
         rows.append(
-            about
-            | {"samples": len(each.times), "low": low, "high": high, "unit": each.unit, "lag": lag}
+            report
+            | {
+                "samples": len(channel.times),
+                "low": low,
+                "high": high,
+                "unit": channel.unit,
+                "lag": lag,
+            }
         )
     content = {"file": file, "seconds": log.duration, "channels": rows, "findings": findings}
 
     def show() -> None:
         names = [str(name) for name in table.columns]
-        more = f" and {len(names) - _WIDE} more" if len(names) > _WIDE else ""
-        shown = table.iloc[:_ROWS, :_WIDE].astype(str).values.tolist()
+        remaining_text = f" and {len(names) - _WIDE} more" if len(names) > _WIDE else ""
+        cells = table.iloc[:_ROWS, :_WIDE].astype(str).values.tolist()
         print_table(
-            f"{file}: {len(table):,} rows of {len(names)} columns{more and ', the first ones'}",
+            f"{file}: {len(table):,} rows of {len(names)} columns{remaining_text and ', the first ones'}",
             names[:_WIDE],
-            shown,
+            cells,
         )
         print_table(f"{log.duration:.4g} s", _HEADINGS, [_shown_row(row) for row in rows])
         for sentence in findings or ["Nothing looks wrong."]:
@@ -132,24 +142,33 @@ def compare_files(a: Path, b: Path, channels: Path | None) -> Output:
     from nermo_mjx.view import robot_of
 
     loaded = {path: load_recording(path) for path in (a, b) if path.suffix == ".npz"}
-    twins = {path: twin_signals(each, robot_of(each)) for path, each in loaded.items()}
-    one, two = (twins.get(path) or log_of(path, channels) for path in (a, b))
-    one, two = (beside(two, one) if a in twins else one, beside(one, two) if b in twins else two)
-    if not (found := channel_differences(two, one)):
+    twins = {
+        path: twin_signals(recording, robot_of(recording)) for path, recording in loaded.items()
+    }
+    first_log, second_log = (twins.get(path) or log_of(path, channels) for path in (a, b))
+    first_log, second_log = (
+        beside(second_log, first_log) if a in twins else first_log,
+        beside(first_log, second_log) if b in twins else second_log,
+    )
+    if not (differences := channel_differences(second_log, first_log)):
         raise WrongUse(
             f"{a} and {b} have no channel of the same quantity and thing at the same time."
         )
-    content = {"a": a, "b": b, "channels": [*map(dataclasses.asdict, found)]}
-    return Output(content, lambda: print_differences(f"{b} minus {a}", found))
+    content = {"a": a, "b": b, "channels": [*map(dataclasses.asdict, differences)]}
+    return Output(content, lambda: print_differences(f"{b} minus {a}", differences))
 
 
-def print_differences(title: str, found: Sequence[Difference], missing: Sequence[str] = ()) -> None:
+def print_differences(
+    title: str, differences: Sequence[Difference], missing_names: Sequence[str] = ()
+) -> None:
     """Channels beside other ones, in units that people read; `missing` are channels that the twin lacks."""
     rows = []
-    for each in found:
-        numbers, unit = in_unit("", each.unit, each.rms, each.bias, each.amplitude)
-        row = [each.name, *(f"{round(number, 6) + 0.0:.3g}" for number in numbers), unit]
-        rows.append([*row, str(round(1e3 * each.lag)), f"{each.correlation:.3f}"])
+    for difference in differences:
+        numbers, unit = in_unit(
+            "", difference.unit, difference.rms, difference.bias, difference.amplitude
+        )
+        row = [difference.name, *(f"{round(number, 6) + 0.0:.3g}" for number in numbers), unit]
+        rows.append([*row, str(round(1e3 * difference.lag)), f"{difference.correlation:.3f}"])
     print_table(title, "channel, RMS>, mean>, signal>, unit, lag [ms]>, correlation>", rows)
-    if missing:
-        click.echo(f"The twin has no signal of {', '.join(missing)}.")
+    if missing_names:
+        click.echo(f"The twin has no signal of {', '.join(missing_names)}.")

@@ -22,18 +22,22 @@ F = TypeVar("F", bound=Callable[..., Any])
 Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 
-def names(*known: str, end: str = "", joined: str = "") -> Completer:
+def names(*choices: str, end: str = "", separator: str = "") -> Completer:
     """Completes one of these names, and what follows each of them; or the last of several that are joined."""
 
     def complete(
         context: click.Context, parameter: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        before, mark, last = incomplete.rpartition(joined) if joined else ("", "", incomplete)
-        found = [before + mark + name + end for name in known if name.startswith(last)]
+        prefix, mark, last = incomplete.rpartition(separator) if separator else ("", "", incomplete)
+        completions = [prefix + mark + name + end for name in choices if name.startswith(last)]
         # A shell adds a space after a single offer; a second one prevents that before the value.
         return [
-            CompletionItem(each)
-            for each in (found if len(found) != 1 or not end else [*found, f"{found[0]}X"])
+            CompletionItem(completion)
+            for completion in (
+                completions
+                if len(completions) != 1 or not end
+                else [*completions, f"{completions[0]}X"]
+            )
         ]
 
     return complete
@@ -49,9 +53,11 @@ class FileKind(click.Path):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        found = offered(incomplete, self.endings)
+        files = offered(incomplete, self.endings)
         # If nothing matches, the shell offers its own completions.
-        return [CompletionItem(each) for each in found] or [CompletionItem(incomplete, type="file")]
+        return [CompletionItem(file_name) for file_name in files] or [
+            CompletionItem(incomplete, type="file")
+        ]
 
 
 def offered(incomplete: str, endings: tuple[str, ...]) -> list[str]:
@@ -91,23 +97,26 @@ def assigned(texts: Iterable[str], parameters: Mapping[str, Quantity]) -> dict[s
     for text in texts:
         name, equals, number = (part.strip() for part in text.partition("="))
         if not equals:
-            example, about = next(iter(parameters.items()))
+            example, declaration = next(iter(parameters.items()))
             raise WrongUse(
-                f"--set {text}: expected NAME=VALUE, such as {example}={about.default:g}."
+                f"--set {text}: expected NAME=VALUE, such as {example}={declaration.default:g}."
             )
         pattern = is_pattern(name)
-        found = matches(name, parameters) if pattern else [name] if name in parameters else []
-        if not found:
+        matching = matches(name, parameters) if pattern else [name] if name in parameters else []
+        if not matching:
             near = None if pattern else nearest(name, parameters)
-            what = "matches no parameter" if pattern else "is not a parameter"
+            problem = "matches no parameter" if pattern else "is not a parameter"
             hint = (
                 f"did you mean {near}?"
                 if near
                 else "`nermo-mjx sweep --list-parameters` prints all."
             )
-            raise WrongUse(f"--set {text}: {name} {what}; {hint}")
+            raise WrongUse(f"--set {text}: {name} {problem}; {hint}")
         try:
-            values |= {each: parameters[each].numbers(each, number) for each in found}
+            values |= {
+                match_name: parameters[match_name].numbers(match_name, number)
+                for match_name in matching
+            }
         except ParameterError as error:
             raise WrongUse(f"--set {text}: {error}") from None
     return values
@@ -117,24 +126,24 @@ def given() -> dict[str, str]:
     """Flags of the options of this call that are not at their defaults, by name."""
     context = click.get_current_context()
     return {
-        each.name or "": each.opts[0]
-        for each in context.command.params
-        if context.get_parameter_source(each.name or "") is not ParameterSource.DEFAULT
+        parameter.name or "": parameter.opts[0]
+        for parameter in context.command.params
+        if context.get_parameter_source(parameter.name or "") is not ParameterSource.DEFAULT
     }
 
 
-def refuse_without(needs: Mapping[str, str], there: Mapping[str, Any]) -> None:
+def refuse_without(needs: Mapping[str, str], options: Mapping[str, Any]) -> None:
     """Refuse options that are given and have no effect.
 
     Args:
         needs: by an option's name what it needs; others are passed over.
-        there: which of these are there.
+        options: which of these are there.
 
     Raises:
         WrongUse: one is not.
     """
     for name, flag in given().items():
-        if not there.get(need := needs.get(name, ""), True):
+        if not options.get(need := needs.get(name, ""), True):
             raise WrongUse(f"{flag} has no effect without {need}.")
 
 
@@ -148,22 +157,22 @@ SPEC = FileKind(".yaml", ".yml")
 RECORDING = FileKind(".npz", exists=True, dir_okay=False)
 
 
-def text(name: str, metavar: str, about: str, **more: Any) -> Callable[[F], F]:
+def text(name: str, metavar: str, help_text: str, **attributes: Any) -> Callable[[F], F]:
     """An option with a value."""
-    return click.option(name, metavar=metavar, help=about, **more)
+    return click.option(name, metavar=metavar, help=help_text, **attributes)
 
 
-def flag(name: str, about: str, **more: Any) -> Callable[[F], F]:
+def flag(name: str, help_text: str, **attributes: Any) -> Callable[[F], F]:
     """An option without a value."""
-    return click.option(name, is_flag=True, help=about, **more)
+    return click.option(name, is_flag=True, help=help_text, **attributes)
 
 
 def choice_option(
-    name: str, names: tuple[str, ...], about: str | None = None, **more: Any
+    name: str, names: tuple[str, ...], help_text: str | None = None, **attributes: Any
 ) -> Callable[[F], F]:
     """An option that allows some names; the first is the default unless `default` is given."""
-    settings: dict[str, Any] = {"default": names[0], "show_default": True} | more
-    return click.option(name, type=click.Choice(names), help=about, **settings)
+    settings: dict[str, Any] = {"default": names[0], "show_default": True} | attributes
+    return click.option(name, type=click.Choice(names), help=help_text, **settings)
 
 
 class _Gait(click.Choice):
@@ -174,43 +183,49 @@ class _Gait(click.Choice):
         return super().convert(codes.get(value, value), param, ctx)
 
 
-def number(name: str, about: str, kind: Any = float, **more: Any) -> Callable[[F], F]:
+def number(name: str, help_text: str, kind: Any = float, **attributes: Any) -> Callable[[F], F]:
     """An option that takes a number."""
-    whole = isinstance(kind, click.IntRange)
+    is_integer = isinstance(kind, click.IntRange)
     settings: dict[str, Any] = {
-        "metavar": "N" if whole else "X",
-        "show_default": "default" in more,
-    } | more
-    return click.option(name, type=kind, help=about, **settings)
+        "metavar": "N" if is_integer else "X",
+        "show_default": "default" in attributes,
+    } | attributes
+    return click.option(name, type=kind, help=help_text, **settings)
 
 
-def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
+def file(name: str, suffix: str, help_text: str, **attributes: Any) -> Callable[[F], F]:
     """An option that names a file to write."""
     return click.option(
-        name, metavar=f"FILE{suffix}", type=FileKind(suffix, dir_okay=False), help=about, **more
+        name,
+        metavar=f"FILE{suffix}",
+        type=FileKind(suffix, dir_okay=False),
+        help=help_text,
+        **attributes,
     )
 
 
-def column(name: str, about: str, *, among: tuple[str, ...] = (), **more: Any) -> Callable[[F], F]:
+def column(
+    name: str, help_text: str, *, suggestions: tuple[str, ...] = (), **attributes: Any
+) -> Callable[[F], F]:
     """An option that names a column of a table, completed with parameters and metrics, or with the given names."""
-    complete = names(*(among or (*choices.PARAMETERS, *choices.METRICS)))
-    return click.option(name, metavar="NAME", shell_complete=complete, help=about, **more)
+    complete = names(*(suggestions or (*choices.PARAMETERS, *choices.METRICS)))
+    return click.option(name, metavar="NAME", shell_complete=complete, help=help_text, **attributes)
 
 
 #: Where the parameters of `--body` are kept in a command's context.
 _BODY = "nermo_mjx.body"
 
 
-def set_option(about: str) -> Callable[[F], F]:
+def set_option(help_text: str) -> Callable[[F], F]:
     """`--set`; see `assigned`."""
     return click.option(
         "--set",
         "assignments",
         multiple=True,
         metavar="NAME=X",
-        help=about,
+        help=help_text,
         shell_complete=names(*choices.PARAMETERS, end="="),
-        callback=lambda ctx, parameter, given: _with_body(ctx, given),
+        callback=lambda ctx, parameter, assignments: _with_body(ctx, assignments),
     )
 
 
@@ -224,10 +239,17 @@ def _best_body(ctx: click.Context, parameter: click.Parameter, source: str | Non
         )
 
 
-def _with_body(ctx: click.Context, given: tuple[str, ...]) -> tuple[str, ...]:
+def _with_body(ctx: click.Context, assignments: tuple[str, ...]) -> tuple[str, ...]:
     """Assignments of `--body` that are not given by `--set`, and those that are."""
-    named = {each.split("=")[0] for each in given}
-    return (*(each for each in ctx.meta.get(_BODY, ()) if each.split("=")[0] not in named), *given)
+    assigned_names = {assignment.split("=")[0] for assignment in assignments}
+    return (
+        *(
+            assignment
+            for assignment in ctx.meta.get(_BODY, ())
+            if assignment.split("=")[0] not in assigned_names
+        ),
+        *assignments,
+    )
 
 
 def grouped(*listed: Callable[[Any], Any]) -> Callable[[F], F]:
@@ -345,7 +367,7 @@ gait = grouped(
         "of nermo_41.",
         default="none",
         show_default=True,
-        shell_complete=names(*choices.SPINE_MODES, joined="+"),
+        shell_complete=names(*choices.SPINE_MODES, separator="+"),
     ),
     number("--spine-amplitude", "Servo amplitude of the stride extension [rad].", str),
     number("--spine-phase", 'Phase of the stride extension [rad], or such as "-45 deg".', str),

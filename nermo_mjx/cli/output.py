@@ -112,9 +112,13 @@ class CommandGroup(click.Group):
         TELL.set(lambda sentence: click.echo(f"nermo-mjx: {sentence}", err=True))
         gc.set_threshold(*COLLECTIONS)
         in_main = threading.current_thread() is threading.main_thread()
-        found = {each: signal.getsignal(each) for each in ENDING if in_main}
-        before = {
-            each: signal.signal(each, _as_ctrl_c) for each in found if found[each] is signal.SIG_DFL
+        handlers = {
+            signal_number: signal.getsignal(signal_number) for signal_number in ENDING if in_main
+        }
+        former_handlers = {
+            signal_number: signal.signal(signal_number, _as_ctrl_c)
+            for signal_number in handlers
+            if handlers[signal_number] is signal.SIG_DFL
         }
         warned = set[str]()
 
@@ -152,8 +156,8 @@ class CommandGroup(click.Group):
             _translate(error)
         finally:
             compiles.setLevel(level)
-            for each, handler in before.items():
-                signal.signal(each, handler)
+            for signal_number, handler in former_handlers.items():
+                signal.signal(signal_number, handler)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click does it, with the nearest command's name."""
@@ -194,9 +198,9 @@ class _Lossy:
     def flush(self) -> None:
         self._kept(self._stream.flush)
 
-    def _kept(self, act: Callable[..., Any], *given: Any) -> Any:
+    def _kept(self, act: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return act(*given)
+            return act(*arguments)
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -209,8 +213,8 @@ def _translate(error: Exception) -> NoReturn:
         error, RuntimeError
     ) and "invalid value for environment variable MUJOCO_GL" in str(error):
         # MuJoCo raises it on import.
-        given = os.environ.get("MUJOCO_GL")
-        sentence = f"MUJOCO_GL is {given!r}: allowed is egl, osmesa or glfw; unset it for automatic selection."
+        backend = os.environ.get("MUJOCO_GL")
+        sentence = f"MUJOCO_GL is {backend!r}: allowed is egl, osmesa or glfw; unset it for automatic selection."
         raise Failure(sentence) from None
     from nermo_mjx.robot.quantity import ParameterError
     from nermo_mjx.runs.files import WrongDirectory
@@ -272,9 +276,9 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]],
         declared = list(getattr(function, "__click_params__", ()))
 
         @functools.wraps(function)
-        def run(as_json: bool, quiet: bool, **chosen: Any) -> None:
+        def run(as_json: bool, quiet: bool, **options: Any) -> None:
             with contextlib.redirect_stdout(sys.stderr):
-                outcome: Output = function(**chosen)
+                outcome: Output = function(**options)
             if as_json:
                 from nermo_mjx.runs.files import plain_json
 
@@ -294,16 +298,16 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]],
         quietly = click.Option(
             ["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary."
         )
-        about = "Print one JSON object on standard output, nothing else."
+        json_help = "Print one JSON object on standard output, nothing else."
         decorated.__click_params__ = [
             quietly,
-            click.Option(["--json", "as_json"], is_flag=True, help=about),
+            click.Option(["--json", "as_json"], is_flag=True, help=json_help),
             *declared,
         ]
         COMMANDS.append(
-            click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(
-                decorated
-            )
+            click.command(
+                name, help=text, epilog="\n\n".join(f"\b\n{section}" for section in lists)
+            )(decorated)
         )
         return COMMANDS[-1]
 
@@ -326,7 +330,7 @@ def print_pairs(pairs: Iterable[tuple[str, Any]]) -> None:
 
 def print_places(out: Path, **places: Any) -> None:
     """Where the files are, by what they are: names in `out`, or whole paths; those that were not made are left out."""
-    print_pairs((name, place and out / place) for name, place in places.items())
+    print_pairs((name, file and out / file) for name, file in places.items())
 
 
 def in_unit(name: str, unit: str, *values: float) -> tuple[list[float], str]:
@@ -339,8 +343,8 @@ def in_unit(name: str, unit: str, *values: float) -> tuple[list[float], str]:
 
 def room() -> int | None:
     """How many characters a line has, by the terminal or COLUMNS; None where it may have any number."""
-    known = sys.stdout.isatty() or os.environ.get("COLUMNS")
-    return shutil.get_terminal_size().columns if known else None
+    is_known = sys.stdout.isatty() or os.environ.get("COLUMNS")
+    return shutil.get_terminal_size().columns if is_known else None
 
 
 def print_table(
@@ -364,30 +368,33 @@ def print_table(
     from rich.text import Text
 
     columns = [
-        (each.removesuffix(">"), "right" if each.endswith(">") else "left")
-        if isinstance(each, str)
-        else each
-        for each in (headings.split(", ") if isinstance(headings, str) else headings)
+        (column_heading.removesuffix(">"), "right" if column_heading.endswith(">") else "left")
+        if isinstance(column_heading, str)
+        else column_heading
+        for column_heading in (headings.split(", ") if isinstance(headings, str) else headings)
     ]
     width = room() if spare else None
-    texts, kept = [[one_line(str(cell)) for cell in row] for row in rows], list(range(len(columns)))
+    texts, shown_columns = (
+        [[one_line(str(cell)) for cell in row] for row in rows],
+        list(range(len(columns))),
+    )
     wide = [
         3 + max([len(heading), *(len(row[i]) for row in texts)])
         for i, (heading, _) in enumerate(columns)
     ]
     for i in spare:
-        if width is not None and sum(wide[k] for k in kept) > width + 3:
-            kept.remove(i)
+        if width is not None and sum(wide[k] for k in shown_columns) > width + 3:
+            shown_columns.remove(i)
     table = Table(
         box=SIMPLE_HEAD,
         pad_edge=False,
         show_edge=False,
-        show_header=any(columns[i][0] for i in kept),
+        show_header=any(columns[i][0] for i in shown_columns),
     )
-    for heading, side in (columns[i] for i in kept):
+    for heading, side in (columns[i] for i in shown_columns):
         table.add_column(Text(one_line(heading)), justify="right" if side == "right" else "left")
     for row in texts:
-        table.add_row(*(Text(row[i]) for i in kept))
+        table.add_row(*(Text(row[i]) for i in shown_columns))
     console = Console(
         file=sys.stdout, width=width or (None if sys.stdout.isatty() else 200), highlight=False
     )
@@ -396,4 +403,4 @@ def print_table(
         console.print(table)
     lines = (line.rstrip() for line in capture.get().splitlines())
     getattr(sys.stdout, "styled", sys.stdout.write)("\n".join(lines) + "\n\n")
-    return [heading for i, (heading, _) in enumerate(columns) if i not in kept]
+    return [heading for i, (heading, _) in enumerate(columns) if i not in shown_columns]

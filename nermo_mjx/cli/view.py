@@ -73,7 +73,7 @@ def figures_of_file(path: Path, *, notify: Callable[[str], None]) -> Figures:
 @number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
 @number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
 @number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
-def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Output:
+def render_command(recordings: tuple[Path, ...], out: Path, **video_options: Any) -> Output:
     """Render a recording of `walk --record` as a video; several are shown side by side, synchronized.
 
     Examples:
@@ -82,12 +82,12 @@ def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Out
       nermo-mjx render walk.npz other.npz --out both.mp4 --overlay gait
     """
     loaded = [load_recording(path) for path in recordings]
-    render_with_progress(loaded, out, [path.stem for path in recordings], **drawn)
-    seconds = min(each.duration for each in loaded) / drawn["speed"]
+    render_with_progress(loaded, out, [path.stem for path in recordings], **video_options)
+    seconds = min(recording.duration for recording in loaded) / video_options["speed"]
     content = {
         "video": out,
         "seconds": seconds,
-        **{name: drawn[name] for name in ("width", "height", "fps")},
+        **{name: video_options[name] for name in ("width", "height", "fps")},
     }
     return Output(content, files=[out])
 
@@ -109,7 +109,7 @@ def save_run(recording: Recording, record: Path | None, video: Path | None, came
 
 
 def render_with_progress(
-    recordings: Sequence[Recording], path: Path, names: Sequence[str] = ("",), **drawn: Any
+    recordings: Sequence[Recording], path: Path, names: Sequence[str] = ("",), **video_options: Any
 ) -> None:
     """Render with a progress bar; several side by side, each below its name, its title and its figures.
 
@@ -119,17 +119,19 @@ def render_with_progress(
     from nermo_mjx.view.recorded import headline_of, title_of
     from nermo_mjx.view.video import Pane
 
-    robots = [robot_of(each) for each in recordings]
-    models = [shown_model(*each) for each in zip(recordings, robots, strict=True)]
+    robots = [robot_of(recording) for recording in recordings]
+    models = [shown_model(*recording) for recording in zip(recordings, robots, strict=True)]
     with ProgressBar("video", "frames") as progress:
         if len(recordings) == 1:
-            render(recordings[0], models[0], path, progress=progress.count, **drawn)
+            render(recordings[0], models[0], path, progress=progress.count, **video_options)
             return
         panes = []
-        for each, name, model in zip(recordings, names, models, strict=True):
-            figures = ", ".join(" ".join(row) for row in headline_of(each))
-            panes.append(Pane(each, name, list(filter(None, (title_of(each), figures))), model))
-        render(panes, robots[0].model, path, progress=progress.count, **drawn)
+        for recording, name, model in zip(recordings, names, models, strict=True):
+            figures = ", ".join(" ".join(row) for row in headline_of(recording))
+            panes.append(
+                Pane(recording, name, list(filter(None, (title_of(recording), figures))), model)
+            )
+        render(panes, robots[0].model, path, progress=progress.count, **video_options)
 
 
 #: Options of `play` that need another kind of file, and which.
@@ -307,27 +309,29 @@ def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
 
     if not path.is_dir() or not kind_of_directory(path).follows:
         raise WrongUse(f"--follow is for the directory of a training, but {path} is none.")
-    shown, seen, status = None, 0, training_status(path)
+    shown_status, seen_time, status = None, 0, training_status(path)
     with contextlib.suppress(KeyboardInterrupt):
-        while seen == 0 or not status.complete:
+        while seen_time == 0 or not status.complete:
             status = training_status(path)
-            written = (path / HISTORY).stat().st_mtime_ns if (path / HISTORY).exists() else 0
-            if written != seen or (seen and status.complete):
+            written_time = (path / HISTORY).stat().st_mtime_ns if (path / HISTORY).exists() else 0
+            if written_time != seen_time or (seen_time and status.complete):
                 page = trained(path, reload=None if status.complete else _RELOAD)
-                file = None if shown is None else Path(shown.content["page"])
+                file = None if shown_status is None else Path(shown_status.content["page"])
                 amounts = {"iterations": status.rows_done, "complete": status.complete}
-                shown, seen = (
-                    _shown(page, out or file, path.resolve().stem, no_open or seen != 0, amounts),
-                    written,
+                shown_status, seen_time = (
+                    _shown(
+                        page, out or file, path.resolve().stem, no_open or seen_time != 0, amounts
+                    ),
+                    written_time,
                 )
                 say(
-                    f"{shown.content['page']} shows {status.rows_done:,} of {status.rows:,} iterations"
+                    f"{shown_status.content['page']} shows {status.rows_done:,} of {status.rows:,} iterations"
                 )
             elif not status.complete:
                 time.sleep(1.0)
-    if shown is None:
+    if shown_status is None:
         raise WrongUse(f"{path} has no checkpoint yet: nothing was shown.")
-    return shown
+    return shown_status
 
 
 def _page(
@@ -342,8 +346,8 @@ def _page(
             raise WrongUse(
                 f"--recordings is for the page of a directory, but {path} is a recording."
             )
-        for each in (path, *([] if other is None else [other])):
-            load_recording(each)  # refuses what cannot be shown, and says which file that is
+        for file in (path, *([] if other is None else [other])):
+            load_recording(file)  # refuses what cannot be shown, and says which file that is
         page = show(path, other)
         return page, {"samples": page.samples}
     if other is not None:
@@ -351,8 +355,8 @@ def _page(
             f"{path} is a directory: it has its own page; show {other} with a separate command."
         )
     kind_of_directory(path)  # refuses what is none
-    most = MOST_RECORDINGS if recordings is None else recordings
-    page = directory_page(path, recordings=most, notify=notes.append)
+    limit = MOST_RECORDINGS if recordings is None else recordings
+    page = directory_page(path, recordings=limit, notify=notes.append)
     if page.samples:
         return page, {"samples": page.samples}
     return page, {"rows": page.rows, "recordings": page.recordings} if page.rows else {}

@@ -66,11 +66,11 @@ def planned_walk(
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
     fields = {field.name for field in dataclasses.fields(Setup)}
-    chosen = {
+    choices = {
         name: value for name, value in options.items() if name in fields and value is not None
     }
-    chosen["spine"] = "+".join(mode_names(chosen["spine"])) or "none"
-    setup = Setup(pilot=pilot, schedule=tuple(map(_switch, switches)), **chosen)
+    choices["spine"] = "+".join(mode_names(choices["spine"])) or "none"
+    setup = Setup(pilot=pilot, schedule=tuple(map(_switch, switches)), **choices)
     parameters = all_parameters(setup)
     values: dict[str, float] = {} if seed is None else _shifted_start(seed)
     for option, name in PARAMETER_OPTIONS.items():
@@ -79,10 +79,10 @@ def planned_walk(
         flag = f"--{option.replace('_', '-')}"
         if name not in parameters:
             raise WrongUse(f"{flag} sets {name}, which is not a parameter of {setup.controller}.")
-        if needed := unread(setup, name):
-            choice, wanted = needed
+        if requirement := unread(setup, name):
+            choice, needed_choice = requirement
             raise WrongUse(
-                f"{flag} has no effect with --{choice} {getattr(setup, choice)}: add --{choice} {wanted}."
+                f"{flag} has no effect with --{choice} {getattr(setup, choice)}: add --{choice} {needed_choice}."
             )
         values[name] = parameters[name].numbers(flag, options[option])
     values |= assigned(assignments, parameters)
@@ -96,7 +96,7 @@ def _switch(text: str) -> Switch:
     from nermo_mjx.control.schedule import Switch
     from nermo_mjx.robot.quantity import ParameterError
 
-    at, *parts = text.split(",")
+    begin, *parts = text.split(",")
     pairs = dict(part.partition("=")[::2] for part in parts)
     words = {
         name: pairs.pop(name)
@@ -105,11 +105,11 @@ def _switch(text: str) -> Switch:
     }
     try:
         blend = float(pairs.pop("blend", 1.0))
-        return Switch(float(at), blend, **words, values=pairs)  # type: ignore[arg-type]
+        return Switch(float(begin), blend, **words, values=pairs)  # type: ignore[arg-type]
     except ValueError as error:
-        about = f" {error}" if isinstance(error, ParameterError) else ""
+        reason = f" {error}" if isinstance(error, ParameterError) else ""
         raise WrongUse(
-            f"--switch {text}: expected AT,NAME=X such as 2.5,gait=lateral_walk,frequency=0.8.{about}"
+            f"--switch {text}: expected AT,NAME=X such as 2.5,gait=lateral_walk,frequency=0.8.{reason}"
         ) from None
 
 
@@ -226,8 +226,10 @@ def _number(value: float | None, factor: float) -> str:
     return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
 
 
-def _switch_option(about: str) -> Any:
-    return click.option("--switch", "switches", multiple=True, metavar="AT,NAME=X...", help=about)
+def _switch_option(help_text: str) -> Any:
+    return click.option(
+        "--switch", "switches", multiple=True, metavar="AT,NAME=X...", help=help_text
+    )
 
 
 @command("walk")
@@ -249,7 +251,7 @@ def _switch_option(about: str) -> Any:
 @options.engine
 @options.produced
 def walk_command(
-    engine: str, record: Path | None, video: Path | None, camera: str, **chosen: Any
+    engine: str, record: Path | None, video: Path | None, camera: str, **choices: Any
 ) -> Output:
     """Simulate one walk, and summarize it.
 
@@ -265,7 +267,7 @@ def walk_command(
     """
     from nermo_mjx.rollout import Simulator
 
-    setup, run, values = planned_walk(**chosen)
+    setup, run, values = planned_walk(**choices)
     refuse_video(setup, video, camera)
     with ProgressBar("walk", compiles=True) as progress:
         simulator = Simulator(setup, engine=engine)
@@ -356,7 +358,7 @@ def drive_command(
     headless: bool,
     record: Path | None,
     seconds: float | None,
-    **chosen: Any,
+    **choices: Any,
 ) -> Output:
     """Drive the robot in the browser while it walks: keyboard, gamepad, sliders.
 
@@ -385,15 +387,17 @@ def drive_command(
       nermo-mjx drive --serve mqtt://localhost --delay 20 --loss 0.01
     """
     logs = record is not None and record.suffix == ".csv"
-    there = {
+    given_options = {
         "--connect URL": bool(connect),
         "--serve URL": bool(serve),
         "a page": not (headless or serve),
     }
-    there["--connect URL or --serve URL"] = bool(connect or serve)
+    given_options["--connect URL or --serve URL"] = bool(connect or serve)
     if connect and serve:
         raise WrongUse("Give --connect URL or --serve URL, not both.")
-    options.refuse_without(DRIVE_NEEDS | {"record": "--connect URL" if logs else "a page"}, there)
+    options.refuse_without(
+        DRIVE_NEEDS | {"record": "--connect URL" if logs else "a page"}, given_options
+    )
     from nermo_mjx.hardware.live import TOPIC, SendError, address
     from nermo_mjx.live.driving import Driving
     from nermo_mjx.live.server import LiveDrive, free
@@ -401,31 +405,33 @@ def drive_command(
     from nermo_mjx.recording import RecordingError
     from nermo_mjx.runs.files import make_writable
 
-    if there["a page"]:
+    if given_options["a page"]:
         from nermo_mjx.robot.quantity import require
 
         require("drive", "websockets", "drive")
     port, browser, channels, rate, watchdog, delay, loss = (
-        chosen.pop(name)
+        choices.pop(name)
         for name in ("port", "browser", "channels", "rate", "watchdog", "delay", "loss")
     )
-    chosen["pilot"] = chosen["pilot"] or ("open_loop" if chosen["controller"] is None else None)
-    setup, _, values = planned_walk(**chosen)
-    about, files, robots = dict[str, Any](), list[Path](), None
+    choices["pilot"] = choices["pilot"] or ("open_loop" if choices["controller"] is None else None)
+    setup, _, values = planned_walk(**choices)
+    drive_report, files, robots = dict[str, Any](), list[Path](), None
     sentences, failures = list[str](), list[str]()
-    if not there["a page"]:
+    if not given_options["a page"]:
         say("Ctrl-C ends it")
     page_record, log = (None, record) if logs else (record, None)
     if record is not None:
         make_writable(record.parent)
-        for each in (record, *([record.with_suffix(".yaml")] if logs else [])):
-            free(each)
+        for record_file in (record, *([record.with_suffix(".yaml")] if logs else [])):
+            free(record_file)
     try:
         if serve is not None:
             address(serve, "serve")
             simulated = SimulatedRobot(setup, values, channels, delay / 1e3, loss)
-            about, sentences = simulated.run(serve, seconds), simulated.sentences()
-            failures = [] if about["commands"].get("taken") else [f"No command came on {TOPIC}."]
+            drive_report, sentences = simulated.run(serve, seconds), simulated.sentences()
+            failures = (
+                [] if drive_report["commands"].get("taken") else [f"No command came on {TOPIC}."]
+            )
         else:
             with ProgressBar("drive", quiet=headless or is_given("quiet"), compiles=True):
                 recorded = page_record is not None
@@ -449,18 +455,18 @@ def drive_command(
                             pass
                         except RecordingError as error:
                             failures = [str(error)]
-                    about, files = drive.report(), drive.files
+                    drive_report, files = drive.report(), drive.files
                     failures = [drive.failure] if drive.failure else failures
         if robots:
-            about |= dataclasses.asdict(robots.driven)
+            drive_report |= dataclasses.asdict(robots.driven)
             sentences, failures = (
                 robots.driven.sentences(),
-                failures + robots.failures(about.get("factor", 1.0)),
+                failures + robots.failures(drive_report.get("factor", 1.0)),
             )
             files += [log, log.with_suffix(".yaml")] if log else []
     except SendError as error:
         raise Failure(f"{str(error).rstrip('.')}.") from None
-    content = about | ({"verdict": failures} if connect or serve else {})
+    content = drive_report | ({"verdict": failures} if connect or serve else {})
     return Output(
         content,
         lambda: click.echo("\n".join(sentences), nl=bool(sentences)),
@@ -564,12 +570,14 @@ def replay_command(
         raise WrongUse("Give a directory, a recorded drive, or --commands LOG.")
     saved: dict[str, Any] = {"record": record, "video": video, "camera": camera}
     of_drive = out is not None and out.suffix in (".npz", ".jsonl")
-    there = {
+    given_options = {
         "a directory": out and not of_drive,
         "a recorded drive": of_drive,
         "--commands LOG": commands,
     }
-    options.refuse_without(REPLAY_NEEDS, there | {"a directory or --commands LOG": not of_drive})
+    options.refuse_without(
+        REPLAY_NEEDS, given_options | {"a directory or --commands LOG": not of_drive}
+    )
     if commands is not None and model is not None:
         return _replay_on_model(commands, channels, model)
     if commands is not None:
@@ -583,14 +591,14 @@ def replay_command(
     from nermo_mjx.runs.files import make_writable, plain_json
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
-    found = (find_evaluation if (out / "search.yaml").exists() else find_row)(out, row)
+    row_finder = (find_evaluation if (out / "search.yaml").exists() else find_row)(out, row)
     files = [file for file in (saved["record"], saved["video"]) if file]
     for path in files:
         make_writable(path.parent)
-    refuse_video(found.walk.setup, saved["video"], saved["camera"])
+    refuse_video(row_finder.walk.setup, saved["video"], saved["camera"])
     with ProgressBar("replay", compiles=True) as progress:
-        replay = replay_row(found, engine, progress.share)
-    report = report_of(found, replay)
+        replay = replay_row(row_finder, engine, progress.share)
+    report = report_of(row_finder, replay)
     if files:
         if not len(replay.history.time):
             raise Failure(
@@ -599,16 +607,16 @@ def replay_command(
         save_run(dataclasses.replace(replay.recording(), metadata=plain_json(report)), **saved)
 
     def show() -> None:
-        values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
-        values += "".join(f", {name} {value:.4g}" for name, value in found.values.items())
+        values = "".join(f", {name} {label}" for name, label in row_finder.walk.labels.items())
+        values += "".join(f", {name} {value:.4g}" for name, value in row_finder.values.items())
         click.echo(
-            f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n"
+            f"Row {row_finder.row} of {row_finder.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n"
         )
         print_walk(report)
         for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
             if report["metrics"][flag]:
                 click.echo(
-                    f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.span[1]:.2f} s."
+                    f"It {what} at {replay.metrics['failure_time']:.2f} s, of {row_finder.span[1]:.2f} s."
                 )
         click.echo(report["compared"])
 
@@ -627,34 +635,38 @@ def _replay_log(
     from nermo_mjx.hardware.twin import replay_log, with_log
     from nermo_mjx.rollout import Setup, all_parameters
 
-    log, named = log_of(file, channels), body.pop("assignments")
+    log, assignments = log_of(file, channels), body.pop("assignments")
     setup = Setup(**{name: value for name, value in body.items() if value is not None})
     refuse_video(setup, saved["video"], saved["camera"])
     with ProgressBar("replay", compiles=True) as progress:
-        made = replay_log(
-            log, setup, assigned(named, all_parameters(setup)), engine or "c", progress.share
+        replay = replay_log(
+            log, setup, assigned(assignments, all_parameters(setup)), engine or "c", progress.share
         )
-    recording, found = with_log(made, log, setup.load())
+    recording, differences = with_log(replay, log, setup.load())
     save_run(recording, **saved)
     for sentence in findings_of(log):
         say(sentence)
-    shown = recording.metadata["log"]["shown"]
-    missing = [
-        each.name for each in log.channels if each.name not in shown and each.quantity != "command"
+    shown_names = recording.metadata["log"]["shown"]
+    missing_names = [
+        channel.name
+        for channel in log.channels
+        if channel.name not in shown_names and channel.quantity != "command"
     ]
     content = {
-        **made.metadata,
+        **replay.metadata,
         "log": file,
-        "channels": [*map(dataclasses.asdict, found)],
-        "not_simulated": missing,
+        "channels": [*map(dataclasses.asdict, differences)],
+        "not_simulated": missing_names,
     }
 
     def show() -> None:
-        title = f"{file}, {log.duration:.4g} s: measured minus simulated, engine {made.metadata['engine']}"
-        print_differences(title, found, missing)
-        print_ending(made.metadata["metrics"])
+        title = f"{file}, {log.duration:.4g} s: measured minus simulated, engine {replay.metadata['engine']}"
+        print_differences(title, differences, missing_names)
+        print_ending(replay.metadata["metrics"])
 
-    return Output(content, show, [each for each in (saved["record"], saved["video"]) if each])
+    return Output(
+        content, show, [channel for channel in (saved["record"], saved["video"]) if channel]
+    )
 
 
 def _replay_on_model(file: Path, channels: Path | None, model: Path) -> Output:
@@ -669,21 +681,26 @@ def _replay_on_model(file: Path, channels: Path | None, model: Path) -> Output:
     twin, notes = replay_on_model(log, model)
     for sentence in (*findings_of(log), *notes):
         say(sentence)
-    found, simulated = channel_differences(log, twin), [each.name for each in twin.channels]
-    missing = [
-        each.name
-        for each in log.channels
-        if each.name not in simulated and each.quantity != "command"
+    differences, simulated = (
+        channel_differences(log, twin),
+        [channel.name for channel in twin.channels],
+    )
+    missing_names = [
+        channel.name
+        for channel in log.channels
+        if channel.name not in simulated and channel.quantity != "command"
     ]
     content = {
         "log": file,
         "model": model,
-        "channels": [*map(dataclasses.asdict, found)],
-        "not_simulated": missing,
+        "channels": [*map(dataclasses.asdict, differences)],
+        "not_simulated": missing_names,
     }
     return Output(
         content,
-        lambda: print_differences(f"{file} minus {model}, {log.duration:.4g} s", found, missing),
+        lambda: print_differences(
+            f"{file} minus {model}, {log.duration:.4g} s", differences, missing_names
+        ),
     )
 
 
@@ -758,7 +775,11 @@ def _replay_drive(
 @number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
 # Long because it checks each option of the command before anything starts.
 def servos_command(
-    recording: Path | None, out: Path | None, send: str | None, seconds: float | None, **chosen: Any
+    recording: Path | None,
+    out: Path | None,
+    send: str | None,
+    seconds: float | None,
+    **choices: Any,
 ) -> Output:
     """Write the servo angles of a gait as CSV, ready to be played in a loop, or
     send them to the robot.
@@ -796,13 +817,16 @@ def servos_command(
 
     if send is not None:
         address(send, "send")
-    topic, how = chosen.pop("topic"), {name: chosen.pop(name) for name in ("rate", "channels")}
+    topic, send_options = (
+        choices.pop("topic"),
+        {name: choices.pop(name) for name in ("rate", "channels")},
+    )
     if recording is None:
-        cycles = chosen.pop("cycles") or 1
+        cycles = choices.pop("cycles") or 1
         setup, _, values = planned_walk(
-            pilot="open_loop", scene="flat", physics="reference", **chosen
+            pilot="open_loop", scene="flat", physics="reference", **choices
         )
-        table = servo_table(setup, values, cycles=cycles, **how)
+        table = servo_table(setup, values, cycles=cycles, **send_options)
         words = [f"{name} {getattr(setup, name)}" for name in ("gait", "spine", "steering")]
         words += [
             f"{name} {value:g}" for name, value in {"frequency": table.frequency, **values}.items()
@@ -810,7 +834,7 @@ def servos_command(
     else:
         from nermo_mjx.view import robot_of
 
-        used = (
+        used_options = (
             "recording",
             "rate",
             "channels",
@@ -822,23 +846,23 @@ def servos_command(
             "quiet",
         )
         for name, flag in options.given().items():
-            if name not in used:
+            if name not in used_options:
                 raise WrongUse(
                     f"{flag} has no effect with --recording, whose walk is over: leave one of them out."
                 )
         loaded, words = load_recording(recording), [f"walk {recording.name}"]
-        table = recorded_table(loaded, robot_of(loaded), **how)
+        table = recorded_table(loaded, robot_of(loaded), **send_options)
     if out is not None:
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             replace_file(out, table.to_csv(", ".join(words)).encode())
         except OSError as error:
             raise Failure(f"{out}: the table cannot be written ({error.strerror}).") from None
-    sent = None
+    report = None
     if send is not None:
         try:
             with connected(send, topic) as robot:
-                sent = send_table(table, robot, seconds)
+                report = send_table(table, robot, seconds)
         except SendError as error:  # nobody there is a failure, and not wrong use
             raise Failure(str(error)) from None
     numbers = [channel.number for channel in table.channels]
@@ -855,22 +879,22 @@ def servos_command(
     content: dict[str, Any] = {"out": out, "rows": len(table.time)}
     content |= {name: getattr(table, name) for name in ("rate", "cycles", "frequency")}
     content |= {"servo_speed_deg_per_s": table.servo_speed, "servos": servos}
-    content |= {} if sent is None else {"sent": dataclasses.asdict(sent)}
+    content |= {} if report is None else {"sent": dataclasses.asdict(report)}
 
     def show() -> None:
         if table.too_fast:
             say(table.too_fast)
         shapes = "{channel}|{servo}|{low_deg:.1f}|{high_deg:.1f}|{speed_deg_per_s:.0f}"
-        rows = [shapes.format(**each).split("|") for each in servos]
+        rows = [shapes.format(**servo).split("|") for servo in servos]
         title = f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s"
         print_table(title, "channel>, servo, from [deg]>, to [deg]>, fastest [deg/s]>", rows)
         if out is not None:
             click.echo(f"wrote {out}")
-        if sent is not None:
-            latest = f"the latest was {1e3 * sent.latest:.1f} ms late"
+        if report is not None:
+            latest = f"the latest was {1e3 * report.latest:.1f} ms late"
             click.echo(
-                f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; {latest}"
+                f"sent {report.messages} messages in {report.seconds:.1f} s, {report.skipped} skipped; {latest}"
             )
 
-    late = "" if sent is None else lateness(sent.skipped, sent.messages + sent.skipped)
-    return Output(content, show, failure=late)
+    late_note = "" if report is None else lateness(report.skipped, report.messages + report.skipped)
+    return Output(content, show, failure=late_note)

@@ -440,7 +440,7 @@ class _Call:
         rows = ExperimentRows(chosen, parts, self.directory, self.written, record)
         held = stack.enter_context(RunDirectory(rows.folder, "experiment"))
         rows.write_record()
-        work = Work(rows, held.out, rows.size, watch=self.watch, held=held)
+        work = Work(rows, held.out, rows.size, watch=self.watch, directory=held)
         if self.again or not len(work.unfinished):  # replaced, or without their recordings
             for part in (*work.runs.parts, *work.runs.others):
                 part.path.unlink()

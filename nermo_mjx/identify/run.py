@@ -106,7 +106,7 @@ def run_identification(  # each parameter is an option of the command
     job = digest_of(stamp.id, parameters, ranges, len(logs), seed, channels)
     with RunDirectory(out, KIND) as directory, resumable(directory.out):
         directory.note_session(code.session())
-        runs = Runs(directory.out, job, warn=watch.warn, held=directory)
+        runs = Runs(directory.out, job, warn=watch.warn, directory=directory)
         runs.take_codes([stamp], accept=True)
         identification = identify_log(
             logs, model, free, ranges, judges, seed,

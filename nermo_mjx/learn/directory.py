@@ -221,7 +221,7 @@ class TrainingDirectory:
         Raises:
             OtherCode: another code made the history, and `accept` is not given.
         """
-        made_by = stamp(self.training.setup.load().fingerprint, self.engine, more=("learn",))
+        made_by = stamp(self.training.setup.load().fingerprint, self.engine, subpackages=("learn",))
         self.held.take_code(made_by, holds_rows=len(curves) > 0, accept=accept)
         return made_by.id
 

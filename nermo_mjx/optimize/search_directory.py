@@ -94,7 +94,7 @@ class Batches:
             folder
         ):  # as with more recordings
             directory.write(SEARCH, search.to_yaml(folder).encode())
-        self.runs = Runs(self.out, search.digest(), warn=warn, held=directory)
+        self.runs = Runs(self.out, search.digest(), warn=warn, directory=directory)
         self._parts = {}
         for part in self.runs.parts:
             with opened_part(part.path) as file:

@@ -40,8 +40,8 @@ class Checkpoints:
         item: name of the parts' item, such as "tuning".
     """
 
-    def __init__(self, held: RunDirectory, item: str) -> None:
-        self.folder, self._held, self._item = held.out / "checkpoints", held, item
+    def __init__(self, directory: RunDirectory, item: str) -> None:
+        self.folder, self._held, self._item = directory.out / "checkpoints", directory, item
 
     def __enter__(self) -> Checkpoints:
         options = ocp.CheckpointManagerOptions(
@@ -54,7 +54,7 @@ class Checkpoints:
     def __exit__(self, *_: object) -> None:
         self._manager.close()
 
-    def save(self, number: int, parts: Parts, about: About) -> None:
+    def save(self, number: int, parts: Parts, metadata: About) -> None:
         """Store parts, with a description in plain JSON, atomically.
 
         Raises:
@@ -64,10 +64,10 @@ class Checkpoints:
         # A full disk is detected here, in one exception, rather than by each of Orbax's threads.
         replace_file(self.folder / ".room", bytes(ROOM))
         (self.folder / ".room").unlink()
-        about = {**about, "checksum": _checksum(parts)}
-        about["seal"] = _seal(about)
+        metadata = {**metadata, "checksum": _checksum(parts)}
+        metadata["seal"] = _seal(metadata)
         saved = ocp.args.StandardSave(dict(parts))
-        items = ocp.args.Composite(**{self._item: saved, "about": ocp.args.JsonSave(about)})
+        items = ocp.args.Composite(**{self._item: saved, "about": ocp.args.JsonSave(metadata)})
         try:
             with _quiet():
                 self._manager.save(number, args=items, force=True)
@@ -98,7 +98,7 @@ class Checkpoints:
         Raises:
             DirectoryError: one cannot be read now, or `like` refuses it; nothing has been changed.
         """
-        damaged, found = [], None
+        damaged, result = [], None
         with _quiet():
             for number in sorted(self._manager.all_steps(), reverse=True):
                 try:  # distinguish an unresponsive disk from a damaged file, which Orbax does not
@@ -107,8 +107,8 @@ class Checkpoints:
                             read_bytes(path, MOST_FILE)
                 except OSError as error:
                     raise self._unreadable(number, error) from error
-                found = self._read(number, like)
-                if found is not None:
+                result = self._read(number, like)
+                if result is not None:
                     break
                 damaged.append(number)
             for number in damaged:
@@ -119,7 +119,7 @@ class Checkpoints:
                     )
             if damaged:
                 self._manager.reload()
-        return found
+        return result
 
     def _unreadable(self, number: int, error: OSError) -> DirectoryError:
         return DirectoryError(
@@ -132,10 +132,10 @@ class Checkpoints:
     ) -> tuple[dict[str, Any], About] | None:
         """A checkpoint; None if it is damaged."""
         try:
-            about: About = self._manager.restore(
+            metadata: About = self._manager.restore(
                 number, args=ocp.args.Composite(about=ocp.args.JsonRestore())
             )["about"]
-            if about.get("seal", "") != ("" if "identity" not in about else _seal(about)):
+            if metadata.get("seal", "") != ("" if "identity" not in metadata else _seal(metadata)):
                 return None
             shapes = {  # what is a NumPy array is restored as one, all else as a JAX array
                 name: jax.tree.map(
@@ -146,12 +146,14 @@ class Checkpoints:
                     ),
                     part,
                 )
-                for name, part in like(about).items()
+                for name, part in like(metadata).items()
             }
             items = ocp.args.Composite(**{self._item: ocp.args.StandardRestore(shapes)})
-            found = self._manager.restore(number, args=items)[self._item]
+            restored = self._manager.restore(number, args=items)[self._item]
             # As plain arrays: Orbax commits them to a device, and programs would be recompiled for those.
-            parts = {name: jax.tree.map(_plain, found[name], like) for name, like in shapes.items()}
+            parts = {
+                name: jax.tree.map(_plain, restored[name], like) for name, like in shapes.items()
+            }
         except (DirectoryError, MemoryError):
             raise
         except (FileNotFoundError, NotADirectoryError):
@@ -160,11 +162,13 @@ class Checkpoints:
             raise self._unreadable(number, error) from error
         except Exception:  # a damaged file can raise any exception in its reader
             return None
-        return (parts, about) if about["checksum"] == _checksum(parts) else None
+        return (parts, metadata) if metadata["checksum"] == _checksum(parts) else None
 
 
-def _plain(found: Any, like: Any) -> Any:
-    return np.asarray(found) if isinstance(like, np.ndarray) else jnp.asarray(np.asarray(found))
+def _plain(restored: Any, like: Any) -> Any:
+    return (
+        np.asarray(restored) if isinstance(like, np.ndarray) else jnp.asarray(np.asarray(restored))
+    )
 
 
 @contextlib.contextmanager
@@ -191,7 +195,7 @@ def _checksum(parts: Parts) -> str:
     return total.hexdigest()
 
 
-def _seal(about: About) -> str:
+def _seal(metadata: About) -> str:
     """A hash of a checkpoint's metadata, as read back from JSON."""
-    content = json.dumps({key: about[key] for key in about if key != "seal"}, sort_keys=True)
+    content = json.dumps({key: metadata[key] for key in metadata if key != "seal"}, sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()

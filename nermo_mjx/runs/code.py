@@ -72,26 +72,26 @@ class CodeStamp:
 
     def unlike(self, other: CodeStamp) -> str:
         """How this stamp differs from another, as "engine c, not warp"; empty if it does not."""
-        own, theirs = self.fields(), other.fields()
-        apart = [
-            (form.format(own[name]), theirs[name])
+        own_fields, other_fields = self.fields(), other.fields()
+        differences = [
+            (form.format(own_fields[name]), other_fields[name])
             for name, form in _CALLED.items()
-            if own[name] != theirs[name]
+            if own_fields[name] != other_fields[name]
         ]
-        return ", ".join(f"{ours}, not {other}" for ours, other in apart)
+        return ", ".join(f"{ours}, not {other}" for ours, other in differences)
 
 
-def stamp(model: str, engine: str, more: tuple[str, ...] = ()) -> CodeStamp:
+def stamp(model: str, engine: str, subpackages: tuple[str, ...] = ()) -> CodeStamp:
     """The stamp of the code that runs here.
 
     Args:
         model: digest of the model, as `nermo_mjx.robot.Robot.fingerprint`.
         engine: name of the engine that runs, never "auto".
-        more: further rooms of the package that affect the results, in addition to `ROOMS`.
+        subpackages: further rooms of the package that affect the results, in addition to `ROOMS`.
     """
     return CodeStamp(
         package=__version__,
-        sources=sources(more),
+        sources=sources(subpackages),
         model=model,
         engine=engine,
         mujoco=version("mujoco"),
@@ -111,12 +111,12 @@ def stored_stamp(fields: Any) -> CodeStamp | None:
 
 
 @functools.cache
-def sources(more: tuple[str, ...] = ()) -> str:
+def sources(subpackages: tuple[str, ...] = ()) -> str:
     """Digest of the sources in `ROOMS`, and in more of them, and of the robot's model files."""
     package = Path(__file__).parents[1]
     inside = package / "mjcf"
     roots = [
-        *(package / room for room in (*ROOMS, *more)),
+        *(package / room for room in (*ROOMS, *subpackages)),
         inside if inside.is_dir() else package.parent / "mjcf",
     ]
     total = hashlib.blake2b(digest_size=8)
@@ -171,7 +171,7 @@ def machine() -> dict[str, Any]:
     }
 
 
-def session(**more: Any) -> dict[str, Any]:
+def session(**entries: Any) -> dict[str, Any]:
     """One session of work: when, by which command, with which versions, where."""
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
     return {
@@ -179,7 +179,7 @@ def session(**more: Any) -> dict[str, Any]:
         "command": shlex.join(sys.argv),
         "versions": versions(),
         "machine": machine(),
-        **more,
+        **entries,
     }
 
 

@@ -69,23 +69,23 @@ class RunDirectory:
             make_writable(self.out)
             if self.shard is None:
                 stack.enter_context(hold(self.out))
-                for other in self.out.glob(".lock-*-of-*"):
-                    with hold(self.out, other.name):
+                for shard_lock in self.out.glob(".lock-*-of-*"):
+                    with hold(self.out, shard_lock.name):
                         pass
             else:
                 with hold(self.out, wait=ENTRY):
                     stack.enter_context(hold(self.out, ".lock-{}-of-{}".format(*self.shard)))
-            found = kind_of(self.out)
-            if found not in (None, self.kind):
+            kind = kind_of(self.out)
+            if kind not in (None, self.kind):
                 raise WrongDirectory(
-                    f"{self.out} holds {with_article(str(found))}, and not {with_article(self.kind)}: choose another "
+                    f"{self.out} holds {with_article(str(kind))}, and not {with_article(self.kind)}: choose another "
                     "directory."
                 )
             if self.shard is None:
                 for leftover in (
-                    found
+                    kind
                     for folder in FOLDERS
-                    for found in (self.out / folder).glob(f".*{TEMPORARY}*")
+                    for kind in (self.out / folder).glob(f".*{TEMPORARY}*")
                 ):
                     leftover.unlink(missing_ok=True)
             self._held = stack.pop_all()
@@ -190,24 +190,24 @@ class RunDirectory:
         """
         with self.record() as record:
             sessions = record.setdefault("sessions", [])
-            then, now = (
-                (each or {}).get("versions") or {}
-                for each in (sessions[-1] if sessions else None, session)
+            former, current = (
+                (entry or {}).get("versions") or {}
+                for entry in (sessions[-1] if sessions else None, session)
             )
-            beside = [
+            versions = [
                 name
-                for name in now
-                if name in then and name not in ("nermo-mjx", "mujoco", "mujoco-mjx", "jax")
+                for name in current
+                if name in former and name not in ("nermo-mjx", "mujoco", "mujoco-mjx", "jax")
             ]
-            apart = [
-                f"{name} {now[name]}, not {then[name]}"
-                for name in beside
-                if now[name] != then[name]
+            differences = [
+                f"{name} {current[name]}, not {former[name]}"
+                for name in versions
+                if current[name] != former[name]
             ]
             sessions.append(session)
-        if apart:
+        if differences:
             warnings.warn(
-                f"{self.out} goes on with {', '.join(apart)}: points and metrics may differ in their last digits.",
+                f"{self.out} goes on with {', '.join(differences)}: points and metrics may differ in their last digits.",
                 stacklevel=2,
             )
 
@@ -268,10 +268,10 @@ def kind_of(out: Path) -> str | None:
 
 def codes_of(out: Path) -> dict[str, CodeStamp]:
     """The codes that made a directory's contents, by their short names, in order."""
-    found = {
+    codes = {
         name: stored_stamp(fields) for name, fields in read_record(out).get("codes", {}).items()
     }
-    return {name: stamp for name, stamp in found.items() if stamp is not None}
+    return {name: stamp for name, stamp in codes.items() if stamp is not None}
 
 
 def engine_of(out: Path) -> str | None:
@@ -341,9 +341,9 @@ class Written:
         aside: new paths of the files that were moved aside.
     """
 
-    def __init__(self, held: RunDirectory) -> None:
-        self.held = held
-        self.known: dict[str, str] = dict(read_record(held.out).get("files", {}))
+    def __init__(self, directory: RunDirectory) -> None:
+        self.held = directory
+        self.known: dict[str, str] = dict(read_record(directory.out).get("files", {}))
         self.aside: list[str] = []
 
     def __enter__(self) -> Written:
@@ -370,8 +370,8 @@ class Written:
     def remove(self, names: Iterable[str]) -> None:
         """Remove files, by their paths in the directory, if they are unmodified; the others are kept."""
         for name in names:
-            path, own = self.held.out / name, self.known.pop(name, None)
-            if own is not None and self._digest_of(path) == own:
+            path, digest = self.held.out / name, self.known.pop(name, None)
+            if digest is not None and self._digest_of(path) == digest:
                 with clear_errors(self.held.out):
                     path.unlink()
 
@@ -388,13 +388,13 @@ class Written:
         """What was moved aside; empty if nothing was."""
         if not self.aside:
             return ""
-        what, more = "A file in the way was not as this program wrote it", ""
+        subject, remainder = "A file in the way was not as this program wrote it", ""
         if len(self.aside) > 1:
-            what, more = (
+            subject, remainder = (
                 "Files in the way were not as this program wrote them",
                 f" and {len(self.aside) - 1} more",
             )
-        return f"{what}: moved aside in {self.held.out}, to {self.aside[0]}{more}."
+        return f"{subject}: moved aside in {self.held.out}, to {self.aside[0]}{remainder}."
 
     def name(self, path: Path) -> str:
         """The path of a file from the directory, for links as well."""

@@ -89,14 +89,14 @@ def parquet_bytes(table: pa.Table) -> bytes:
     return bytes(sink.getvalue().to_pybytes())
 
 
-def content_of(path: Path, most: int = MOST_ARRAYS) -> bytes | None:
+def content_of(path: Path, limit: int = MOST_ARRAYS) -> bytes | None:
     """The content of a file of at most `most` bytes; None if it does not exist.
 
     Raises:
         DirectoryError: it cannot be read now. It may be intact, so it must not be recreated.
     """
     try:
-        return read_bytes(path, most)
+        return read_bytes(path, limit)
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -140,14 +140,14 @@ def parquet_file(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with opened(source) if isinstance(source, Path) else source as held:
-        size, options = held.seek(0, os.SEEK_END), {"page_checksum_verification": True, **options}
-        file, most = pq.ParquetFile(held, **options), max(_MOST_CELLS, _MOST_SPREAD * size)
-        about, schema = file.metadata, file.schema_arrow
-        cells = 8 * about.num_rows * about.num_columns
-        if about.num_rows < 0 or cells > most:
+    with opened(source) if isinstance(source, Path) else source as stream:
+        size, options = stream.seek(0, os.SEEK_END), {"page_checksum_verification": True, **options}
+        file, cell_limit = pq.ParquetFile(stream, **options), max(_MOST_CELLS, _MOST_SPREAD * size)
+        metadata, schema = file.metadata, file.schema_arrow
+        cells = 8 * metadata.num_rows * metadata.num_columns
+        if metadata.num_rows < 0 or cells > cell_limit:
             raise ValueError(
-                f"it promises {about.num_rows:,} rows of {about.num_columns:,} columns in {size:,} bytes"
+                f"it promises {metadata.num_rows:,} rows of {metadata.num_columns:,} columns in {size:,} bytes"
             )
         texts = list[str]()
         for field in schema:
@@ -162,34 +162,34 @@ def parquet_file(
                 pa.types.is_binary,
                 pa.types.is_large_binary,
             )
-            if any(of(kind) for of in of_text[: 1 if ours else None]):
+            if any(is_text(kind) for is_text in of_text[: 1 if ours else None]):
                 texts.append(field.name)
             elif not (pa.types.is_primitive(kind) or pa.types.is_null(kind)):
                 if ours:
                     raise ValueError(f"its column {field.name!r} is of type {field.type}")
-                cells += 0 if pa.types.is_decimal(kind) else _at_most(about, field.name)
+                cells += 0 if pa.types.is_decimal(kind) else _at_most(metadata, field.name)
             if ours and schema.names.count(field.name) > 1:
                 raise ValueError(f"its column {field.name!r} is there twice")
-        for each in (schema, *schema):
-            for key, value in (each.metadata or {}).items():
+        for schema_field in (schema, *schema):
+            for key, value in (schema_field.metadata or {}).items():
                 (key + value).decode()
-        if cells > most:
-            raise ValueError(f"its lists may unpack to more than {most:,} bytes")
+        if cells > cell_limit:
+            raise ValueError(f"its lists may unpack to more than {cell_limit:,} bytes")
         if texts:
-            encoded = pq.ParquetFile(held, read_dictionary=texts, **options)
+            encoded = pq.ParquetFile(stream, read_dictionary=texts, **options)
             for batch in encoded.iter_batches(1 << 16, columns=texts, use_threads=False):
                 cells += sum(_length(column) for column in batch.columns)
-                if cells > most:
-                    raise ValueError(f"its texts unpack to more than {most:,} bytes")
+                if cells > cell_limit:
+                    raise ValueError(f"its texts unpack to more than {cell_limit:,} bytes")
         yield file
 
 
-def _at_most(about: pq.FileMetaData, name: str) -> int:
+def _at_most(metadata: pq.FileMetaData, name: str) -> int:
     """Bytes that a column of lists or the like has at most: no value is longer than all that is stored of it."""
-    groups = [about.row_group(group) for group in range(about.num_row_groups)]
+    groups = [metadata.row_group(group) for group in range(metadata.num_row_groups)]
     chunks = [group.column(i) for group in groups for i in range(group.num_columns)]
-    own = [chunk for chunk in chunks if chunk.path_in_schema.partition(".")[0] == name]
-    return sum(max(chunk.num_values * chunk.total_uncompressed_size, 0) for chunk in own)
+    column_chunks = [chunk for chunk in chunks if chunk.path_in_schema.partition(".")[0] == name]
+    return sum(max(chunk.num_values * chunk.total_uncompressed_size, 0) for chunk in column_chunks)
 
 
 def _length(texts: pa.Array) -> int:
@@ -227,10 +227,10 @@ def clear_errors(out: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        kept = " What is finished is kept: run the same command again when there is room."
+        advice = " What is finished is kept: run the same command again when there is room."
         room = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         reason = error.strerror or str(error)
-        raise DirectoryError(f"cannot write in {out}: {reason}.{kept if room else ''}") from error
+        raise DirectoryError(f"cannot write in {out}: {reason}.{advice if room else ''}") from error
 
 
 # ---
@@ -267,6 +267,6 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], sides: str = "
     return "\n".join(f"| {' | '.join(row)} |" for row in texts) + "\n"
 
 
-def listed(about: Mapping[str, Any] | None) -> str:
+def listed(entries: Mapping[str, Any] | None) -> str:
     """Names with their values, as in "numpy 2.3, jax 0.8"."""
-    return ", ".join(f"{name} {value}" for name, value in (about or {}).items())
+    return ", ".join(f"{name} {value}" for name, value in (entries or {}).items())

@@ -46,13 +46,13 @@ class _Actor:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
         os.environ.setdefault("PJRT_NPROC", str(max(cores, _THREADS)))
 
-    def begin(self, computer: Computer, wanted: CodeStamp) -> str:
+    def begin(self, computer: Computer, expected: CodeStamp) -> str:
         """Make the computer ready; how its code differs from the expected one, empty if it does not."""
         stamp = computer.stamp()
-        if stamp == wanted:
+        if stamp == expected:
             computer.warm()
             self._computer = computer
-        return stamp.unlike(wanted)
+        return stamp.unlike(expected)
 
     def compute(self, task: Any) -> Any:
         return self._computer(task)
@@ -106,16 +106,16 @@ class RayWorkers:
             "local",
         ):  # fail at once if nothing listens: Ray would retry for minutes
             host, _, port = str(self.address).rpartition(":")
-            missing = f"no Ray cluster at {self.address}"
+            message = f"no Ray cluster at {self.address}"
             if not host or "/" in host or not port.isdecimal():
                 raise WorkersLost(
-                    f"{missing}: expected ADDRESS:PORT of its head, such as 10.0.0.1:6379."
+                    f"{message}: expected ADDRESS:PORT of its head, such as 10.0.0.1:6379."
                 )
             try:
                 socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
             except (OSError, OverflowError) as error:
                 raise WorkersLost(
-                    f"{missing}: {getattr(error, 'strerror', None) or error}."
+                    f"{message}: {getattr(error, 'strerror', None) or error}."
                 ) from None
         os.environ.update(QUIET if self.address else QUIET | LOOPBACK)
         import ray
@@ -130,8 +130,8 @@ class RayWorkers:
             )
         # Ray lets SIGTERM end the process at once; a writer must finish what is half done first.
         main = threading.current_thread() is threading.main_thread()
-        before = signal.getsignal(signal.SIGTERM) if main else None
-        more: dict[str, Any] = {"include_dashboard": False} if self.address is None else {}
+        former_handler = signal.getsignal(signal.SIGTERM) if main else None
+        options: dict[str, Any] = {"include_dashboard": False} if self.address is None else {}
         try:
             for last in (False, True):
                 try:
@@ -139,7 +139,7 @@ class RayWorkers:
                         self.address or "local",
                         log_to_driver=False,
                         logging_level=logging.ERROR,
-                        **more,
+                        **options,
                     )
                     break
                 except Exception as error:
@@ -158,7 +158,7 @@ class RayWorkers:
             ) from error
         finally:
             if main:
-                signal.signal(signal.SIGTERM, before)
+                signal.signal(signal.SIGTERM, former_handler)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -168,9 +168,9 @@ class RayWorkers:
     @property
     def parts(self) -> int:
         """See `nermo_mjx.runs.workers.Workers`."""
-        resources = [each["Resources"] for each in self._nodes()]
+        resources = [node["Resources"] for node in self._nodes()]
         return max(
-            1, sum(int(each.get("GPU", 0)) or int(each.get("CPU", 0) >= 1) for each in resources)
+            1, sum(int(node.get("GPU", 0)) or int(node.get("CPU", 0) >= 1) for node in resources)
         )
 
     def begin(self, computer: Computer) -> CodeStamp:
@@ -184,7 +184,7 @@ class RayWorkers:
     # Long because the states of tasks and nodes change in one loop.
     def results(self, tasks: Iterable[tuple[int, Any]], tell: Tell) -> Iterator[tuple[int, Any]]:
         """See `Workers`; the progress of a task remains unknown until it is done."""
-        coming, again, lost = (
+        coming, repeated, lost_counts = (
             iter(tasks),
             collections.deque[tuple[int, Any]](),
             collections.Counter[int](),
@@ -194,23 +194,27 @@ class RayWorkers:
             while True:
                 self._staff()
                 busy = set(map(id, self._busy.values()))
-                for worker in [each for each in self._workers if id(each) not in busy]:
-                    given = again.popleft() if again else next(coming, None)
-                    if given is not None:
-                        worker.key, worker.task = given
+                for worker in [
+                    candidate for candidate in self._workers if id(candidate) not in busy
+                ]:
+                    next_task = repeated.popleft() if repeated else next(coming, None)
+                    if next_task is not None:
+                        worker.key, worker.task = next_task
                         self._busy[worker.actor.compute.remote(worker.task)] = worker
-                if not again and not self._computing():
+                if not repeated and not self._computing():
                     # Either everything is done, or there is no worker yet for the remaining tasks.
-                    given = next(coming, None)
-                    if given is None:
+                    next_task = next(coming, None)
+                    if next_task is None:
                         return
-                    again.append(given)
+                    repeated.append(next_task)
                 if self._workers:
                     self._seen = time.monotonic()
-                alone = bool(self._refused) and all(
+                no_workers = bool(self._refused) and all(
                     node["NodeID"] in self._refused for node in self._nodes()
                 )
-                if not self._workers and (alone or time.monotonic() - self._seen > self._patience):
+                if not self._workers and (
+                    no_workers or time.monotonic() - self._seen > self._patience
+                ):
                     raise WorkersLost(
                         " ".join(self._refused.values())
                         or f"no node came within {self._patience:.0f} s."
@@ -229,14 +233,14 @@ class RayWorkers:
                     except self._ray.exceptions.RayTaskError as error:
                         raise TaskFailed(key, _cause(error)) from _cause(error)
                     except self._ray.exceptions.RayError as error:
-                        where, kind = self._names[worker.node], type(error).__name__
+                        node_name, kind = self._names[worker.node], type(error).__name__
                         self._say(
-                            f"a worker on {where} is lost ({kind}); what it computed is computed again."
+                            f"a worker on {node_name} is lost ({kind}); what it computed is computed again."
                         )
                         self._drop(worker)
-                        again.append((key, task))
-                        lost[key] += 1
-                        if lost[key] >= ATTEMPTS:
+                        repeated.append((key, task))
+                        lost_counts[key] += 1
+                        if lost_counts[key] >= ATTEMPTS:
                             cause = RuntimeError(f"its worker was lost {ATTEMPTS} times ({kind})")
                             raise TaskFailed(key, cause) from cause
                     else:
@@ -253,7 +257,7 @@ class RayWorkers:
     def _begun(self, worker: _Worker, reference: Any) -> None:
         """A worker is ready, or its node is not used."""
         try:
-            other = self._ray.get(reference)
+            difference = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             alive = any(node["NodeID"] == worker.node for node in self._nodes())
             self._failures[worker.node] += alive
@@ -267,8 +271,8 @@ class RayWorkers:
             else:
                 self._drop(worker)
         else:
-            if other:
-                self._refuse(worker, f"it has other code: {other}")
+            if difference:
+                self._refuse(worker, f"it has other code: {difference}")
 
     def _staff(self) -> None:
         """Start workers on nodes that lack some."""
@@ -283,13 +287,13 @@ class RayWorkers:
                 int(resources.get("CPU", 0)),
                 int(resources.get("GPU", 0)) if self._stamp.engine != "c" else 0,
             )
-            wanted = 0 if name in self._refused else gpus or min(cores, 1)
-            for _ in range(wanted - sum(worker.node == name for worker in self._workers)):
-                there = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(
+            worker_count = 0 if name in self._refused else gpus or min(cores, 1)
+            for _ in range(worker_count - sum(worker.node == name for worker in self._workers)):
+                strategy = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(
                     name, soft=False
                 )
-                share = {"num_cpus": max(1, cores // wanted), "num_gpus": 1 if gpus else 0}
-                kind = self._ray.remote(_Actor).options(scheduling_strategy=there, **share)
+                share = {"num_cpus": max(1, cores // worker_count), "num_gpus": 1 if gpus else 0}
+                kind = self._ray.remote(_Actor).options(scheduling_strategy=strategy, **share)
                 worker = _Worker(kind.remote(share["num_cpus"]), name)
                 self._workers.append(worker)
                 self._busy[worker.actor.begin.remote(self._computer, self._stamp)] = worker
@@ -303,7 +307,9 @@ class RayWorkers:
     def _drop(self, worker: _Worker) -> None:
         self._workers.remove(worker)
         self._busy = {
-            reference: each for reference, each in self._busy.items() if each is not worker
+            reference: busy_worker
+            for reference, busy_worker in self._busy.items()
+            if busy_worker is not worker
         }
         with contextlib.suppress(Exception):  # it may be gone, or never have come
             self._ray.kill(worker.actor)
@@ -311,8 +317,8 @@ class RayWorkers:
     def _end_all(self) -> None:
         for worker in list(self._workers):
             self._drop(worker)
-        for known in (self._failures, self._refused):
-            known.clear()
+        for record in (self._failures, self._refused):
+            record.clear()
         self._looked = -math.inf
 
     def _nodes(self) -> list[dict[str, Any]]:

@@ -64,12 +64,12 @@ def keys_of(identity: str, values: Mapping[str, np.ndarray], runs: int) -> np.nd
     columns = [(np.asarray(values[name], float) + 0.0).tolist() for name in names]
     for i in range(runs):
         total = base.copy()
-        known = (
+        versions = (
             f"{name} {column[i]!r}"
             for name, column in zip(names, columns, strict=True)
             if column[i] == column[i]
         )
-        total.update("\n".join(known).encode())
+        total.update("\n".join(versions).encode())
         keys[i] = total.hexdigest().encode()
     return keys
 
@@ -96,11 +96,11 @@ class PartFile:
     @classmethod
     def of(cls, path: Path, rows: int, metadata: Mapping[bytes, bytes]) -> PartFile:
         """With what a file's metadata says."""
-        about = {
+        part_metadata = {
             key: metadata.get(key, b"").decode()
             for key in (b"engine", b"steps", b"wall_seconds", b"series")
         }
-        engine, steps, seconds, series = about.values()
+        engine, steps, seconds, series = part_metadata.values()
         effort = float(steps or 0), float(seconds or 0)
         return cls(_shared(path.parent), path.name, rows, sys.intern(engine), *effort, series)
 
@@ -129,8 +129,8 @@ class PartFile:
             self.directory / FORMER / SERIES,
             self.directory / SERIES,
         )
-        found = (place / self.series_name for place in places)
-        return next((path for path in found if path.exists()), places[0] / self.series_name)
+        candidates = (folder / self.series_name for folder in places)
+        return next((path for path in candidates if path.exists()), places[0] / self.series_name)
 
 
 @functools.lru_cache
@@ -165,24 +165,28 @@ class Runs:
         also: Sequence[Path] = (),
         warn: Warn | None = None,
         series: bool = False,
-        held: RunDirectory | None = None,
+        directory: RunDirectory | None = None,
     ) -> None:
-        self.out, self.group, self.held, self._also = out, group, held, tuple(also)
+        self.out, self.group, self.held, self._also = out, group, directory, tuple(also)
         self._warn, self._series = warn or (lambda _: None), series
-        if held is not None:
+        if directory is not None:
             with clear_errors(out):
                 (out / RESULTS).mkdir(exist_ok=True)
                 for folder in (SERIES, RESULTS):
-                    _move(out / FORMER / folder, out / folder, lambda found: found == group)
+                    _move(
+                        out / FORMER / folder, out / folder, lambda file_group: file_group == group
+                    )
         self.others = [
-            part for place in (out, *self._also) for part in self._intact(place, own=False)
+            part
+            for part_folder in (out, *self._also)
+            for part in self._intact(part_folder, is_own=False)
         ]
         self.survey()
 
     def survey(self) -> None:
         """Read the job's own parts again, every byte. A damaged one is moved aside: its runs are missing."""
         self._numbers: list[np.ndarray] = []
-        self.parts = self._intact(self.out, own=True)
+        self.parts = self._intact(self.out, is_own=True)
         if self.held is not None and self.held.shard is None:
             named = {part.series_name for part in self.parts}
             for path in part_files(self.out, self.group, SERIES):
@@ -191,12 +195,12 @@ class Runs:
         self.__dict__.pop("_index", None)
         self._table.cache_clear()
 
-    def _intact(self, out: Path, own: bool) -> list[PartFile]:
+    def _intact(self, out: Path, is_own: bool) -> list[PartFile]:
         """The intact parts of a directory, those of the job itself or the other ones; damaged ones are moved aside."""
         parts = []
         with clear_errors(out):
             for path in (*part_files(out), *part_files(out / FORMER)):
-                if (out == self.out and path.name.split("-")[1] == self.group) != own:
+                if (out == self.out and path.name.split("-")[1] == self.group) != is_own:
                     continue
                 content, flaw = _content(path)
                 if content is not None:
@@ -206,7 +210,7 @@ class Runs:
                         )
                         row = file.read(["row"])["row"]
                         flaw = "has rows without a number" if row.null_count else ""
-                        numbers = row.to_numpy() if own and not flaw else None
+                        numbers = row.to_numpy() if is_own and not flaw else None
                     if (
                         not flaw
                         and self._series
@@ -238,11 +242,11 @@ class Runs:
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """Where runs are, (n,) int; -1 where they have not been made."""
-        known = self._index.keys
-        if not len(known):
+        index_keys = self._index.keys
+        if not len(index_keys):
             return np.full(len(keys), -1)
-        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
-        return np.where(known[at] == keys, at, -1)
+        positions = np.minimum(np.searchsorted(index_keys, keys), len(index_keys) - 1)
+        return np.where(index_keys[positions] == keys, positions, -1)
 
     def take(self, places: np.ndarray) -> pa.Table:
         """Runs as they are stored, in this order; what one part does not know is null.
@@ -253,14 +257,16 @@ class Runs:
         """
         files, rows = self._index.places[places].T
         steps = seconds = 0.0
-        found, order = [], []
+        tables, order = [], []
         for file in np.unique(files).tolist():
-            here, part = np.flatnonzero(files == file), self._index.parts[file]
-            steps += part.steps * len(here) / part.rows
-            seconds += part.seconds * len(here) / part.rows
-            found.append(self._table(part.path).take(rows[here]).replace_schema_metadata(None))
-            order.append(here)
-        table = pa.concat_tables(found, promote_options="default").take(
+            rows_here, part = np.flatnonzero(files == file), self._index.parts[file]
+            steps += part.steps * len(rows_here) / part.rows
+            seconds += part.seconds * len(rows_here) / part.rows
+            tables.append(
+                self._table(part.path).take(rows[rows_here]).replace_schema_metadata(None)
+            )
+            order.append(rows_here)
+        table = pa.concat_tables(tables, promote_options="default").take(
             np.argsort(np.concatenate(order))
         )
         engine = self._index.parts[int(files[0])].engine
@@ -289,18 +295,18 @@ class Runs:
         Raises:
             DirectoryError: they cannot be written.
         """
-        about = dict(table.schema.metadata or {})
+        metadata = dict(table.schema.metadata or {})
         if series is not None:
-            about[b"series"] = self._write(SERIES, series).name.encode()
+            metadata[b"series"] = self._write(SERIES, series).name.encode()
         column = pa.field(
             "key",
             pa.string(),
             metadata={"unit": "1", "description": "what decides it", "role": "key"},
         )
         table = table.append_column(column, pa.array(keys.astype(str))).replace_schema_metadata(
-            about
+            metadata
         )
-        part = PartFile.of(self._write(RESULTS, table), table.num_rows, about)
+        part = PartFile.of(self._write(RESULTS, table), table.num_rows, metadata)
         self._note(table["row"].to_numpy())
         self.parts.append(part)
         return part
@@ -336,7 +342,7 @@ class Runs:
         Raises:
             OtherCode: one does not, and `accept` is not given.
         """
-        found: dict[str, CodeStamp] = {}
+        stamps: dict[str, CodeStamp] = {}
         for out in dict.fromkeys(part.directory for part in self.others):
             codes = codes_of(out)
             if not codes and not accept:
@@ -344,8 +350,8 @@ class Runs:
                     f"{out} does not say which code made it: its runs are used with --accept-new-code; distinguish "
                     "them by their column code."
                 )
-            found |= codes
-        return list(found.values())
+            stamps |= codes
+        return list(stamps.values())
 
     def _write(self, folder: str, table: pa.Table) -> Path:
         assert self.held is not None
@@ -361,9 +367,11 @@ class Runs:
         keys, places = [np.empty(0, "S32")], [np.empty((0, 2), np.int64)]
         for number, part in enumerate(parts):
             with opened_part(part.path) as file:
-                own = file.read(["key"])["key"].to_numpy(zero_copy_only=False).astype("S32")
-            keys.append(own)
-            places.append(np.column_stack([np.full(len(own), number), np.arange(len(own))]))
+                file_keys = file.read(["key"])["key"].to_numpy(zero_copy_only=False).astype("S32")
+            keys.append(file_keys)
+            places.append(
+                np.column_stack([np.full(len(file_keys), number), np.arange(len(file_keys))])
+            )
         unique, first = np.unique(np.concatenate(keys), return_index=True)
         return _Index(unique, np.concatenate(places)[first], parts)
 
@@ -395,29 +403,33 @@ def opened_part(path: Path) -> Iterator[pq.ParquetFile]:
         ) from None
 
 
-def retire(held: RunDirectory, group: str) -> int:
+def retire(directory: RunDirectory, group: str) -> int:
     """Move the parts of other jobs out of the folders that are read whole; their own job takes them back.
 
     Returns:
         How many parts of runs were moved.
     """
-    with clear_errors(held.out):
+    with clear_errors(directory.out):
         return [
-            _move(held.out / folder, held.out / FORMER / folder, lambda found: found != group)
+            _move(
+                directory.out / folder,
+                directory.out / FORMER / folder,
+                lambda file_group: file_group != group,
+            )
             for folder in (SERIES, RESULTS)
         ][1]
 
 
-def _move(source: Path, target: Path, wanted: Callable[[str], bool]) -> int:
+def _move(source: Path, target: Path, is_selected: Callable[[str], bool]) -> int:
     """Move parts whose job is wanted, and count them; another process may be doing the same."""
-    moved = [path for path in source.glob("part-*.parquet") if wanted(path.name.split("-")[1])]
-    for path in moved:
+    files = [path for path in source.glob("part-*.parquet") if is_selected(path.name.split("-")[1])]
+    for path in files:
         target.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileNotFoundError):
             path.rename(target / path.name)
-    for folder in (source, target) if moved else ():
+    for folder in (source, target) if files else ():
         sync_folder(folder)
-    return len(moved)
+    return len(files)
 
 
 def _content(path: Path) -> tuple[bytes | None, str]:
@@ -426,9 +438,9 @@ def _content(path: Path) -> tuple[bytes | None, str]:
         content = read_bytes(path, MOST_FILE)
     except OSError as error:
         return None, f"cannot be read ({error.strerror})"
-    found = _NAME.fullmatch(path.name)
+    match = _NAME.fullmatch(path.name)
     return (
-        (content, "") if found is not None and digest(content) == found[2] else (None, "is damaged")
+        (content, "") if match is not None and digest(content) == match[2] else (None, "is damaged")
     )
 
 
@@ -456,7 +468,7 @@ class Columns:
         description: str,
         *,
         nulls: bool = False,
-        **more: str | None,
+        **additional: str | None,
     ) -> None:
         """Add a column of (n,) values; with `nulls` a NaN is one."""
         values = np.asarray(values)
@@ -466,10 +478,10 @@ class Columns:
             values.tolist() if values.dtype.kind in "OU" else values, from_pandas=nulls
         )
         metadata = {"unit": unit, "description": description, "role": role}
-        metadata |= {key: text for key, text in more.items() if text}
+        metadata |= {key: text for key, text in additional.items() if text}
         self._fields.append(pa.field(name, self._arrays[name].type, metadata=metadata))
 
-    def table(self, about: Mapping[str, Any]) -> pa.Table:
+    def table(self, table_metadata: Mapping[str, Any]) -> pa.Table:
         """The table, and what to note in its schema's metadata."""
-        metadata = {key: str(value) for key, value in about.items()}
+        metadata = {key: str(value) for key, value in table_metadata.items()}
         return pa.table(self._arrays, schema=pa.schema(self._fields, metadata=metadata))

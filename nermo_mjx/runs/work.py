@@ -130,21 +130,21 @@ class Work:
         sources: Sequence[Path] = (),
         shard: tuple[int, int] | None = None,
         watch: Watch = SILENT,
-        held: RunDirectory | None = None,
+        directory: RunDirectory | None = None,
         log: Callable[[pa.Table, float | None], None] | None = None,
     ) -> None:
         self.job, self.out, self._size, self._watch, self._log = job, out, size, watch, log
         self._structure, self.seconds = job.structures, job.seconds
         # Rows of one batch share structure and duration; batches are of equal size, to one row.
         order, self.layout = np.argsort(self.seconds, kind="stable"), list[np.ndarray]()
-        for at in np.unique(self._structure):
-            alike = order[self._structure[order] == at]
+        for structure in np.unique(self._structure):
+            alike = order[self._structure[order] == structure]
             self.layout += np.array_split(alike, math.ceil(len(alike) / size))
         self._shard = shard or (0, 1)
         self._share = np.concatenate(
             self.layout[self._shard[0] :: self._shard[1]] or [np.empty(0, int)]
         )
-        self.runs = Runs(out, job.group, sources, watch.warn, job.with_series, held)
+        self.runs = Runs(out, job.group, sources, watch.warn, job.with_series, directory)
         if log is not None:
             for table in (parquet_table(part.path) for part in self.runs.parts):
                 if table is not None and np.isin(table["row"].to_numpy(), self._share).any():
@@ -161,21 +161,21 @@ class Work:
     @property
     def _there(self) -> np.ndarray:
         """The same of all numbers up to that of the last further row."""
-        there, numbers = np.zeros(len(self.seconds), bool), self.runs.numbers
-        there[numbers[numbers < len(there)]] = True
-        return there
+        is_there, numbers = np.zeros(len(self.seconds), bool), self.runs.numbers
+        is_there[numbers[numbers < len(is_there)]] = True
+        return is_there
 
     def add_further(self, index: np.ndarray) -> None:
         """Make this process care for further rows, by their numbers, (n,)."""
         self._further = np.union1d(self._further, index)
-        size, own = int(self._further[-1]) + 1, len(self.job.seconds)
+        size, row_count = int(self._further[-1]) + 1, len(self.job.seconds)
         self._structure, self.seconds = (
-            np.resize(column[:own], size) for column in (self._structure, self.seconds)
+            np.resize(column[:row_count], size) for column in (self._structure, self.seconds)
         )
         self._structure[self._further], self.seconds[self._further] = self.job.further(
             self._further
         )
-        self._share = np.concatenate([self._share[self._share < own], self._further])
+        self._share = np.concatenate([self._share[self._share < row_count], self._further])
 
     @property
     def count(self) -> tuple[int, int]:
@@ -203,13 +203,15 @@ class Work:
 
     def missing(self) -> str:
         """How many rows are not there, and how to run them, in a sentence; empty if none is missing."""
-        done, (own, shards) = self.done, self._shard
-        if done.all():
+        is_done, (own_shard, shards) = self.done, self._shard
+        if is_done.all():
             return ""
-        lacking = {k % shards for k, rows in enumerate(self.layout) if not done[rows].all()}
-        shares = " and ".join(f"--shard {shard}/{shards}" for shard in sorted(lacking - {own}))
-        how = f"with {shares}" if shares else f"by the command {self.job.command}"
-        return f"{(~done).sum():,} of {len(done):,} runs are missing; unless they are being run, run them {how}."
+        lacking = {k % shards for k, rows in enumerate(self.layout) if not is_done[rows].all()}
+        shares = " and ".join(
+            f"--shard {shard}/{shards}" for shard in sorted(lacking - {own_shard})
+        )
+        advice = f"with {shares}" if shares else f"by the command {self.job.command}"
+        return f"{(~is_done).sum():,} of {len(is_done):,} runs are missing; unless they are being run, run them {advice}."
 
     def known(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Unfinished rows that are in other directories or in former parts, some at a time (n,), and where (n,)."""
@@ -228,16 +230,19 @@ class Work:
             rows: (n,), as `unfinished` orders them.
             reused: how many rows of the job are not simulated at all; then there may be few others.
         """
-        whole = dict[int, int]()
+        batch_sizes = dict[int, int]()
         for members in self.layout:
-            at = int(self._structure[members[0]])
-            whole[at] = max(whole.get(at, 0), len(members))
+            structure = int(self._structure[members[0]])
+            batch_sizes[structure] = max(batch_sizes.get(structure, 0), len(members))
         batches = []
-        for at in np.unique(self._structure[rows]).tolist():
-            own = rows[self._structure[rows] == at]
-            split = np.array_split(own, math.ceil(len(own) / (self._size if reused else whole[at])))
-            worlds = len(split[0]) if reused else whole[at]
-            batches += [RowBatch(at, index, worlds) for index in split]
+        for structure in np.unique(self._structure[rows]).tolist():
+            structure_rows = rows[self._structure[rows] == structure]
+            split = np.array_split(
+                structure_rows,
+                math.ceil(len(structure_rows) / (self._size if reused else batch_sizes[structure])),
+            )
+            worlds = len(split[0]) if reused else batch_sizes[structure]
+            batches += [RowBatch(structure, index, worlds) for index in split]
         return batches
 
     def reuse(self, accept_new_code: bool) -> None:
@@ -273,13 +278,13 @@ class Work:
             OtherCode: other code made the rows that are there.
         """
         places = dict.fromkeys(batch.structure for batch in batches)
-        self._stamps = {at: computer.stamp(at) for at in places}
+        self._stamps = {structure: computer.stamp(structure) for structure in places}
         several = bool(self.runs.others) or self.job.several_models
         self.runs.take_codes(list(self._stamps.values()), accept=accept_new_code, any_model=several)
-        first, held = next(iter(self._stamps.values())), self.runs.held
-        assert held is not None
-        shard = "" if held.shard is None else "{}/{}".format(*held.shard)
-        held.note_session(
+        first, directory = next(iter(self._stamps.values())), self.runs.held
+        assert directory is not None
+        shard = "" if directory.shard is None else "{}/{}".format(*directory.shard)
+        directory.note_session(
             session(engine=computer.engine, code=first.id, shard=shard, chunks=len(batches))
         )
 
@@ -312,8 +317,8 @@ class Work:
         table, series = self.job.tables(batch.rows, result, self._stamps[batch.structure])
         self._add(batch.rows, table, series)
         if self._log is not None:
-            about = table.schema.metadata
-            steps, seconds = (float(about[name]) for name in (b"steps", b"wall_seconds"))
+            metadata = table.schema.metadata
+            steps, seconds = (float(metadata[name]) for name in (b"steps", b"wall_seconds"))
             self._log(table, steps / seconds if seconds else math.nan)
 
     def _add(self, index: np.ndarray, table: pa.Table, series: pa.Table | None) -> None:
@@ -352,14 +357,14 @@ def _simulated(
     A batch is written while the next one is simulated.
     """
     batches = {work: work.start(computer.engine) for work in works}
-    queue = [(work, batch) for work, own in batches.items() for batch in own]
+    queue = [(work, batch) for work, own_batches in batches.items() for batch in own_batches]
     if not queue:
         return
     workers.begin(computer)
-    for work, own in batches.items():
-        if own:
-            work.take_codes(computer, own, accept_new_code)
-    left = collections.Counter(work for work, _ in queue)
+    for work, own_batches in batches.items():
+        if own_batches:
+            work.take_codes(computer, own_batches, accept_new_code)
+    remaining = collections.Counter(work for work, _ in queue)
 
     def tasks() -> Iterator[tuple[int, Any]]:
         for number, (work, batch) in enumerate(queue):
@@ -379,8 +384,8 @@ def _simulated(
                 if former is not None:
                     former.result()
                 former = latest
-                left[work] -= 1
-                if not left[work]:
+                remaining[work] -= 1
+                if not remaining[work]:
                     latest.result()
                     yield work
             if former is not None:

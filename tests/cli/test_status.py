@@ -197,7 +197,7 @@ def test_an_identification_counts_its_steps(tmp_path: Path, kind: str) -> None:
     """The first kind is the directory of an earlier release, which identified from the published speeds."""
     with RunDirectory(tmp_path, kind) as held:
         held.note_session(session())
-        stored = _stored(Runs(tmp_path, "0", held=held))
+        stored = _stored(Runs(tmp_path, "0", directory=held))
         for number in range(2):
             stored(lambda number=number: np.full(3, number), np.zeros(1))
     assert known(said(tmp_path)) == (kind, None, 2, False)

@@ -31,7 +31,7 @@ def keys(values):
 
 
 def opened(directory, group="aa", also=(), **options):
-    return Runs(directory.out, group, also, held=directory, **options)
+    return Runs(directory.out, group, also, directory=directory, **options)
 
 
 def add(runs, values, first=0, series=False):
