@@ -55,6 +55,7 @@ from nermo_mjx.runs.job import Watch
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.view.trained import trained
 
+pytestmark = pytest.mark.usefixtures("shared_simulators")
 SHIPPED = sorted((Path(__file__).parents[2] / "sweeps").glob("train_*.yaml"))
 #: Two sections of three iterations, and one of a single one, of a point mass.
 SPEC = {
@@ -228,7 +229,7 @@ def evaluated(policy):
     scenes = [{"scene": "flat"}, {"scene": "planks"}]
     fields = {
         "worlds": 2,
-        "run": {"duration": 1.0, "warmup": 0.1},
+        "run": {"duration": 0.6, "warmup": 0.1},
         "task": {"decimation": 2},
         "randomize": {"start.yaw": [-0.3, 0.3]},
         "evaluate": {"bodies": 8, "distance": 0.0},
