@@ -197,7 +197,7 @@ def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(
 @pytest.mark.release
 def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
-    outcome, out = walked(), tmp_path / "experiments"
+    outcome, out = walked(repeats=1, quick=True), tmp_path / "experiments"
     with RunDirectory(out, "experiments") as directory:
         description = {
             "settings": {},
