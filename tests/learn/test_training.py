@@ -55,7 +55,6 @@ from nermo_mjx.runs.job import Watch
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.view.trained import trained
 
-pytestmark = pytest.mark.usefixtures("shared_simulators")
 SHIPPED = sorted((Path(__file__).parents[2] / "sweeps").glob("train_*.yaml"))
 #: Two sections of three iterations, and one of a single one, of a point mass.
 SPEC = {
@@ -238,7 +237,11 @@ def evaluated(policy):
     trainings = [
         Training.from_dict(fields | {"scenes": scene_list}) for scene_list in (scenes, narrow)
     ]
-    return [PolicyEvaluator(training, "c")(policy[0]).to_pandas() for training in trainings]
+    wide_evaluator, narrow_evaluator = (PolicyEvaluator(training, "c") for training in trainings)
+    narrow_evaluator._simulators = (
+        wide_evaluator._simulators
+    )  # a corridor is none of their settings
+    return [evaluator(policy[0]).to_pandas() for evaluator in (wide_evaluator, narrow_evaluator)]
 
 
 def test_an_evaluation_draws_from_ranges_of_its_own():

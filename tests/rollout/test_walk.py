@@ -18,9 +18,7 @@ def test_every_gait_walks_without_falling(simulator, gait):
     """All three gaits cover ground at every published frequency, with and without the spine, and stay upright."""
     values = {
         "frequency": np.tile(FREQUENCIES, 2),
-        "spine.amplitude": np.repeat(
-            [0.0, 0.2], 3
-        ),
+        "spine.amplitude": np.repeat([0.0, 0.2], 3),
     }
     result = simulator(gait=gait, spine="stride_extension").run(values, LONG)
     assert set(result.status) == {"ok"}
