@@ -35,13 +35,17 @@ notebooks = importlib.import_module("notebooks")
 INSTALL = nbformat.read(NOTEBOOKS[0], as_version=4).cells[1].source
 
 
-#: As for other tests (conftest.py): few lanes for few worlds, and figures at half their size.
+#: As for other tests (conftest.py): few lanes for few worlds, and figures at half their size. An identification has
+#: fewer starts and steps, and predicts walks of fewer bodies.
 QUICK = """
 import gc
 import jax
+from nermo_mjx.experiments import log_identification, log_report
 from nermo_mjx.physics import c_engine
 from nermo_mjx.plotting import files
 c_engine.LANES, files._DPI = 8, 100
+log_identification.STARTS, log_identification.SCANNED, log_identification.STEPS = 2, 8, 4
+log_report.BODIES = 8
 gc.set_threshold(50_000, 20, 10)
 jax.config.update("jax_traceback_in_locations_limit", 0)
 """

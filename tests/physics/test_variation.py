@@ -380,8 +380,7 @@ BUILT = {
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("tail", ["rigid", "articulated"])
-@pytest.mark.parametrize("routing", ["type2", "type3"])
+@pytest.mark.parametrize(("routing", "tail"), [("type2", "articulated"), ("type3", "rigid")])
 def test_a_built_robot_is_the_same_in_a_batch_and_assembled(routing, tail):
     """Tendons, their softness and the turned mounts, left and right; beside another geometry, too."""
     robot = load_robot(routing=routing, tail=tail)
