@@ -52,7 +52,9 @@ def test_shared_again(case):
 def test_ci_fails_for_many_programs_and_for_many_setups(tmp_path: Path) -> None:
     """Of two files with the same programs, each has its own, and a third one has as many as are allowed; the cases of
     a fixture are two setups."""
-    (tmp_path / "conftest.py").write_text("import guard; guard.MOST_SETUPS = 5\n")
+    (tmp_path / "conftest.py").write_text(
+        "import guard; guard.MOST_SETUPS, guard.MOST_PROGRAMS = 5, 8\n"
+    )
     for name, program_count in (("a", 15), ("b", 15), ("c", 14)):
         (tmp_path / f"test_{name}.py").write_text(TESTS.replace("FEW", str(program_count)))
     process = subprocess.run(
