@@ -41,6 +41,8 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
 ]
+if "NERMO_MJX_SMALL" in os.environ:  # as in the tests
+    extensions.remove("sphinx.ext.viewcode")  # which writes a page for each module
 source_suffix = {".md": "markdown"}
 exclude_patterns: list[str] = []
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]

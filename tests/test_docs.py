@@ -74,7 +74,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         str(ROOT / "docs"),
         str(out),
     ]
-    small = os.environ | {"NERMO_MJX_SMALL": "1"}  # one page of the viewer, not fourteen
+    # One page of the viewer, not fourteen, and no pages of source code.
+    small = os.environ | {"NERMO_MJX_SMALL": "1"}
     process = subprocess.run(words, env=small, capture_output=True, text=True, timeout=300)
     assert process.returncode == 0, process.stderr
     return out

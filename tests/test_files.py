@@ -215,6 +215,8 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
     return stream.getvalue()
 
 
+#: Options of `plot` for one figure of a sweep instead of all.
+ONE_FIGURE = ("--x", "frequency", "--y", "spine.phase", "--color", "speed")
 CHANNELS = {
     "rate": 50,
     "front_left_hip": {"channel": 0, "direction": 1, "zero": 90, "low": 20, "high": 160},
@@ -357,11 +359,9 @@ def kinds_of_files(
 
 
 @pytest.mark.release
-@pytest.mark.parametrize(
-    "share", [0, *(pytest.param(share, marks=pytest.mark.release) for share in range(1, 4))]
-)
+@pytest.mark.parametrize("share", [0, 1])
 def test_mutants_of_all_kinds_of_files_end_in_a_sentence(kinds_of_files: Any, share: int) -> None:
-    """2,000 in all."""
+    """1,000 in all."""
     assert hunted(kinds_of_files, 500, seed=share) == []
 
 
@@ -455,7 +455,7 @@ def test_a_special_file_in_a_directory_ends_in_a_sentence(
     for words in (
         ("status", out),
         ("compare", out, "--by", "frequency"),
-        ("plot", out, "--format", "png"),
+        ("plot", out, "--format", "png", *(() if name == "plots" else ONE_FIGURE)),
     ):
         with bounded():
             result = call(*words)
@@ -527,7 +527,7 @@ def test_a_null_in_a_typed_column_is_a_sentence_or_a_gap(
         ("status", out),
         ("compare", out, "--by", "frequency"),
         ("sensitivity", out),
-        ("plot", out, "--format", "png"),
+        ("plot", out, "--format", "png", *(() if name == "speed" else ONE_FIGURE)),
         ("view", out, "--no-open", "--out", tmp_path / "page.html"),
     ):
         result = call(*words)

@@ -35,6 +35,22 @@ notebooks = importlib.import_module("notebooks")
 INSTALL = nbformat.read(NOTEBOOKS[0], as_version=4).cells[1].source
 
 
+#: As for other tests (conftest.py): few lanes for few worlds, and figures at half their size. An identification has
+#: fewer starts and steps, and predicts walks of fewer bodies.
+QUICK = """
+import gc
+import jax
+from nermo_mjx.experiments import log_identification, log_report
+from nermo_mjx.physics import c_engine
+from nermo_mjx.plotting import files
+c_engine.LANES, files._DPI = 8, 100
+log_identification.STARTS, log_identification.SCANNED, log_identification.STEPS = 2, 8, 4
+log_report.BODIES = 8
+gc.set_threshold(50_000, 20, 10)
+jax.config.update("jax_traceback_in_locations_limit", 0)
+"""
+
+
 @pytest.fixture(scope="module")
 def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NotebookClient]:
     """One kernel for all notebooks: it imports the package, and compiles what several use, once."""
@@ -45,6 +61,8 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NotebookClient]
             new_notebook(), timeout=300, kernel_name="python3", resources=resources
         )
         with client.setup_kernel():
+            client.nb = new_notebook(cells=[new_code_cell(QUICK)])
+            client.execute(cleanup_kc=False)
             yield client
 
 

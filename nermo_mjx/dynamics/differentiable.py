@@ -56,11 +56,11 @@ class Verdict(NamedTuple):
 def step_with_verdict(model: mjx.Model, data: mjx.Data) -> tuple[mjx.Data, Verdict]:
     """As `step`, and how well its constraint problem was solved.
 
-    >>> import mujoco
+    >>> import jax, mujoco
     >>> from nermo_mjx.dynamics import make_data, put_model
     >>> model = put_model(mujoco.MjModel.from_xml_string('''<mujoco><worldbody><body><joint range="-1 1"/>
     ... <geom size=".1" pos="1 0 0"/></body></worldbody></mujoco>'''))
-    >>> after, verdict = step_with_verdict(model, make_data(model))
+    >>> after, verdict = jax.jit(step_with_verdict)(model, make_data(model))
     >>> bool(verdict.converged), int(verdict.rounds)
     (True, 1)
 

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.robot import LIMBS, Robot
+from nermo_mjx.robot import LIMBS, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry, leg_geometry
 from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.shapes import Array
@@ -47,13 +47,7 @@ class GeometryFields:
             - self._start[:, None]
         )
         base = _Read.of(self.model)
-        reads = [
-            [
-                _Read.of(robot.physical_with_geometry(_geometry(name, self._start[i] + end)))
-                for end in ends[i]
-            ]
-            for i, name in enumerate(self.names)
-        ]
+        reads = [_at_ends(robot.config, name) for name in self.names]
         self._linear = {
             name: (base.linear[name], slopes)
             for name in base.linear
@@ -235,6 +229,21 @@ class _Read:
         about_com = np.einsum("bij,bj,bkj->bik", axes, model.body_inertia, axes)
         tensor = about_com + _of_point(model.body_mass, model.body_ipos, np)
         return cls(linear, tensor, axes)
+
+
+@functools.lru_cache(maxsize=256)  # a tenth of a second each
+def _at_ends(config: RobotConfig, name: str) -> tuple[_Read, _Read]:
+    """Of models at both ends of the range of a parameter of the geometry, which many simulators have in common."""
+    robot, declaration = (
+        load_robot(config),
+        dict(quantities(Geometry))[name.removeprefix("geometry.")],
+    )
+    start = float(declaration.default)  # type: ignore[arg-type]
+    low, high = (
+        _Read.of(robot.physical_with_geometry(_geometry(name, start + (end - start))))
+        for end in (declaration.low, declaration.high)
+    )
+    return low, high
 
 
 def _of_point(mass: Any, point: Any, xp: Any) -> Any:

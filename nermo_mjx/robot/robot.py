@@ -281,7 +281,7 @@ class Robot:
         return self._compiled.fingerprint
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=32)
 def _compile(config: RobotConfig) -> _Compiled:
     try:
         spec = assemble(config)
@@ -328,7 +328,17 @@ def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
         config: of the robot.
         geometry: leaves of shape ().
     """
-    published, slopes = _mass_slopes(config)
+    published = load_robot(config).mass_model
+    # Scene, contacts and time step change no mass.
+    slopes = _mass_slopes(
+        RobotConfig(
+            robot=config.robot,
+            tail=config.tail,
+            routing=config.routing,
+            feet=config.feet,
+            hinges=config.hinges,
+        )
+    )
     front, rear = (jnp.asarray(com, float) for com in (published.front_com, published.rear_com))
     start = {name: declaration.default for name, declaration in quantities(Geometry)}
     for name, value in values_of(geometry):
@@ -341,9 +351,9 @@ def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
 
 
 @functools.lru_cache(maxsize=64)  # each takes seconds, and little memory
-def _mass_slopes(config: RobotConfig) -> tuple[MassModel, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """The published mass model, and how its centres move with each parameter of the geometry."""
-    robot, slopes = Robot(config, _compile(config)), {}
+def _mass_slopes(config: RobotConfig) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """How the centres of the mass model move with each parameter of the geometry."""
+    robot, slopes = load_robot(config), {}
     for name, declaration in quantities(Geometry):
         low, high = (
             _mass_model(
@@ -358,7 +368,7 @@ def _mass_slopes(config: RobotConfig) -> tuple[MassModel, dict[str, tuple[np.nda
             (high.front_com - low.front_com) / span,
             (high.rear_com - low.rear_com) / span,
         )
-    return robot.mass_model, slopes
+    return slopes
 
 
 def _ids(model: mujoco.MjModel, geoms: tuple[str, ...]) -> tuple[int, ...]:

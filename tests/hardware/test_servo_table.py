@@ -59,7 +59,7 @@ def test_a_table_is_what_the_simulation_commands(setup: Setup, values: dict[str,
     period = ratio / values["frequency"]
     rate = 100.0 * ratio  # rows a second of the controller's clock: a row a tick
     table = servo_table(setup, values, rate=rate)
-    result = Simulator(recorded, "c").run(values, Run(cycles=9, warmup_cycles=1), record=True)
+    result = Simulator(recorded, "c").run(values, Run(cycles=6, warmup_cycles=1), record=True)
     assert result.trace is not None
     ctrl = np.degrees(np.asarray(result.trace.ctrl)[0])
     # The simulated servos follow no faster than they can, 15 rad/s, where the balancing spine jumps.

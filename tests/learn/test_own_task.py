@@ -337,7 +337,7 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
 
 @pytest.mark.release
 def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(
-    tmp_path, training_result
+    tmp_path, monkeypatch, training_result
 ):
     """Killed in its second section: the same bits. The copy is the code that counts, and changed code is refused."""
     assert set(training_result.history.names) >= {"term.bending", "term.speed"}
@@ -359,6 +359,7 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(
         run_training(path, out)
     code.unlink()
     new_directory = Path(shutil.move(out, tmp_path / "moved"))
+    monkeypatch.setattr("nermo_mjx.learn.run._evaluated", lambda *_: None)
     result = run_training(new_directory / "training.yaml", new_directory)
     assert result.iterations_run == 2
     assert bits(result) == bits(training_result)

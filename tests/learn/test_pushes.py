@@ -16,6 +16,7 @@ from nermo_mjx.learn.evaluation import PolicyEvaluator, played_task
 from nermo_mjx.live.driving import Driving
 from nermo_mjx.rollout.loop import Pushes
 
+pytestmark = pytest.mark.usefixtures("shared_simulators")
 SETUP = Setup(physics="fast")
 #: From the same start, once in each 0.3 s.
 STILL = Task(set={"push.force": 2.0, "push.interval": 0.3}, randomize={}, episode_length=0.6)
@@ -58,14 +59,16 @@ def test_a_push_moves_the_robot_as_the_same_push_does_in_a_drive():
     state, worlds_of_steps = environment.reset(4), []
     block = environment._worlds.session._blocks[0]
     forces, torso = block.batch.bind("xfrc_applied"), environment.robot.model.body("torso").id
-    pushes = environment._worlds.drawn[0][0].loop.push
+    ticks = jnp.arange(40)
+    push_forces = np.asarray(
+        jax.jit(jax.vmap(lambda push: jax.vmap(lambda tick: push.at(tick, 0.01))(ticks)))(
+            environment._worlds.drawn[0][0].loop.push
+        )
+    )
     drives = [Driving(SETUP), Driving(SETUP)]
     for tick in range(40):
         for world, drive in enumerate(drives):
-            push = jax.tree.map(lambda leaf, world=world: leaf[world], pushes)
-            now, previous = (
-                np.asarray(push.at(jnp.int32(index), 0.01)) for index in (tick, tick - 1)
-            )
+            now, previous = push_forces[world, [tick, tick - 1]]
             if now.any() and not (tick and (now == previous).all()):
                 drive.push(torso, (*now.tolist(), 0.0), 0.1)
                 worlds_of_steps.append(world)
@@ -73,10 +76,10 @@ def test_a_push_moves_the_robot_as_the_same_push_does_in_a_drive():
         state = environment.step(state, np.zeros((2, environment.action_size)))
         assert not np.delete(forces.reshape(2, -1), [6 * torso, 6 * torso + 1], axis=1).any()
     assert {0, 1} == set(worlds_of_steps)
+    calm = Driving(SETUP)
+    for _ in range(40):
+        calm.tick()
     for world, drive in enumerate(drives):
-        calm = Driving(SETUP)
-        for _ in range(40):
-            calm.tick()
         pushed, unpushed = drive.rows[-1][0], calm.rows[-1][0]
         assert np.linalg.norm(np.ravel(pushed)[:2] - np.ravel(unpushed)[:2]) > 0.003
         np.testing.assert_allclose(block.qpos[world], np.ravel(pushed), atol=1e-4)
@@ -88,46 +91,53 @@ def test_a_pushed_world_does_not_depend_on_the_others_nor_on_the_number_of_threa
     ranges = {"push.force": (0.5, 2.0), "push.interval": (0.2, 0.4), "contact.friction": (1.0, 1.6)}
     task = Task(randomize=ranges, episode_length=0.4)
 
-    def walked(worlds, threads, seed=3):
-        environment = Environment(SETUP, worlds=worlds, task=task, threads=threads)
-        states = [environment.reset(seed)]
+    def walked(environment, seed=3):
+        states, worlds = [environment.reset(seed)], environment.worlds
         for step in range(50):
             action = 0.3 * np.sin(np.arange(9) + 0.3 * step)[None].repeat(worlds, 0)
             states.append(environment.step(states[-1], action))
         return np.stack([state.privileged[:3] for state in states])
 
-    small_batch = walked(3, 1)
-    np.testing.assert_array_equal(small_batch, walked(40, 2))
-    np.testing.assert_array_equal(small_batch, walked(3, 1))
-    assert (small_batch != walked(3, 1, seed=4)).any()
+    small, large = (
+        Environment(SETUP, worlds=worlds, task=task, threads=threads)
+        for worlds, threads in ((3, 1), (20, 2))
+    )
+    small_batch = walked(small)
+    np.testing.assert_array_equal(small_batch, walked(large))
+    np.testing.assert_array_equal(small_batch, walked(small))
+    assert (small_batch != walked(small, seed=4)).any()
 
 
 @pytest.mark.release
 def test_a_push_is_the_same_on_mjx():
-    distances = {}
+    by = {}
     for engine in ("c", "mjx"):
         simulator = Simulator(SETUP, engine=engine)
-        batch = simulator.prepare({"start.phase": [0.0, 0.5]}, Run(duration=0.3))
-        for force in (0.0, 3.0):
-            real = batch.params.window.begin.dtype
-            pushes = Pushes(
-                np.full(2, force, real), np.full(2, 0.2, real), np.array([3, 4], np.int32)
-            )
-            mjx_batch = dataclasses.replace(
-                batch, params=dataclasses.replace(batch.params, push=pushes)
-            )
-            distances[engine, force] = simulator.run_batch(mjx_batch, record=True).trace.qpos[:, 29]
-    by = {engine: distances[engine, 3.0] - distances[engine, 0.0] for engine in ("c", "mjx")}
+        batch = simulator.prepare({"start.phase": [0.0, 0.5, 0.0, 0.5]}, Run(duration=0.3))
+        real = batch.params.window.begin.dtype
+        pushes = Pushes(
+            np.array([0.0, 0.0, 3.0, 3.0], real),
+            np.full(4, 0.2, real),
+            np.array([3, 4, 3, 4], np.int32),
+        )
+        pushed_batch = dataclasses.replace(
+            batch, params=dataclasses.replace(batch.params, push=pushes)
+        )
+        calm, pushed = (
+            simulator.run_batch(pushed_batch, record=True).trace.qpos[:, 29].reshape(2, 2, -1)
+        )
+        by[engine] = pushed - calm
     assert (np.linalg.norm(by["c"][:, :2], axis=1) > 0.003).all()
     np.testing.assert_allclose(by["mjx"][:, :2], by["c"][:, :2], atol=1e-5)
 
 
 @pytest.mark.release
 def test_an_evaluation_pushes_policy_and_controller_alike_unless_it_says_otherwise():
+    environment = Training.from_dict(TRAINING).environment("c")
+    untrained = Policy.of(environment, PPO().begin(environment, 0))
+
     def table(**changed):
-        training = Training.from_dict(TRAINING | changed)
-        policy = Policy.of(training.environment("c"), PPO().begin(training.environment("c"), 0))
-        return PolicyEvaluator(training, "c")(policy).to_pandas()
+        return PolicyEvaluator(Training.from_dict(TRAINING | changed), "c")(untrained).to_pandas()
 
     pushed, calm = table(), table(evaluate={"bodies": 4, "set": {"push.force": 0.0}})
     never = table(task={}, randomize={})

@@ -639,16 +639,7 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
 
 
 @pytest.mark.release
-@pytest.mark.parametrize(
-    "number",
-    [
-        signal.SIGKILL,
-        *(
-            pytest.param(number, marks=pytest.mark.release)
-            for number in (signal.SIGHUP, signal.SIGUSR1)
-        ),
-    ],
-)
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 def test_a_drive_outlives_every_signal(number, tmp_path):
     """A terminal that closes saves it, as Ctrl-C does; of one that is killed there is the journal."""
     words = [

@@ -80,19 +80,18 @@ def test_the_number_of_lanes_changes_no_bit(
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("threads", [1, 3, 64])
-def test_the_number_of_threads_changes_no_bit(simulator, walks, threads: int) -> None:
-    """Fewer threads than blocks, as many, and more."""
+def test_the_number_of_threads_changes_no_bit(simulator, walks) -> None:
+    """One thread, fewer than blocks, and more."""
     sim = simulator(spine="stride_extension")
     batch = sim.prepare(walks, RUN)
     trace = {}
-    for count in (2, threads):
-        engine = CEngine(sim.robot, sim.loop, threads=count)
-        trace[count] = engine.open(batch.params, batch.qpos, batch.fields).record(40)
-    for name in ("qpos", "qvel", "ctrl", "sensordata"):
-        np.testing.assert_array_equal(
-            getattr(trace[2], name), getattr(trace[threads], name), err_msg=name
-        )
+    for threads in (1, 2, 64):
+        engine = CEngine(sim.robot, sim.loop, threads=threads)
+        trace[threads] = engine.open(batch.params, batch.qpos, batch.fields).record(40)
+        for name in ("qpos", "qvel", "ctrl", "sensordata"):
+            np.testing.assert_array_equal(
+                getattr(trace[1], name), getattr(trace[threads], name), err_msg=name
+            )
 
 
 @pytest.fixture(scope="module")
@@ -163,9 +162,9 @@ def single_run(on_threads, walks) -> Callable[[str, int, str], RunResult]:
 
 
 @pytest.mark.release
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
-    st.lists(st.integers(0, WORLDS - 1), min_size=1, max_size=20, unique=True),
+    st.lists(st.integers(0, WORLDS - 1), min_size=1, max_size=12, unique=True),
     st.sampled_from([1, 2, 3, 4, 20]),
     st.integers(1, 3),
     st.sampled_from(["plain", "recorded", "series"]),
@@ -184,8 +183,9 @@ def test_what_shares_its_batch_changes_no_bit_of_a_run(
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("profile", ["exact", "as_published"])
-@pytest.mark.parametrize("scene", ["flat", "rough"])
+@pytest.mark.parametrize(
+    ("profile", "scene"), [("exact", "flat"), ("as_published", "rough")], ids=str
+)
 def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(
     simulator, profile, scene
 ) -> None:
@@ -199,11 +199,11 @@ def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(
         if name.split(".")[0] in groups
     }
     defaults |= {"servo.spine_torque": 0.9}
-    bodies = {name: value * draw(1.0, 1.03, WORLDS) for name, value in defaults.items()}
-    bodies |= {"terrain.height": draw(0.004, 0.01, WORLDS)} if scene == "rough" else {}
+    bodies = {name: value * draw(1.0, 1.03, 10) for name, value in defaults.items()}
+    bodies |= {"terrain.height": draw(0.004, 0.01, 10)} if scene == "rough" else {}
     batch_of_all = sim.prepare(bodies, RUN)
     assert {"tendon_range", "body_pos", "pair_friction"} <= batch_of_all.fields.keys()
-    for i in range(0, WORLDS, 5):
+    for i in (0, 4, 9):
         lone = sim.prepare(some(bodies, np.array([i])), RUN)
         same({name: column[i : i + 1] for name, column in batch_of_all.fields.items()}, lone.fields)
         np.testing.assert_array_equal(batch_of_all.qpos[i], lone.qpos[0])

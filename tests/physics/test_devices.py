@@ -93,7 +93,7 @@ def four_devices(tmp_path_factory) -> dict[str, Any]:
     settings = ("JAX_", "PJRT_", "NERMO_", "XLA_")
     environment = {key: value for key, value in os.environ.items() if not key.startswith(settings)}
     environment["XLA_FLAGS"] = (
-        "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
+        f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4"
     )
     environment["NERMO_MJX_CACHE"] = str(tmp_path_factory.mktemp("cache"))
     script = FOUR.format(tests=str(Path(__file__).parents[1]))

@@ -200,7 +200,7 @@ def test_a_directory_of_experiments_is_drawn_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
-    outcome, out = walked(), tmp_path / "experiments"
+    outcome, out = walked(repeats=1, quick=True), tmp_path / "experiments"
     name = outcome.experiment
     simulated = {"run": lambda settings: outcome, "rows": lambda settings: len(outcome)}
     experiment = dataclasses.replace(EXPERIMENTS[name], **simulated)

@@ -27,7 +27,7 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.run import START_SPREAD
 
 DATA = Path(__file__).parents[1] / "data"
@@ -45,10 +45,11 @@ CASES = [
 ]
 
 
-def commanded(
-    gait: str, frequency: float, extends: int, offset: int, gain: float, times: np.ndarray
-) -> np.ndarray:
-    """Servo angles of 100 Hz ticks on the author's clock, at times, in his order, (n, 9)."""
+@functools.cache
+def commanded_ticks(
+    gait: str, frequency: float, extends: int, offset: int, gain: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times of 100 Hz ticks on the author's clock (T,), and servo angles in his order (T, 9)."""
     controller = published_controller(
         "stride_extension" if extends else "none", "open_loop", pilot_rate=100.0
     )
@@ -62,9 +63,15 @@ def commanded(
     states, servos = walk(controller, params, ticks=2400, phase=frequency * 0.003)
     legs = np.stack([servos.hip, servos.knee], axis=-1).reshape(-1, 8)
     ours = np.column_stack([legs, servos.spine])
-    return np.column_stack(
-        [np.interp(times, np.asarray(states.time) + 0.003, column) for column in ours.T]
-    )
+    return np.asarray(states.time) + 0.003, ours
+
+
+def commanded(
+    gait: str, frequency: float, extends: int, offset: int, gain: float, times: np.ndarray
+) -> np.ndarray:
+    """Servo angles at times, in his order, (n, 9)."""
+    ticks, angles = commanded_ticks(gait, frequency, extends, offset, gain)
+    return np.column_stack([np.interp(times, ticks, column) for column in angles.T])
 
 
 @pytest.mark.release(cases=("trt-0.5-0-0", "lat-0.8-1-1"))
@@ -228,6 +235,8 @@ def test_compensation_lowers_the_roll_under_his_own_commands():
 # ---
 # The project's own loop.
 
+PUBLISHED = {"profile": "as_published", "pilot": "open_loop", "spine": "stride_extension"}
+
 
 def started(worlds: int, starts: int) -> dict[str, np.ndarray]:
     """The starts that `walk --seed` gives, in turn."""
@@ -242,10 +251,9 @@ def started(worlds: int, starts: int) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def published():
+def published(simulator):
     """Means of three starts without a pilot, by frequency and spine: mm/s of the controller's clock, degrees."""
-    setup = Setup(profile="as_published", pilot="open_loop", spine="stride_extension")
-    assert setup.steering == "spine"
+    assert Setup(**PUBLISHED).steering == "spine"
     frequency, amplitude = (
         axis_values.ravel()
         for axis_values in np.meshgrid([0.5, 0.67, 0.8], [0.0, 0.4], indexing="ij")
@@ -254,7 +262,7 @@ def published():
         "frequency": np.repeat(frequency, 3),
         "spine.amplitude": np.repeat(amplitude, 3),
     } | started(18, 3)
-    metrics = Simulator(setup, engine="c").run(values, Run(cycles=14.0, warmup_cycles=4.0)).metrics
+    metrics = simulator(**PUBLISHED).run(values, Run(cycles=9.0, warmup_cycles=4.0)).metrics
     means = {
         name: np.asarray(metrics[name]).reshape(3, 2, 3).mean(axis=-1)
         for name in ("speed", "roll_std", "pitch_std")
@@ -281,31 +289,30 @@ def test_the_published_simulation_walks_as_published(published):
 
 
 @pytest.mark.release
-def test_the_published_robot_stands_with_its_nose_up():
+def test_the_published_robot_stands_with_its_nose_up(simulator):
     """The author's model: -0.55 degrees. Neutral feet, no gait."""
     standing = {
         "commanded_speed": 0.0,
         "stance.swing_amplitude": 0.0,
         "stance.stance_amplitude": 0.0,
     }
-    result = Simulator(
-        Setup(profile="as_published", pilot="open_loop", spine="stride_extension"), engine="c"
-    ).run(standing | {"spine.amplitude": 0.0}, Run(duration=3.0, warmup=1.5))
+    result = simulator(**PUBLISHED).run(
+        standing | {"spine.amplitude": 0.0}, Run(duration=3.0, warmup=1.5)
+    )
     assert -0.8 < np.degrees(result.metrics["pitch_mean"][0]) < -0.3
 
 
 @pytest.fixture(scope="module")
-def grid():
+def grid(simulator):
     """His 64 walks of the stance and the clock of the tests, and ours: two gaits, four frequencies, four strides, spine
     off and on."""
     rows = GRID[(GRID["stance"] == "tests") & (GRID["clock"] == 0.4)].reset_index(drop=True)
     assert len(rows) == 64
-    setup = Setup(profile="as_published", pilot="open_loop", spine="stride_extension")
     profiles = [published_values(gait, profile="as_published") for gait in rows["gait"]]
     values = {name: np.array([row[name] for row in profiles]) for name in profiles[0]}
     values |= {name: rows[name].to_numpy() for name in ("frequency", "stride")}
     values |= {"spine.amplitude": 0.4 * rows["spine"].to_numpy()}
-    metrics = Simulator(setup, engine="c").run(values, Run(cycles=11.0, warmup_cycles=4.0)).metrics
+    metrics = simulator(**PUBLISHED).run(values, Run(cycles=8.0, warmup_cycles=4.0)).metrics
     ours = {"speed_mm_s": 400.0 * np.asarray(metrics["speed"])}
     ours |= {
         f"{axis}_std_deg": np.degrees(metrics[f"{axis}_std"]) for axis in ("roll", "pitch", "yaw")

@@ -46,13 +46,13 @@ def test_every_body_is_within_the_bounds_and_the_tolerance(script):
 
 @pytest.mark.release
 def test_robot_instances_that_were_identified_have_the_objective_of_their_walks(script):
-    """Real walks of the first three instances, as near as another compiler lets them. The expected objectives are the
-    shipped ones, which an earlier release computed."""
+    """Real walks of the first instance, as near as another compiler lets them. The expected objective is the shipped
+    one, which an earlier release computed."""
     ensemble, names = identified.bodies(), list(script.bounds("as_published"))
     problem = script.PublishedSpeeds(dict.fromkeys(names, math.nan), "as_published")
-    residuals = problem.predict(np.array([ensemble.values[name][:3] for name in names]).T)
+    residuals = problem.predict(np.array([ensemble.values[name][:1] for name in names]).T)
     np.testing.assert_allclose(
-        np.sqrt(np.mean(residuals**2, axis=1)), ensemble.objective[:3], atol=0.02
+        np.sqrt(np.mean(residuals**2, axis=1)), ensemble.objective[:1], atol=0.02
     )
 
 

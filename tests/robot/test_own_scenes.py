@@ -289,7 +289,7 @@ def test_a_foot_on_a_step_lifts_the_whole_robot():
 def test_a_walk_half_a_metre_up_is_the_walk_on_the_flat(simulator):
     """Height above the ground counts, for falls, too."""
     values, run = {"frequency": np.array([0.5, 0.8])}, Run(cycles=2, warmup_cycles=1)
-    up = Simulator(Setup(scene=scene(PLANE.format(height=0.5))), "c").run(values, run)
+    up = simulator(scene=scene(PLANE.format(height=0.5))).run(values, run)
     flat = simulator().run(values, run)
     assert list(up.status) == ["ok", "ok"]
     for name in ("speed", "roll_std", "pitch_std", "servo_work", "duty_rear_left"):
@@ -298,10 +298,10 @@ def test_a_walk_half_a_metre_up_is_the_walk_on_the_flat(simulator):
 
 @pytest.mark.release
 @pytest.mark.parametrize("height", [-1.0, 0.5])
-def test_a_robot_that_lies_on_its_belly_has_fallen_at_any_height(height):
+def test_a_robot_that_lies_on_its_belly_has_fallen_at_any_height(simulator, height):
     """Released with its legs in the ground it may stand up or not; with its torso at the ground it has fallen at
     once."""
-    sim = Simulator(Setup(scene=scene(PLANE.format(height=height))), "c")
+    sim = simulator(scene=scene(PLANE.format(height=height)))
     batch = sim.prepare({"frequency": np.full(2, 0.8)}, Run(cycles=2, warmup_cycles=0))
     batch.qpos[1, sim.robot.joints.root + 2] = height + 0.02
     session = sim.engine.open(batch.params, batch.qpos, batch.fields)

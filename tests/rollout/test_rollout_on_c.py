@@ -65,17 +65,21 @@ def test_the_derivative_is_that_of_mjx_in_float64() -> None:
         return walk.record(values, qpos=kept["first"])[1].qpos[kept["ticks"] - 1, root : root + 2]
 
     with jax.enable_x64(True):
-        np.testing.assert_allclose(places(kept["point"]), kept["place"], atol=1e-7)
-        slope = np.asarray(jax.jacfwd(places)(jnp.asarray(kept["point"])))
+        point = jnp.asarray(kept["point"])
+        np.testing.assert_allclose(jax.jit(places)(point), kept["place"], atol=1e-7)
+        slope = np.asarray(jax.jit(jax.jacfwd(places))(point))
     apart = np.linalg.norm(slope - kept["slope"], axis=(1, 2)) / np.linalg.norm(
         kept["slope"], axis=(1, 2)
     )
     assert (apart < 1e-4).all(), apart
 
 
-#: Of the twelve points, the one that a jump lies beside, of 4e-6 m/s between 5e-7 and 1e-6 rad of the phase: the left
+#: Of twelve points, the one that a jump lies beside, of 4e-6 m/s between 5e-7 and 1e-6 rad of the phase: the left
 #: tendon of the spine goes taut in the 37th step, or does not.
 JUMP = 9
+#: Of the same points, those whose slopes of several widths are compared: small and large amplitudes, and phases of
+#: both signs.
+COMPARED = (2, 5, 8, JUMP)
 
 
 @functools.cache
@@ -86,9 +90,10 @@ def twelve_points() -> list[dict[str, float]]:
 
 
 @pytest.mark.release
-def test_three_widths_give_the_same_derivative_at_twelve_points(long_walk: Rollout) -> None:
-    """The widest of them, ten times that of `Rollout`, at eleven: beside a jump it is no derivative."""
-    for i, values in enumerate(twelve_points()):
+def test_three_widths_give_the_same_derivative_at_four_points(long_walk: Rollout) -> None:
+    """The widest of them, ten times that of `Rollout`, at three: beside a jump it is no derivative."""
+    for i in COMPARED:
+        values = twelve_points()[i]
         slopes = [
             long_walk.slopes(values, NAMES, width)["speed"]
             for width in (WIDTH, 0.1 * WIDTH, 10 * WIDTH)
@@ -125,21 +130,17 @@ def test_a_jump_within_the_width_is_told(long_walk: Rollout) -> None:
 
 
 @pytest.mark.release
-def test_three_widths_give_the_same_derivative_by_ten_numbers_of_the_body_at_four_points(
+def test_three_widths_give_the_same_derivative_by_ten_numbers_of_the_body(
     long_walk: Rollout,
 ) -> None:
-    random = np.random.default_rng(1)
-    for amplitude, phase in zip(
-        random.uniform(0.05, 0.35, 4), random.uniform(-3, 3, 4), strict=True
-    ):
-        values = BODY | {"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": phase}
-        slopes = [
-            long_walk.slopes(values, tuple(BODY), width)["speed"]
-            for width in (10 * WIDTH, WIDTH, 0.1 * WIDTH)
-        ]
-        scaled = np.array(slopes) * np.array([*BODY.values()])
-        apart = np.linalg.norm(scaled - scaled[1], axis=1) / np.linalg.norm(scaled[1])
-        assert (apart < 1e-4).all(), (amplitude, phase, apart)
+    values = BODY | {"frequency": 0.8, "spine.amplitude": 0.2, "spine.phase": -1.1}
+    slopes = [
+        long_walk.slopes(values, tuple(BODY), width)["speed"]
+        for width in (10 * WIDTH, WIDTH, 0.1 * WIDTH)
+    ]
+    scaled = np.array(slopes) * np.array([*BODY.values()])
+    apart = np.linalg.norm(scaled - scaled[1], axis=1) / np.linalg.norm(scaled[1])
+    assert (apart < 1e-4).all(), apart
 
 
 @pytest.mark.release
@@ -377,11 +378,8 @@ print(float(slope(0.2)) == float(found[0]))
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("threads", ["1", pytest.param("2", marks=pytest.mark.release)])
-def test_it_works_where_the_user_started_jax_first(
-    threads: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_works_where_the_user_started_jax_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """With asynchronous dispatch, as in a notebook, and as few threads as there can be: no deadlock."""
-    monkeypatch.setenv("PJRT_NPROC", threads)
+    monkeypatch.setenv("PJRT_NPROC", "1")
     done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, timeout=300)
     assert done.stdout.split() == ["True"], done.stderr

@@ -9,15 +9,18 @@ import pytest
 from nermo_mjx.rollout import Run
 
 FREQUENCIES = np.array([0.5, 0.67, 0.8])
-LONG = Run(cycles=10, warmup_cycles=2)
+LONG = Run(cycles=6, warmup_cycles=2)
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("gait", ["trot", "walking_trot", "lateral_walk"])
-@pytest.mark.parametrize("spine", ["none", "stride_extension"])
-def test_every_gait_walks_without_falling(simulator, gait, spine):
+def test_every_gait_walks_without_falling(simulator, gait):
     """All three gaits cover ground at every published frequency, with and without the spine, and stay upright."""
-    result = simulator(gait=gait, spine=spine).run({"frequency": FREQUENCIES}, LONG)
+    values = {
+        "frequency": np.tile(FREQUENCIES, 2),
+        "spine.amplitude": np.repeat([0.0, 0.2], 3),
+    }
+    result = simulator(gait=gait, spine="stride_extension").run(values, LONG)
     assert set(result.status) == {"ok"}
     assert np.all(result.metrics["speed"] > 0.02)
     assert np.all(np.abs(result.metrics["roll_mean"]) < np.radians(2))

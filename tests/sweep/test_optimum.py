@@ -86,10 +86,14 @@ def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("budget", [0, pytest.param(200, marks=pytest.mark.release)])
 @pytest.mark.parametrize(
-    ("landscape", "noise"),
-    [("plateau", "normal"), ("plateau", "skewed"), ("ridge", "normal"), ("ridge", "skewed")],
+    ("landscape", "noise", "budget"),
+    [
+        ("plateau", "normal", 0),
+        ("plateau", "skewed", 200),
+        ("ridge", "normal", 200),
+        ("ridge", "skewed", 0),
+    ],
 )
 def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landscape, noise, budget):
     """400 landscapes with a known optimum: a standard error of a hundredth. The region holds it 95 times of 100 where
@@ -257,7 +261,7 @@ def test_gains_and_best_variants_are_told_for_each_structure(tmp_path):
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("stop", [2, 5, 6, 7])
+@pytest.mark.parametrize("stop", [2, 5, 7])
 def test_it_resumes_anywhere_with_the_same_rows(tmp_path, done, stop):
     """Interrupted in the first stage, the second one, and in fresh runs."""
     from nermo_mjx.runs import Interrupted

@@ -152,14 +152,14 @@ def test_a_grid_of_ten_million_rows_takes_no_memory():
 
 
 class Measuring(FakeSimulator):
-    """Has all metrics; notes what Python and Arrow hold when the 20th and the 120th batch come in."""
+    """Has all metrics; notes what Python and Arrow hold when the 10th and the 40th batch come in."""
 
     def __init__(self):
         super().__init__()
         self.held = []
 
     def run(self, *args, **kwargs):
-        if len(self.batches) in (20, 119):
+        if len(self.batches) in (10, 39):
             gc.collect()
             self.held.append(tracemalloc.get_traced_memory()[0] + pa.total_allocated_bytes())
         result = super().run(*args, **kwargs)
@@ -169,9 +169,9 @@ class Measuring(FakeSimulator):
 
 @pytest.mark.release
 def test_finished_chunks_are_not_kept_in_memory(tmp_path):
-    """Over a hundred chunks, memory grows by less than five of their tables would take."""
+    """Over thirty chunks, memory grows by less than five of their tables would take."""
     spec = {
-        "vary": {"frequency": {"linspace": [0.5, 1.0, 1200]}, "duty": {"linspace": [0.4, 0.6, 10]}},
+        "vary": {"frequency": {"linspace": [0.5, 1.0, 400]}, "duty": {"linspace": [0.4, 0.6, 10]}},
         "plots": False,
     }
     simulator = Measuring()
@@ -179,7 +179,7 @@ def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     result = run_sweep(spec, tmp_path, chunk=100, simulator=simulator)
     tracemalloc.stop()
     early, late = simulator.held
-    assert late - early < result.table.nbytes / 120 * 5
+    assert late - early < result.table.nbytes / 40 * 5
 
 
 @pytest.mark.release
