@@ -20,7 +20,7 @@ def __getattr__(name: str) -> tuple[str, ...]:
 
 def of_package() -> dict[str, list[str]]:
     """The names, from where they are declared; the first is an option's default."""
-    from nermo_mjx.bench import CASES
+    from nermo_mjx.bench import BENCHMARKS
     from nermo_mjx.control.spine_modes import MODES, NO_MODE
     from nermo_mjx.experiments.run import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
@@ -34,7 +34,7 @@ def of_package() -> dict[str, list[str]]:
 
     named = {
         "ENGINES": ENGINES,
-        "BENCH_CASES": CASES,
+        "BENCH_CASES": BENCHMARKS,
         **{field.upper(): names for field, names in allowed_names(Setup).items()},
         "GAIT_CODES": GAIT_CODES,
         "SPINE_MODES": (NO_MODE, *MODES),

@@ -876,7 +876,7 @@ def identify_command(
     if model and "robot" in options.given():
         raise WrongUse("--model is another robot: give it, or --robot.")
     from nermo_mjx.experiments import log_identification, log_report, log_twin
-    from nermo_mjx.files import MOST_FILE, read_bytes
+    from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
     from nermo_mjx.hardware.log import read_log
     from nermo_mjx.robot.quantity import require
     from nermo_mjx.robot.robot import fingerprint
@@ -909,7 +909,9 @@ def identify_command(
     body = log_twin.body_of(of, [*logs, *judges], kinds)
     stamp = code.stamp(fingerprint(body.model), "c", ("experiments", "hardware"))
     decides = digest_of(
-        stamp.id, wanted, [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)]
+        stamp.id,
+        wanted,
+        [digest(read_bytes(each, MAX_FILE_BYTES)) for each in (*log, channels, *check)],
     )
     with (
         RunDirectory(out, "identification from a log") as held,

@@ -26,13 +26,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.files import MOST_ARRAYS, MOST_JSON, read_bytes
+from nermo_mjx.files import MAX_ARRAY_BYTES, MAX_JSON_BYTES, read_bytes
 from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import Sensors, ServoAngles
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.shapes import Array, Scalar
-from nermo_mjx.trust import DATA_CONTROLLERS, RUNS_CODE, TELL, one_line
+from nermo_mjx.trust import DATA_CONTROLLERS, CODE_EXECUTION, MESSAGE_HANDLER, one_line
 
 #: What every controller has.
 REQUIRED = ("dt", "parameters", "init", "initial_servo", "update", "cycle_rate")
@@ -211,7 +211,7 @@ class Source:
                 )
             path = Path(spec.origin)
         try:
-            return str(path.resolve()), read_bytes(path, MOST_JSON)
+            return str(path.resolve()), read_bytes(path, MAX_JSON_BYTES)
         except OSError as error:
             raise ParameterError(
                 f"{self.subject}: {path} cannot be read ({error.strerror})."
@@ -240,7 +240,7 @@ class Source:
         return ParameterError(f"{self.subject}: {self.place} has no {self.name!r}{hint}")
 
     def _check_may_run(self) -> None:
-        if not RUNS_CODE.get():
+        if not CODE_EXECUTION.get():
             raise ParameterError(
                 f"{self.subject}: it is code, which a command that only reads does not run."
             )
@@ -299,7 +299,7 @@ def user_code(subject: str) -> Iterator[None]:
 
 @functools.lru_cache(maxsize=32)
 def _imported(source: str, path: str, content: bytes) -> ModuleType:
-    TELL.get()(f"the Python code of {one_line(path)} is run.")
+    MESSAGE_HANDLER.get()(f"the Python code of {one_line(path)} is run.")
     if not source.endswith(".py"):
         return importlib.import_module(source)
     name = f"nermo_mjx_own_{hashlib.sha256(path.encode() + content).hexdigest()[:16]}"
@@ -365,7 +365,7 @@ def controller_digest(text: str) -> str:
     """
     if (data := data_of(text)) is not None:
         load_controller(text)
-        return hashlib.sha256(read_bytes(Path(data[0]), MOST_ARRAYS)).hexdigest()[:16]
+        return hashlib.sha256(read_bytes(Path(data[0]), MAX_ARRAY_BYTES)).hexdigest()[:16]
     source = named_object("controller is", text, FORM)
     return source.digest(source.name)
 

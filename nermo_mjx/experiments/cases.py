@@ -19,7 +19,7 @@ from nermo_mjx.control.parameters import (
     robot_choices,
 )
 from nermo_mjx.control.protocol import ActsUpon, controller_digest, load_controller
-from nermo_mjx.files import MOST_ARRAYS, read_bytes
+from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities
@@ -153,7 +153,7 @@ class ReplacementPolicy:
         return cls(
             acts,
             f"{Path(where).name} {controller_digest(where)}",
-            read_bytes(Path(where), MOST_ARRAYS),
+            read_bytes(Path(where), MAX_ARRAY_BYTES),
         )
 
     @property

@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from nermo_mjx.files import MOST_ARRAYS, read_bytes
+from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import Document, SpecError, describe, read_file, read_mapping
@@ -211,7 +211,7 @@ def _csv(path: Path) -> Any:
     import pandas as pd  # imported where it is used: it takes half a second
 
     try:
-        text = read_bytes(path, MOST_ARRAYS).decode("utf-8-sig")
+        text = read_bytes(path, MAX_ARRAY_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SpecError(
             f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start})."

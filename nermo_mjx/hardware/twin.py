@@ -20,7 +20,7 @@ from nermo_mjx.hardware.signals import (
     values_at,
 )
 from nermo_mjx.kinematics.body import attitude
-from nermo_mjx.recording import BESIDE, Recording
+from nermo_mjx.recording import LOG_PREFIX, Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
 from nermo_mjx.robot.parameters import READINGS
 from nermo_mjx.robot.quantity import choice
@@ -195,7 +195,7 @@ def with_log(recording: Recording, log: Log, robot: Robot) -> tuple[Recording, l
     for channel in log.channels:
         if (other := twin.of_quantity(channel.quantity).get(channel.of)) is not None:
             for (name, one), (_, two) in zip(axes_of(channel), axes_of(other), strict=False):
-                sensors[BESIDE + name] = np.stack(
+                sensors[LOG_PREFIX + name] = np.stack(
                     [values_at(each, recording.time) for each in (one, two)], axis=-1
                 )
     about, shown = (

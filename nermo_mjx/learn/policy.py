@@ -24,7 +24,7 @@ from pydantic import BaseModel, Field, FiniteFloat
 from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.protocol import NAMED, ChecksParameters, CompletesValues, Ground, Source
-from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, check_arrays, read_as, read_bytes
+from nermo_mjx.files import MAX_ARRAY_BYTES, FileError, arrays_of, check_arrays, read_as, read_bytes
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.experience import Actor, Learned, Statistics
@@ -371,7 +371,7 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
     """
     subject = f"controller is '{path}'"
     try:
-        policy = _policy(read_bytes(Path(path), MOST_ARRAYS))
+        policy = _policy(read_bytes(Path(path), MAX_ARRAY_BYTES))
     except OSError as error:
         raise ParameterError(f"{subject}: it cannot be read ({error.strerror}).") from None
     except (FileError, ParameterError) as error:

@@ -48,7 +48,7 @@ from nermo_mjx.specs.walk import (
     read_walk,
     scene_beside,
 )
-from nermo_mjx.trust import RUNS_CODE
+from nermo_mjx.trust import CODE_EXECUTION
 
 
 class SceneFields(Fields):
@@ -480,7 +480,7 @@ def _read(doc: Document) -> Training:
     pairs = training.evaluated()
     late, tasks = "sensing.delay", [each.task for each in scenes] or [task]
     taught = {name for each in tasks for name in (*each.set, *each.randomize)}
-    if RUNS_CODE.get() or not any(each.has_own for each in tasks):
+    if CODE_EXECUTION.get() or not any(each.has_own for each in tasks):
         taught |= {name for each in tasks for name in each.sampled}
     else:  # own code that is not run may draw any command
         taught |= {name for name in GIVEN if name.startswith("command.")}
@@ -543,7 +543,7 @@ def _code_identity(where: str) -> str:
 
 def _try_out(setup: Setup, task: Task) -> EpisodeLoop | None:
     """Catch errors that would otherwise occur when the environment is created; None where own code is not run."""
-    if task.has_own and not RUNS_CODE.get():
+    if task.has_own and not CODE_EXECUTION.get():
         return None
     return EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
 

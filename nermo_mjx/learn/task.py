@@ -59,7 +59,7 @@ from nermo_mjx.specs.values import (
     Way,
     Whole,
 )
-from nermo_mjx.trust import RUNS_CODE
+from nermo_mjx.trust import CODE_EXECUTION
 
 #: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
 SPEED_WIDTH: Final = 0.05
@@ -541,7 +541,7 @@ class Task(Spec):
         Raises:
             ParameterError: with file, line and what is wrong.
         """
-        if self.commands is None or not RUNS_CODE.get():
+        if self.commands is None or not CODE_EXECUTION.get():
             return
         allowed, (subject, sampled) = task_parameters(setup), drawn_by(self.commands)
         for name, values in sampled.items():

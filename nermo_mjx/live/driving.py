@@ -24,7 +24,7 @@ from nermo_mjx.control.head_and_tail import GAZE, TAIL_MOTIONS
 from nermo_mjx.control.protocol import ChecksParameters, data_of
 from nermo_mjx.control.schedule import GAINS, MODES, Schedule, Switch, turned
 from nermo_mjx.control.spine_modes import LATERAL_MODES, NO_MODE, SAGITTAL_MODES
-from nermo_mjx.files import MOST_FILE, read_as, read_bytes
+from nermo_mjx.files import MAX_FILE_BYTES, read_as, read_bytes
 from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine
 from nermo_mjx.recording import Metadata, Recording, RecordingError, model_hash
 from nermo_mjx.robot import ParameterError
@@ -542,7 +542,7 @@ def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
         if isinstance(source, Recording):
             metadata, pieces = source.metadata, [b'{"ticks": %d}' % len(source.time)]
         else:  # after a power cut zeros may follow
-            first, *pieces = read_bytes(source, MOST_FILE).partition(b"\0")[0].split(b"\n")[
+            first, *pieces = read_bytes(source, MAX_FILE_BYTES).partition(b"\0")[0].split(b"\n")[
                 :-1
             ] or [b""]
             metadata = read_as(first, Metadata, "line 1").model_dump()

@@ -54,7 +54,7 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.metrics import DIVERGED_SPEED
 from nermo_mjx.runs.job import interruptible
 from nermo_mjx.specs.reading import dump
-from nermo_mjx.trust import TELL
+from nermo_mjx.trust import MESSAGE_HANDLER
 from nermo_mjx.view.recorded import attitude_of
 
 #: The author's topic and message of the sensors.
@@ -453,7 +453,10 @@ class RobotDriving(Driving):
     @contextlib.contextmanager
     def reach(self) -> Iterator[None]:
         """The robot, which is there; for errors see `linked` and `meet`. A sentence tells what is waited for."""
-        measured, tell = Measured(self.simulator.robot, self._channels, self._watchdog), TELL.get()
+        measured, tell = (
+            Measured(self.simulator.robot, self._channels, self._watchdog),
+            MESSAGE_HANDLER.get(),
+        )
         with linked(
             self._url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "connect"
         ) as publish:

@@ -32,7 +32,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.files import MOST_FILE, read_bytes
+from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
 from nermo_mjx.optimize.methods import (
     Iterate,
     Scores,
@@ -501,8 +501,8 @@ def keep_recording(
     folder = held.out.resolve()
     if tuning.recording is None or tuning.recording.parent == folder:
         return tuning
-    content = read_bytes(tuning.recording, MOST_FILE)
-    if content_of(folder / RECORDING, MOST_FILE) != content:
+    content = read_bytes(tuning.recording, MAX_FILE_BYTES)
+    if content_of(folder / RECORDING, MAX_FILE_BYTES) != content:
         held.set_aside("another recording", [RECORDING], warn)
         held.write(RECORDING, content)
     return dataclasses.replace(tuning, recording=folder / RECORDING)

@@ -17,7 +17,7 @@ from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 from scipy.stats import qmc
 
-from nermo_mjx.files import MOST_FILE, read_bytes
+from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
 from nermo_mjx.lazy import warn_former
 from nermo_mjx.optimize.objective import (
     AIMS,
@@ -520,7 +520,7 @@ class Tuning(WalkSpec, Described):
             SpecError: the recording cannot be read.
         """
         try:
-            recorded = b"" if self.recording is None else read_bytes(self.recording, MOST_FILE)
+            recorded = b"" if self.recording is None else read_bytes(self.recording, MAX_FILE_BYTES)
         except OSError as error:
             raise SpecError(
                 f"recording is {self.recording}: cannot be read ({error.strerror or error})."

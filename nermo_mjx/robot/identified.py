@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.files import MOST_JSON, FileError, read_bytes
+from nermo_mjx.files import MAX_JSON_BYTES, FileError, read_bytes
 from nermo_mjx.robot.quantity import ParameterError
 
 #: The ensemble that comes with the package.
@@ -66,7 +66,7 @@ def bodies(source: str = IDENTIFIED) -> Ensemble:
     """
     path = PATH if source == IDENTIFIED else Path(source) / "ensemble.csv"
     try:
-        return read_ensemble(read_bytes(path, MOST_JSON).decode().splitlines())
+        return read_ensemble(read_bytes(path, MAX_JSON_BYTES).decode().splitlines())
     except (OSError, FileError):
         raise ParameterError(
             f"{source} is no directory of an identification with bodies: {path} cannot be read."

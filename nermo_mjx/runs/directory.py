@@ -23,7 +23,14 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 from pydantic import BaseModel
 
-from nermo_mjx.files import MOST_FILE, MOST_JSON, FileError, UnfitFile, json_of, read_bytes
+from nermo_mjx.files import (
+    MAX_FILE_BYTES,
+    MAX_JSON_BYTES,
+    FileError,
+    UnfitFile,
+    json_of,
+    read_bytes,
+)
 from nermo_mjx.runs.code import CodeStamp, stored_stamp
 from nermo_mjx.runs.files import (
     TEMPORARY,
@@ -229,7 +236,7 @@ def read_record(out: Path) -> dict[str, Any]:
         DirectoryError: it is damaged.
     """
     try:
-        record: dict[str, Any] = json_of(read_bytes(out / RUN, MOST_JSON), _Record, out / RUN)
+        record: dict[str, Any] = json_of(read_bytes(out / RUN, MAX_JSON_BYTES), _Record, out / RUN)
     except FileNotFoundError:
         return {}
     except OSError as error:
@@ -411,7 +418,7 @@ class Written:
             if path.is_dir():
                 return "a folder"
             try:
-                return digest(read_bytes(path, MOST_FILE)) if path.exists() else None
+                return digest(read_bytes(path, MAX_FILE_BYTES)) if path.exists() else None
             except UnfitFile:
                 return "not the program's own"
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 from nermo_mjx.control.protocol import FORM as CONTROLLER_FORM
 from nermo_mjx.control.protocol import controller_digest, data_of
 from nermo_mjx.control.schedule import MOST, Schedule
-from nermo_mjx.files import MOST_ARRAYS, read_bytes
+from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
 from nermo_mjx.rollout.own_metrics import FORM, KEPT, kept_metrics, metrics_digest, source_of
@@ -173,9 +173,9 @@ def kept_code(reference: str, called: str, folder: Path, write: Callable[[str, b
         return reference
     if Path(source).parent == folder:
         return f"{source}:{name}" if name else source
-    content = read_bytes(Path(source), MOST_ARRAYS)
+    content = read_bytes(Path(source), MAX_ARRAY_BYTES)
     copy = (folder / called).with_suffix(Path(source).suffix)
-    if copy.exists() and read_bytes(copy, MOST_ARRAYS) != content:
+    if copy.exists() and read_bytes(copy, MAX_ARRAY_BYTES) != content:
         copy = copy.with_stem(f"{copy.stem}-{hashlib.sha256(content).hexdigest()[:8]}")
     if not copy.exists():
         write(copy.name, content)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.shown import titled
-from nermo_mjx.recording import BESIDE, Recording, RecordingError
+from nermo_mjx.recording import LOG_PREFIX, Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.model_parameters import Build
@@ -417,7 +417,7 @@ def beside_log(recording: Recording) -> list[Plot]:
     difference, and the lag of measured behind simulated."""
     plots = []
     for name, channel_fields in (_part(recording, "log").get("channels") or {}).items():
-        if (values := recording.sensors.get(BESIDE + name)) is not None:
+        if (values := recording.sensors.get(LOG_PREFIX + name)) is not None:
             unit = str(channel_fields.get("unit", ""))
             value_pair, rms = (
                 in_shown_unit("", unit, values_row)

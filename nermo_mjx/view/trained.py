@@ -22,7 +22,7 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import content_of, parquet_table
 from nermo_mjx.runtime import start_jax
-from nermo_mjx.trust import RUNS_CODE
+from nermo_mjx.trust import CODE_EXECUTION
 from nermo_mjx.view.clip import page_of
 from nermo_mjx.view.page import Page, web_file
 
@@ -60,7 +60,7 @@ def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Pa
     training, figures = Training.from_file(path / SPEC), training_figures(path)
     name, parts, samples = html.escape(path.resolve().name), list[str](), 0
     code = code_place(training.task.observe)
-    if code and not RUNS_CODE.get():
+    if code and not CODE_EXECUTION.get():
         code_name = html.escape(Path(code).name)
         parts.append(
             f"<p>The policy observes functions of {code_name}, which a command that only reads does not run.</p>"

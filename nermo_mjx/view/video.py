@@ -24,7 +24,7 @@ from jaxtyping import Float, Int, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from nermo_mjx.files import TEMPORARY
+from nermo_mjx.files import TEMPORARY_SUFFIX
 from nermo_mjx.plotting.style import FOOT, INK, OKABE_ITO, TAIL
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.assembly import EYES
@@ -290,7 +290,7 @@ def write_video(
     Raises:
         VideoError: it cannot be written.
     """
-    partial = path.with_name(f".{path.stem}.{os.getpid()}{TEMPORARY}{path.suffix.lower()}")
+    partial = path.with_name(f".{path.stem}.{os.getpid()}{TEMPORARY_SUFFIX}{path.suffix.lower()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.touch()  # fail on an unwritable path before ffmpeg starts, and before the first frame is drawn

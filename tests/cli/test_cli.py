@@ -25,7 +25,7 @@ from fakes.experiment_fake import Fake, pretend
 
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main
-from nermo_mjx.progress import COMPILING, ProgressBar, duration
+from nermo_mjx.progress import COMPILATION_MESSAGE, ProgressBar, duration
 from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import plain_json
@@ -614,7 +614,7 @@ def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.Monke
             progress.share(0.0)
             progress.share(0.1 * moves)
             time.sleep(0.3)
-    assert (slow.getvalue(), quick.getvalue()) == (f"walk: {COMPILING}\n", "")
+    assert (slow.getvalue(), quick.getvalue()) == (f"walk: {COMPILATION_MESSAGE}\n", "")
 
 
 def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:

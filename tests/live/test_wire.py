@@ -43,7 +43,7 @@ from nermo_mjx.live.wire import (
 )
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import ParameterError, load_robot
-from nermo_mjx.trust import TELL
+from nermo_mjx.trust import MESSAGE_HANDLER
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
 
@@ -609,12 +609,12 @@ def test_a_robot_that_says_nothing_is_told_at_the_start(
     monkeypatch.setattr("nermo_mjx.live.wire.QUIET", 0.05)
     monkeypatch.setattr(driving, "needed", set())
     monkeypatch.setattr(driving, "_log", tmp_path / "robot.csv")
-    token = TELL.set(told.append)
+    token = MESSAGE_HANDLER.set(told.append)
     try:
         with driving.reach():
             driving.run(0.3)
     finally:
-        TELL.reset(token)
+        MESSAGE_HANDLER.reset(token)
     assert told[0] == "connected: waiting for the robot's messages on sensors_mouse."
     assert told[1].startswith(
         "the robot tells accelerometer, "
