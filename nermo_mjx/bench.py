@@ -46,7 +46,7 @@ def run_bench(
     process from holding the accelerator.
 
     Args:
-        cases: names of `CASES`.
+        cases: names of `BENCHMARKS`.
         engines, worlds: each combination is measured; `worlds` is the size of the batch.
         progress: called with (measurements done, measurements in all).
 

@@ -32,7 +32,7 @@ from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import Sensors, ServoAngles
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.shapes import Array, Scalar
-from nermo_mjx.trust import DATA_CONTROLLERS, CODE_EXECUTION, MESSAGE_HANDLER, one_line
+from nermo_mjx.trust import CODE_EXECUTION, DATA_CONTROLLERS, MESSAGE_HANDLER, one_line
 
 #: What every controller has.
 REQUIRED = ("dt", "parameters", "init", "initial_servo", "update", "cycle_rate")

@@ -19,7 +19,7 @@ from nermo_mjx.kinematics.body import feet_positions
 from nermo_mjx.kinematics.leg import bracketed_root
 from nermo_mjx.kinematics.spine import joint_angle, transform, yaw
 from nermo_mjx.robot.geometry import Geometry, dh_table, geometry_of
-from nermo_mjx.robot.parameters import LIMBS, SPINE
+from nermo_mjx.robot.parameters import LIMBS, SPINE_GEOMETRY
 from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Planar, Scalar, Scalars
 
 #: Turn rate below which the turning curve is linear (see `signed_power`).
@@ -251,7 +251,7 @@ def _turn_rate_of_legs(params: ControlParameters, feet: _TwoFeet, curvature: Sca
 
 def spine_lengths(geometry: Geometry) -> tuple[float, float]:
     """(l_sp1, l_sp2): shoulder axis to the first lateral joint, and from there to the hip axis, along y [m]."""
-    first = SPINE.lateral_joints[0]
+    first = SPINE_GEOMETRY.lateral_joints[0]
     base, link = dh_table(geometry)[first - 1 : first + 1]
     joint = base[1] + link[1] * math.cos(base[2])
     hip = float(np.asarray(transform(0.0, geometry))[1, 3]) + float(geometry.hip.y)

@@ -19,7 +19,7 @@ from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.leg import bracketed_root
 from nermo_mjx.robot.geometry import Geometry, Hip, Shoulder
 from nermo_mjx.robot.masses import MassModel
-from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 from nermo_mjx.shapes import Array, Planar, Quaternion, Scalars, Spatial, TruthPerLimb
 
 _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
@@ -182,7 +182,7 @@ def balance_angle(
     stance: ArrayLike,
     geometry: Geometry,
     lift: ArrayLike = 0.0,
-    limit: ArrayLike = SPINE.max_joint_angle,
+    limit: ArrayLike = SPINE_GEOMETRY.max_joint_angle,
 ) -> Scalars:
     """Spine joint angle theta_v [rad], within +-limit, that balances the robot on its stance feet.
 

@@ -27,7 +27,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from nermo_mjx.robot.geometry import (
-    TINY,
+    SMALLEST_LENGTH_METRES,
     Geometry,
     check_routing,
     lead_height,
@@ -199,9 +199,11 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
         routing == "type3_idler"
     ):  # on the other side of the axis than type 1 of the pulley, or straight past the idler
         return jnp.maximum(math.pi + jnp.arcsin(IDLER_RADIUS / leg.l1), angle), jnp.asarray(True)
-    distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, TINY**2))
+    distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, SMALLEST_LENGTH_METRES**2))
     turned = jnp.arcsin(jnp.minimum(leg.pulley_radius / distance, 0.9))
-    return angle - turned, distance**2 > (leg.l2 + TINY) ** 2 + leg.pulley_radius**2
+    return angle - turned, distance**2 > (
+        leg.l2 + SMALLEST_LENGTH_METRES
+    ) ** 2 + leg.pulley_radius**2
 
 
 #: Tolerance beyond the range within which a foot or tendon counts as reached: float32 rounding [m].

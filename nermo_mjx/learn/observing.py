@@ -22,7 +22,7 @@ from nermo_mjx.learn.acting import ACTED
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import SCANNED, reading_names
+from nermo_mjx.robot.parameters import SCAN_POINTS, reading_names
 from nermo_mjx.robot.quantity import parameter_tree, quantity
 from nermo_mjx.rollout.metrics import LOADED
 from nermo_mjx.shapes import Array, Scalar
@@ -89,14 +89,14 @@ def current(sensors: Sensors) -> Float[Array, " k"]:
 
 
 def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> Float[Array, " 12"]:
-    """Heights of the ground at `SCANNED` over that beneath the torso, at most 0.05 up or down [m].
+    """Heights of the ground at `SCAN_POINTS` over that beneath the torso, at most 0.05 up or down [m].
 
     The grid turns with the torso's `yaw` [rad], by default that of its attitude, and stays level, as the term of this
     name does in Isaac Lab and mjlab, which count down from the robot instead. Obstacles are no ground.
     """
     x, y, _ = sensors.position
     left_direction, ahead = directions(attitude(sensors.orientation)[2] if yaw is None else yaw)
-    points = jnp.asarray(SCANNED)
+    points = jnp.asarray(SCAN_POINTS)
     heights = ground(
         x + points[:, 0] * left_direction[0] + points[:, 1] * ahead[0],
         y + points[:, 0] * left_direction[1] + points[:, 1] * ahead[1],

@@ -443,7 +443,9 @@ class Task(Spec):
             }
             object.__setattr__(self, section, declared)
         if isinstance(self.bodies, bool):
-            object.__setattr__(self, "bodies", identified.IDENTIFIED if self.bodies else "")
+            object.__setattr__(
+                self, "bodies", identified.IDENTIFIED_ENSEMBLE if self.bodies else ""
+            )
 
     @property
     def commanded(self) -> tuple[str, ...]:

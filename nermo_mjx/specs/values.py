@@ -133,11 +133,11 @@ class BodiesField(Checked):
 
     def check(self, value: Any) -> str:
         if isinstance(value, bool):
-            return identified.IDENTIFIED if value else ""
+            return identified.IDENTIFIED_ENSEMBLE if value else ""
         if not isinstance(value, str) or (
-            "/" not in value and value not in ("", identified.IDENTIFIED)
+            "/" not in value and value not in ("", identified.IDENTIFIED_ENSEMBLE)
         ):
-            suggestion = did_you_mean(str(value), (identified.IDENTIFIED,))
+            suggestion = did_you_mean(str(value), (identified.IDENTIFIED_ENSEMBLE,))
             raise Refused(
                 f"is {describe(value)}: allowed is identified, or DIR such as runs/mine{suggestion}"
             )

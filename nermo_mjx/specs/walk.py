@@ -28,7 +28,7 @@ from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
 from nermo_mjx.robot import GAITS, identified
-from nermo_mjx.robot.equipment import MOST_HINGES
+from nermo_mjx.robot.equipment import MAX_HINGES
 from nermo_mjx.robot.parameters import ProfileChoice
 from nermo_mjx.robot.quantity import ParameterError, Quantity, allowed_names
 from nermo_mjx.robot.scene import resolve_scene, scenes
@@ -144,7 +144,7 @@ def _in_a_file(name: str) -> tuple[Any, Any]:
         return str, Field(
             default_factory=lambda: field.default, description=declaration, json_schema_extra=extra
         )
-    kind = {"scene": SceneField, "hinges": Annotated[int, Whole(1, MOST_HINGES)]}.get(name, str)
+    kind = {"scene": SceneField, "hinges": Annotated[int, Whole(1, MAX_HINGES)]}.get(name, str)
     names: Any = {"json_schema_extra": {"enum": allowed}} if allowed else {}
     return kind, Field(default=field.default, description=declaration, **names)
 

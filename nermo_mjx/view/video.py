@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from nermo_mjx.files import TEMPORARY_SUFFIX
 from nermo_mjx.plotting.style import FOOT, INK, OKABE_ITO, TAIL
 from nermo_mjx.recording import Recording, RecordingError
-from nermo_mjx.robot.assembly import EYES
+from nermo_mjx.robot.assembly import EYE_CAMERAS
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError, choice
 from nermo_mjx.view import offscreen
@@ -531,7 +531,7 @@ def check_video(
     camera_names = [
         *CAMERAS,
         *filter(None, model_cameras),
-        *([STEREO] if set(EYES) <= set(model_cameras) else []),
+        *([STEREO] if set(EYE_CAMERAS) <= set(model_cameras) else []),
     ]
     if camera not in camera_names:
         raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join(camera_names)}.")
@@ -589,7 +589,9 @@ def draw_frames(
         following = (
             following_camera(camera, radius, fovy, width / height) if camera in CAMERAS else None
         )
-        views: list[Any] = [following] if following else [*EYES] if camera == STEREO else [camera]
+        views: list[Any] = (
+            [following] if following else [*EYE_CAMERAS] if camera == STEREO else [camera]
+        )
         with _renderer(model, width // len(views), height) as renderer:
             for i, (sample, point) in enumerate(zip(samples, path, strict=True)):
                 put_pose(model, data, recording.qpos[sample])
