@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.control.parameters import (
-    AS_BUILT,
+    BUILT_PROFILE,
     PROFILES,
     PUBLISHED_CLOCK_RATIO,
     body_values,
@@ -338,7 +338,7 @@ def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Setti
         numbered: dict[str, Label] = {BODY: body + 1} if settings.body_count else {}
         shifts = [shift(body + repeat) for repeat in range(settings.repeats)]
         for profile in settings.profiles:
-            built = AS_BUILT if profile == "as_built" else {}
+            built = BUILT_PROFILE if profile == "as_built" else {}
             for case in cases:
                 if profile not in case.profiles:
                     continue

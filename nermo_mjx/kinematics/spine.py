@@ -21,9 +21,9 @@ from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 from nermo_mjx.shapes import Array, Scalars
 
 #: Angles saturate here, so that the sine of any float is finite [rad].
-_LARGEST_ANGLE: Final = 1e6
+_LARGEST_ANGLE_RAD: Final = 1e6
 #: The published length of a segment [m], at which the links of the table are folded.
-_SEGMENT: Final = 2 * SPINE_GEOMETRY.dh[SEGMENT_ROWS[0]][1]
+_SEGMENT_LENGTH: Final = 2 * SPINE_GEOMETRY.dh[SEGMENT_ROWS[0]][1]
 
 
 def transform(
@@ -58,7 +58,7 @@ def transform(
 
 def _stretched(pose: np.ndarray, stretch: np.ndarray, geometry: Geometry, dtype: Any) -> Array:
     """A pose that is linear in a segment's length: the published one, and its slope per metre."""
-    longer = jnp.asarray(geometry.spine.segment, dtype) - jnp.asarray(_SEGMENT, dtype)
+    longer = jnp.asarray(geometry.spine.segment, dtype) - jnp.asarray(_SEGMENT_LENGTH, dtype)
     return jnp.asarray(pose, dtype) + longer[..., None, None] * jnp.asarray(stretch, dtype)
 
 
@@ -216,7 +216,7 @@ def _matmul(left: Array, right: Array) -> Array:
 
 
 def _about_z(angle: Array) -> Float[Array, "*batch 4 4"]:
-    angle = jnp.clip(angle, -_LARGEST_ANGLE, _LARGEST_ANGLE)
+    angle = jnp.clip(angle, -_LARGEST_ANGLE_RAD, _LARGEST_ANGLE_RAD)
     cos, sin, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
     rows = (
         [cos, -sin, zero, zero],

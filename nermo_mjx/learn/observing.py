@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.pilot import heading
-from nermo_mjx.control.protocol import NAMED, Ground
+from nermo_mjx.control.protocol import OBJECT_FORM, Ground
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.learn.acting import ACTED
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
@@ -213,7 +213,7 @@ class Observer:
         for name in self.groups:
             if name not in allowed:
                 raise ParameterError(
-                    f"observe has {name!r}: allowed is {', '.join(allowed)}, or {NAMED}."
+                    f"observe has {name!r}: allowed is {', '.join(allowed)}, or {OBJECT_FORM}."
                 )
 
     @property

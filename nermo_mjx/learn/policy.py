@@ -23,7 +23,13 @@ from pydantic import BaseModel, Field, FiniteFloat
 
 from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.control.protocol import NAMED, ChecksParameters, CompletesValues, Ground, Source
+from nermo_mjx.control.protocol import (
+    OBJECT_FORM,
+    ChecksParameters,
+    CompletesValues,
+    Ground,
+    Source,
+)
 from nermo_mjx.files import MAX_ARRAY_BYTES, FileError, arrays_of, check_arrays, read_as, read_bytes
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
@@ -158,7 +164,7 @@ class Policy:
             }
         code = code_place(task.observe)
         if code:
-            source = Source.named("observe has", code, NAMED)
+            source = Source.named("observe has", code, OBJECT_FORM)
             groups = [name for name, _ in environment.loop.observer.own]
             about = {
                 **(about or {}),
@@ -324,7 +330,7 @@ class Policy:
         for name, _ in self.observer.own:
             if name not in groups:
                 raise ParameterError(
-                    f"observe has {name}: name it as {NAMED}, as a policy's file can."
+                    f"observe has {name}: name it as {OBJECT_FORM}, as a policy's file can."
                 )
         metadata = {"kind": KIND, "form": FORM, "layers": len(self.actor.layers), **self.facts()}
         arrays: dict[str, Any] = {"about": np.frombuffer(json.dumps(metadata).encode(), np.uint8)}
@@ -389,7 +395,9 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
         raise ParameterError(
             f"{subject}, {observed}, code that is run only where you name it: {path}:{custom_code['file']}."
         )
-    if (digest := Source.named("controller is", code, NAMED).digest()) != custom_code["digest"]:
+    if (digest := Source.named("controller is", code, OBJECT_FORM).digest()) != custom_code[
+        "digest"
+    ]:
         raise ParameterError(
             f"{subject}, {observed} with the digest {custom_code['digest']}; that of {code} is {digest}:"
             " give the file with which it was trained."

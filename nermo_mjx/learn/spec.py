@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Final, NamedTuple
 
 from pydantic import ConfigDict, Field
 
-from nermo_mjx.control.protocol import NAMED
+from nermo_mjx.control.protocol import OBJECT_FORM
 from nermo_mjx.learn.acting import ACTIONS, Acting
 from nermo_mjx.learn.algorithms import PPO
 from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check_worlds
@@ -441,7 +441,7 @@ def _read(doc: Document) -> Training:
             for each in filter(is_own, getattr(task, field)):
                 if not isinstance(each, str):
                     raise ParameterError(
-                        f"{field} has {own_name(each)}: name it as {NAMED}, as a file can."
+                        f"{field} has {own_name(each)}: name it as {OBJECT_FORM}, as a file can."
                     )
         task = task.with_own(functools.partial(code_beside, doc))
         code_place(task.observe)

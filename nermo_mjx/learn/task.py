@@ -24,7 +24,7 @@ from pydantic_core.core_schema import CoreSchema
 from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
-from nermo_mjx.control.protocol import NAMED, ControllerLike, function_place, user_code
+from nermo_mjx.control.protocol import OBJECT_FORM, ControllerLike, function_place, user_code
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
 from nermo_mjx.learn.observing import FORMER, OBSERVED, SENSED, TOLD, Sensing
 from nermo_mjx.learn.own import drawn_by, is_own, own_name, own_object
@@ -258,7 +258,7 @@ def chosen_terms(
             near = nearest(str(reference), list(TERMS))
             hint = f"did you mean {near!r}? " if near else ""
             raise ParameterError(
-                f"rewards has {reference!r}: {hint}allowed is one of {', '.join(TERMS)}, or {NAMED}."
+                f"rewards has {reference!r}: {hint}allowed is one of {', '.join(TERMS)}, or {OBJECT_FORM}."
             )
         name = term.name
         if term.needs is not None and term.needs not in commands:
@@ -343,7 +343,7 @@ class _Rewards(Checked):
             name: {"type": "number", "description": f"{term.doc} [{term.unit}]"}
             for name, term in TERMS.items()
         }
-        base = {":": {"type": "number", "description": f"a term of one's own: {NAMED}"}}
+        base = {":": {"type": "number", "description": f"a term of one's own: {OBJECT_FORM}"}}
         return {
             "type": "object",
             "properties": properties,
@@ -356,7 +356,7 @@ def _terms(value: Any) -> Any:
     for name in value if isinstance(value, dict) else ():
         if name not in TERMS and ":" not in str(name):
             raise Refused(
-                f"is no term of the reward; allowed are {', '.join(TERMS)}, or {NAMED}.", name
+                f"is no term of the reward; allowed are {', '.join(TERMS)}, or {OBJECT_FORM}.", name
             )
     return value or dict(REWARDS)
 

@@ -22,7 +22,7 @@ from pydantic import BaseModel, Field, NonNegativeInt
 
 from nermo_mjx.control.head_and_tail import GAZE, TAIL_MOTIONS
 from nermo_mjx.control.protocol import ChecksParameters, data_of
-from nermo_mjx.control.schedule import GAINS, MODES, Schedule, Switch, turned
+from nermo_mjx.control.schedule import MODE_CHOICES, MODE_GAINS, Schedule, Switch, turned
 from nermo_mjx.control.spine_modes import LATERAL_MODES, NO_MODE, SAGITTAL_MODES
 from nermo_mjx.files import MAX_FILE_BYTES, read_as, read_bytes
 from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine
@@ -375,9 +375,9 @@ class Driving:
         available = self.simulator.setup.modes
         off = {
             gain
-            for field in MODES
+            for field in MODE_CHOICES
             for name in set(available[field]) - modes[field]
-            for gain in GAINS[name]
+            for gain in MODE_GAINS[name]
         }
         values = {
             name: np.array([value])

@@ -30,7 +30,7 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
 from nermo_mjx.control.parameters import STEERING
-from nermo_mjx.control.schedule import GAINS
+from nermo_mjx.control.schedule import MODE_GAINS
 from nermo_mjx.live.driving import Commanded, Driving, Finite, Journal
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import LIMBS
@@ -579,7 +579,7 @@ class LiveDrive:
         ]
         # Without those that would do nothing: the harmonics, unless they have amplitudes.
         modes = {
-            field: sorted(name for name in names if any(map(driving.value, GAINS[name])))
+            field: sorted(name for name in names if any(map(driving.value, MODE_GAINS[name])))
             for field, names in driving.simulator.setup.modes.items()
         }
         ours = "offset.front_left" in driving.parameters

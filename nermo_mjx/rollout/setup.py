@@ -34,7 +34,14 @@ from nermo_mjx.control.protocol import (
     named_place,
     user_code,
 )
-from nermo_mjx.control.schedule import MODES, MOST, Schedule, Switch, check_schedule, schedule_of
+from nermo_mjx.control.schedule import (
+    MAX_SWITCHES,
+    MODE_CHOICES,
+    Schedule,
+    Switch,
+    check_schedule,
+    schedule_of,
+)
 from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
 from nermo_mjx.control.stepping import TrajectoryName
 from nermo_mjx.robot import GAIT_CODES, ParameterError, Robot, RobotConfig, load_robot
@@ -375,7 +382,7 @@ class Setup(RobotConfig):
         each = [self._start, *self.schedule]
         return {
             field: tuple(dict.fromkeys(name for one in each for name in one.modes.get(field, ())))
-            for field in MODES
+            for field in MODE_CHOICES
         }
 
     @functools.cached_property
@@ -475,7 +482,7 @@ class Setup(RobotConfig):
             if repr(known[name].default) != repr(value)
         }
         known |= own
-        for number in range(len(self.schedule) + 1, MOST + 1):
+        for number in range(len(self.schedule) + 1, MAX_SWITCHES + 1):
             for name in ("at", "blend"):
                 known.pop(f"schedule.{name}.{number}", None)
         return known | bounded_by_step(known, self.timestep)

@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.control.protocol import FORM as CONTROLLER_FORM
-from nermo_mjx.control.protocol import controller_digest, data_of
-from nermo_mjx.control.schedule import MOST, Schedule
+from nermo_mjx.control.protocol import CONTROLLER_FORM, controller_digest, data_of
+from nermo_mjx.control.schedule import MAX_SWITCHES, Schedule
 from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
@@ -71,7 +70,7 @@ def known_names(doc: Document) -> Iterator[None]:
     """While it is read, a document may name the parameters of its controller, and no others, and its own metrics."""
     controller, measured = named_controller(doc), named_metrics(doc)
     schedule = doc.data.get("schedule")
-    switches = range(1, min(len(schedule), MOST) + 1) if isinstance(schedule, list) else ()
+    switches = range(1, min(len(schedule), MAX_SWITCHES) + 1) if isinstance(schedule, list) else ()
     if controller is None and not measured and not switches:
         yield
         return

@@ -12,7 +12,7 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
-from nermo_mjx.control.protocol import NAMED, named_object
+from nermo_mjx.control.protocol import OBJECT_FORM, named_object
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, quantities
 from nermo_mjx.rollout.own_metrics import METRICS, Metric
@@ -114,14 +114,14 @@ class OwnOr(Choice):
             try:
                 named_object("it is", value)
             except ParameterError:
-                raise Refused(f"is {value!r}: expected {NAMED}.") from None
+                raise Refused(f"is {value!r}: expected {OBJECT_FORM}.") from None
             return value
         if not self.names or not isinstance(value, str):
-            raise Refused(f"is {describe(value)}: expected {NAMED}.")
+            raise Refused(f"is {describe(value)}: expected {OBJECT_FORM}.")
         return super().check(value)
 
     def schema(self, base: JsonSchema) -> JsonSchema:
-        reference = {"type": "string", "pattern": ":", "description": NAMED}
+        reference = {"type": "string", "pattern": ":", "description": OBJECT_FORM}
         return {"anyOf": [{"enum": list(self.names)}, reference]} if self.names else reference
 
 

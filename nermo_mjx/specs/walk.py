@@ -19,14 +19,14 @@ from nermo_mjx.control.head_and_tail import (
     COUNTER_ROLL,
     COUNTER_YAW,
     GAZE,
-    HEADS,
+    HEAD_NAMES,
     SWING,
     TAIL_MOTIONS,
 )
 from nermo_mjx.control.parameters import STEERING, robot_choices
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
-from nermo_mjx.control.stepping import FREE
+from nermo_mjx.control.stepping import FREE_TRAJECTORY
 from nermo_mjx.robot import GAITS, identified
 from nermo_mjx.robot.equipment import MAX_HINGES
 from nermo_mjx.robot.parameters import ProfileChoice
@@ -85,9 +85,9 @@ _NEEDS: Final = {
     "spine.sagittal_phase": ("spine", "sagittal_extension"),
     "spine.pitch_gain": ("spine", "pitch_balance"),
     "spine.pitch_damping": ("spine", "pitch_balance"),
-    "limb": ("trajectory", FREE),
-    "foot": ("trajectory", FREE),
-    "trim": ("trajectory", FREE),
+    "limb": ("trajectory", FREE_TRAJECTORY),
+    "foot": ("trajectory", FREE_TRAJECTORY),
+    "trim": ("trajectory", FREE_TRAJECTORY),
 }
 
 
@@ -239,7 +239,7 @@ class SwitchFields(Fields):
     gait: str = optional("the next gait", enum=[*GAITS])
     steering: str = optional("what turns the robot from then on", enum=[*STEERING])
     spine: str = optional("modes of the spine from then on", enum=[*SPINES])
-    head: str = optional("what the head does from then on", enum=[*HEADS])
+    head: str = optional("what the head does from then on", enum=[*HEAD_NAMES])
     tail_motion: str = optional("what the tail does from then on", enum=[*TAIL_MOTIONS])
     set: dict[str, FiniteInUnits] = Field(
         {}, description="parameters of the controller from then on"

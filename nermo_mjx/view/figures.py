@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from nermo_mjx.control.parameters import ControlParameters, published_values
-from nermo_mjx.control.stepping import FREE, FreeStepping, Stepping
+from nermo_mjx.control.stepping import FREE_TRAJECTORY, FreeStepping, Stepping
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.plotting.charts import FigurePage, horizontal_grid
 from nermo_mjx.plotting.shown import spoken
@@ -97,7 +97,7 @@ class RecordedGait:
         phase = (self.values.get("start.phase", 0.0) + self.recording.time / self.cycle) % 1.0
         names = {name for name, _ in quantities(ControlParameters)}
         values = {name: np.asarray(value) for name, value in self.values.items() if name in names}
-        free = self.recording.metadata.get("setup", {}).get("trajectory") == FREE
+        free = self.recording.metadata.get("setup", {}).get("trajectory") == FREE_TRAJECTORY
         stepping = FreeStepping() if free else Stepping()
         limbs = stepping.limbs(replace_quantities(ControlParameters(), values), jnp.asarray(phase))
         return np.asarray(limbs.stance)

@@ -508,18 +508,21 @@ def test_the_observers_have_their_poles_where_their_bandwidth_says(bandwidth, fr
     with jax.enable_x64(True):
         course, sway = map(np.asarray, pilot.observer_gains(bandwidth, cycles))
     course, sway = course[:, which], sway[which]
-    plant = np.zeros((2 + 2 * len(pilot.HARMONICS),) * 2)
+    plant = np.zeros((2 + 2 * len(pilot.SWAY_HARMONICS),) * 2)
     plant[:2, :2] = [[1.0, 1.0], [0.0, 1.0]]
     seen = np.zeros(len(plant))
     seen[0] = 1.0
-    for place, harmonic in zip(range(2, len(plant), 2), pilot.HARMONICS, strict=True):
+    for place, harmonic in zip(range(2, len(plant), 2), pilot.SWAY_HARMONICS, strict=True):
         angle = 2 * np.pi * harmonic * cycles
         cosine, sine = np.cos(angle), np.sin(angle)
         plant[place : place + 2, place : place + 2] = [[cosine, -sine], [sine, cosine]]
         seen[place] = 1.0
     left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), seen @ plant)
-    angles = 2 * np.pi * cycles * np.asarray(pilot.HARMONICS)
-    fast, slow = np.exp(-bandwidth * cycles), np.exp(-pilot.SLOW[which] * bandwidth * cycles)
+    angles = 2 * np.pi * cycles * np.asarray(pilot.SWAY_HARMONICS)
+    fast, slow = (
+        np.exp(-bandwidth * cycles),
+        np.exp(-pilot.DECAY_RATE_RATIOS[which] * bandwidth * cycles),
+    )
     wanted = np.poly(
         [fast, slow, *(fast * np.exp(1j * angles)), *(fast * np.exp(-1j * angles))]
     ).real
