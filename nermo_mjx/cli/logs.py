@@ -74,7 +74,7 @@ def log_command(file: Path, channels: Path | None) -> Output:
     """
     import numpy as np
 
-    from nermo_mjx.hardware.log import MOVED, table_of_log
+    from nermo_mjx.hardware.log import MOTION_THRESHOLD, table_of_log
     from nermo_mjx.hardware.signals import findings_of, lag_of
 
     log, table = log_of(file, channels), table_of_log(file)
@@ -82,7 +82,11 @@ def log_command(file: Path, channels: Path | None) -> Output:
     rows = []
     for each in log.channels:
         other = commands.get(each.of) if each.quantity == "angle" else None
-        lag = None if other is None or np.ptp(other.values) <= MOVED else lag_of(each, other)[0]
+        lag = (
+            None
+            if other is None or np.ptp(other.values) <= MOTION_THRESHOLD
+            else lag_of(each, other)[0]
+        )
         low, high = float(each.values.min()), float(each.values.max())
         about = {
             "channel": each.name,

@@ -213,15 +213,15 @@ def _play_task(
     **how: Any,
 ) -> Recording:
     """A walk in the task of a training's file or directory."""
-    from nermo_mjx.learn.directory import POLICY_FILE, SPEC
-    from nermo_mjx.learn.evaluation import ZERO, played_task
+    from nermo_mjx.learn.directory import POLICY_FILE, SPEC_FILE
+    from nermo_mjx.learn.evaluation import ZERO_POLICY, played_task
     from nermo_mjx.learn.spec import Training
     from nermo_mjx.learn.task import task_parameters
 
-    training = Training.from_file(path / SPEC if path.is_dir() else path)
+    training = Training.from_file(path / SPEC_FILE if path.is_dir() else path)
     refuse_video(training.setup, video, camera)
     values = options.assigned(assignments, task_parameters(training.setup))
-    policy = policy or (str(path / POLICY_FILE) if path.is_dir() else ZERO)
+    policy = policy or (str(path / POLICY_FILE) if path.is_dir() else ZERO_POLICY)
     with ProgressBar("play", compiles=True):
         return played_task(training, policy, values=values, **how)
 
@@ -301,7 +301,7 @@ _RELOAD = 20.0
 
 def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
     """Write the page of a training anew after each of its checkpoints, until it has ended."""
-    from nermo_mjx.learn.directory import HISTORY, training_status
+    from nermo_mjx.learn.directory import HISTORY_FILE, training_status
     from nermo_mjx.runs import kind_of
     from nermo_mjx.view.trained import trained
 
@@ -311,7 +311,9 @@ def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
     with contextlib.suppress(KeyboardInterrupt):
         while seen == 0 or not status.complete:
             status = training_status(path)
-            written = (path / HISTORY).stat().st_mtime_ns if (path / HISTORY).exists() else 0
+            written = (
+                (path / HISTORY_FILE).stat().st_mtime_ns if (path / HISTORY_FILE).exists() else 0
+            )
             if written != seen or (seen and status.complete):
                 page = trained(path, reload=None if status.complete else _RELOAD)
                 file = None if shown is None else Path(shown.content["page"])
@@ -336,7 +338,7 @@ def _page(
     """The page of a recording or a directory, and how much it shows."""
     from nermo_mjx.runs import kind_of
     from nermo_mjx.view import show
-    from nermo_mjx.view.explore import KINDS, MOST_RECORDINGS, explore
+    from nermo_mjx.view.explore import EXPLORABLE_KINDS, MAX_RECORDINGS, explore
     from nermo_mjx.view.trained import trained
 
     page: Page
@@ -356,13 +358,13 @@ def _page(
     if kind_of(path) == "training":
         page = trained(path)
         return page, {"samples": page.samples}
-    if kind_of(path) not in KINDS:
+    if kind_of(path) not in EXPLORABLE_KINDS:
         raise WrongUse(
             f"{path} is the directory of {kind_of_directory(path).called}: the page of a directory shows the runs of a "
             "sweep or a search, or a training, and nermo-mjx plot draws the others."
         )
     page = explore(
-        path, recordings=MOST_RECORDINGS if recordings is None else recordings, notify=notes.append
+        path, recordings=MAX_RECORDINGS if recordings is None else recordings, notify=notes.append
     )
     return page, {"rows": page.rows, "recordings": page.recordings}
 

@@ -24,7 +24,7 @@ from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.hardware.table import servo_table
 from nermo_mjx.plotting.charts import page as blank_page
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
+from nermo_mjx.plotting.style import BAND_COLOUR, BEST_COLOUR, INK, LINE_COLOUR, MUTED_INK
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
 from nermo_mjx.robot.quantity import quantities
@@ -390,9 +390,9 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
         rows = rows[:: twin.components[i]]
         time = twin.measured.time[rows]
         ax.plot(time, twin.measured.values[rows], ".", ms=2.5, color=INK, label="measured")
-        ax.fill_between(time, low[rows], high[rows], color=BAND, lw=0, alpha=0.7)
-        ax.plot(time, before[rows], color=MUTED, lw=0.9, ls="--", label="default body")
-        ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
+        ax.fill_between(time, low[rows], high[rows], color=BAND_COLOUR, lw=0, alpha=0.7)
+        ax.plot(time, before[rows], color=MUTED_INK, lw=0.9, ls="--", label="default body")
+        ax.plot(time, best[rows], color=LINE_COLOUR, lw=1.2, label="identified")
         ax.set_title(
             f"{twin.labels[i]}{' x' * (twin.components[i] > 1)} [{units[twin.labels[i]]}]",
             loc="left",
@@ -411,11 +411,11 @@ def _residuals(found: Identification) -> Figure:
     )
     ax, y = figure.subplots(), np.arange(len(labels))
     for shift, of, colour, label in (
-        (-0.18, found.before.judgement.rms, BAND, "default body"),
-        (0.18, judged.rms, LINE, "identified"),
+        (-0.18, found.before.judgement.rms, BAND_COLOUR, "default body"),
+        (0.18, judged.rms, LINE_COLOUR, "identified"),
     ):
         ax.barh(y + shift, of / judged.noise, 0.36, color=colour, label=label)
-    ax.axvline(1.0, color=BEST, lw=0.9, label="noise")
+    ax.axvline(1.0, color=BEST_COLOUR, lw=0.9, label="noise")
     ax.set_yticks(y, labels)
     ax.set(xscale="log", xlabel="root mean square [noise]", ylim=(len(labels) - 0.4, -0.6))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
@@ -432,7 +432,7 @@ def intervals_figure(found: Identification) -> Figure:
         "90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space)
     )
     ax, y = figure.subplots(), np.arange(len(space))
-    colours = [LINE if known else BAND for known in fit.determined]
+    colours = [LINE_COLOUR if known else BAND_COLOUR for known in fit.determined]
     ax.hlines(y, *ends, color=colours, lw=4)
     ax.plot((fit.x - space.low) / span, y, "|", color=INK)
     ax.set_yticks(y, [each.name for each in space.parameters])

@@ -25,7 +25,7 @@ from nermo_mjx.control.protocol import ChecksParameters, data_of
 from nermo_mjx.control.schedule import MODE_CHOICES, MODE_GAINS, Schedule, Switch, turned
 from nermo_mjx.control.spine_modes import LATERAL_MODES, NO_MODE, SAGITTAL_MODES
 from nermo_mjx.files import MAX_FILE_BYTES, read_as, read_bytes
-from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine
+from nermo_mjx.physics.c_engine import BLOCK_WORLDS, CBodies, CEngine
 from nermo_mjx.recording import Metadata, Recording, RecordingError, model_hash
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities, replace_quantities, values_of
@@ -40,10 +40,10 @@ from nermo_mjx.specs.walk import RecordedSetup, WalkSpec
 from nermo_mjx.trust import FileError
 
 #: Largest force of a push on each axis [N]; the robot weighs 2.65 N. Longest push [s].
-MOST_FORCE: Final = 10.0
-LONGEST_PUSH: Final = 5.0
+LARGEST_FORCE_NEWTONS: Final = 10.0
+LONGEST_PUSH_SECONDS: Final = 5.0
 #: Changes under way at once: each takes its time in every tick.
-MOST_BLENDS: Final = 100
+MAX_BLENDS: Final = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Driving:
         # Commands that have not ended: tick at which each began, how long it takes [s], by how much values change.
         self._blends: list[tuple[int, float, np.ndarray]] = []
         self.ticks, self.commands, self._due = 0, list[tuple[int, Switch]](), list[Switch]()
-        lanes, readings = self._lanes(), np.tile(rest, (LANES, 1))
+        lanes, readings = self._lanes(), np.tile(rest, (BLOCK_WORLDS, 1))
         self._compiled = self._engine.packed(lanes, readings)
         self._row = self._compiled.pack(lanes)
         self._state = self._compiled.init(self._row, readings)
@@ -187,9 +187,9 @@ class Driving:
                 legs' workspace, or a limb that would go backward; nothing has changed then.
         """
         values, rate = switch.absolute(), self.cycle_rate
-        if len(self._blends) >= MOST_BLENDS:
+        if len(self._blends) >= MAX_BLENDS:
             raise ParameterError(
-                f"command: {MOST_BLENDS} changes are under way, and no more are allowed at once."
+                f"command: {MAX_BLENDS} changes are under way, and no more are allowed at once."
             )
         for name, value in values.items():
             self.parameters[choice("parameter", name, self.parameters)].check(name, value)
@@ -232,7 +232,7 @@ class Driving:
         if self._blends:
             self._blend()
             self._row = self._compiled.pack(self._lanes())
-        lanes = np.tile(np.asarray(readings, float), (LANES, 1, 1))
+        lanes = np.tile(np.asarray(readings, float), (BLOCK_WORLDS, 1, 1))
         self._state, ctrl = self._compiled.step(self._compiled.once, self._row, self._state, lanes)
         self.ticks += 1
         return np.asarray(ctrl)[0]
@@ -271,13 +271,13 @@ class Driving:
             raise ParameterError(
                 f"push.body is {body}: allowed is one of the robot's, below {bodies}."
             )
-        if not np.all(np.abs(force) <= MOST_FORCE):
+        if not np.all(np.abs(force) <= LARGEST_FORCE_NEWTONS):
             raise ParameterError(
-                f"push.force is {list(force)}: allowed is [-{MOST_FORCE:g}, {MOST_FORCE:g}] N."
+                f"push.force is {list(force)}: allowed is [-{LARGEST_FORCE_NEWTONS:g}, {LARGEST_FORCE_NEWTONS:g}] N."
             )
-        if not 0 < seconds <= LONGEST_PUSH:
+        if not 0 < seconds <= LONGEST_PUSH_SECONDS:
             raise ParameterError(
-                f"push.seconds is {seconds:g}: allowed is (0, {LONGEST_PUSH:g}] s."
+                f"push.seconds is {seconds:g}: allowed is (0, {LONGEST_PUSH_SECONDS:g}] s."
             )
         ticks = max(1, round(seconds / self.dt))
         self.pushes.append(
@@ -387,7 +387,7 @@ class Driving:
 
     def _lanes(self) -> Any:
         params = dataclasses.replace(self._params, control=self.control)
-        return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf), LANES, 0), params)
+        return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf), BLOCK_WORLDS, 0), params)
 
 
 def _numbers(control: Any) -> dict[str, float]:
@@ -457,7 +457,7 @@ class _Driven(BaseModel, extra="forbid"):
 
 
 #: How often a journal is written [s].
-_EVERY: Final = 0.25
+_JOURNAL_SECONDS: Final = 0.25
 
 
 class Appended:
@@ -484,7 +484,7 @@ class Appended:
     def _work(self) -> None:
         ended = False
         while not ended:
-            ended = self._stop.wait(_EVERY)
+            ended = self._stop.wait(_JOURNAL_SECONDS)
             self._left += self._more()
             try:
                 while self._left:

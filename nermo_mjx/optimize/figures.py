@@ -47,7 +47,17 @@ from nermo_mjx.plotting.charts import (
 )
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
-from nermo_mjx.plotting.style import BAND, BEST, COLOURS, GRID, INK, LINE, MISSING, MUTED, SERIES
+from nermo_mjx.plotting.style import (
+    BAND_COLOUR,
+    BEST_COLOUR,
+    COLOUR_MAP,
+    GRID,
+    INK,
+    LINE_COLOUR,
+    MISSING_COLOUR,
+    MUTED_INK,
+    SERIES,
+)
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, stamp
 from nermo_mjx.runs.files import DirectoryError, parquet_table
@@ -148,14 +158,18 @@ class Traces:
 
 def corner(ax: Axes, text: str, y: float = 1.01, va: Literal["bottom", "top"] = "bottom") -> None:
     """A small note at the top right of a panel."""
-    ax.annotate(text, (1, y), xycoords="axes fraction", ha="right", va=va, fontsize=8, color=MUTED)
+    ax.annotate(
+        text, (1, y), xycoords="axes fraction", ha="right", va=va, fontsize=8, color=MUTED_INK
+    )
 
 
 def star(
     ax: Axes, x: Any, y: Any, size: float = 150, lw: float | None = None, zorder: float = 8
 ) -> None:
     """A star at the best point."""
-    ax.scatter(x, y, s=size, marker="*", fc=BEST, ec="white", lw=lw, zorder=zorder, clip_on=False)
+    ax.scatter(
+        x, y, s=size, marker="*", fc=BEST_COLOUR, ec="white", lw=lw, zorder=zorder, clip_on=False
+    )
 
 
 def legend(ax: Axes, handles: Any = None, labels: Any = None, **more: Any) -> None:
@@ -224,7 +238,7 @@ def objective_figure(traces: Traces) -> Figure:
         _draw_starts(ax, traces, quantity.values)
         if term.aim == "hold":
             target = float(traces.in_shown_unit(metric, np.asarray(term.at)))
-            ax.axhline(target, color=MUTED, lw=1.0, ls="--", zorder=1)
+            ax.axhline(target, color=MUTED_INK, lw=1.0, ls="--", zorder=1)
         corner(ax, _AIMS[term.aim])
         ax.set_ylabel(quantity.label)
     star(axes[0], iteration, best, lw=0.9, zorder=6)
@@ -290,7 +304,7 @@ def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
         styles[best]["zorder"] = 4
         return styles if len(drawn) > 1 else {best: styles[best] | {"label": None}}
     styles = {
-        start: {"color": BAND, "lw": 0.9, "alpha": 0.8, "zorder": 2, "label": None}
+        start: {"color": BAND_COLOUR, "lw": 0.9, "alpha": 0.8, "zorder": 2, "label": None}
         for start in drawn
     }
     styles[drawn[-1]]["label"] = "other starts"
@@ -302,7 +316,7 @@ def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
         "label": "start 0 (given)",
     }
     styles[best] |= {
-        "color": LINE,
+        "color": LINE_COLOUR,
         "lw": 1.8,
         "alpha": 1.0,
         "zorder": 4,
@@ -378,10 +392,10 @@ def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> 
         bounds = (low, high)
         for begin, end in ((first, low), (high, last)):
             if begin < end:
-                ax.axhspan(begin, end, color=MISSING, alpha=0.45, lw=0, zorder=0)
+                ax.axhspan(begin, end, color=MISSING_COLOUR, alpha=0.45, lw=0, zorder=0)
     for bound in bounds:
         if first <= bound <= last:
-            ax.axhline(bound, color=MUTED, lw=0.9, ls=(0, (4, 3)), zorder=1)
+            ax.axhline(bound, color=MUTED_INK, lw=0.9, ls=(0, (4, 3)), zorder=1)
 
 
 def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
@@ -540,7 +554,7 @@ def has_landscape(tuning: Tuning) -> bool:
 
 
 #: Lower is better, and brighter.
-_COLOURS: Final = f"{COLOURS}_r"
+_COLOURS: Final = f"{COLOUR_MAP}_r"
 _LEVELS: Final = 18
 _LABEL: Final = "objective, lower is better [1]"
 #: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
@@ -563,7 +577,7 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     )
     figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
     ax = figure.subplots()
-    ax.set_facecolor("white" if landscape is None else MISSING)
+    ax.set_facecolor("white" if landscape is None else MISSING_COLOUR)
     ends = [traces.in_shown_unit(each.name, np.array(each.bounds)) for each in pair]
     if landscape is not None:
         _draw_landscape(figure, ax, traces, landscape)
@@ -611,7 +625,7 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     ax = figure.subplots()
     if landscape is not None:
         nodes = traces.in_shown_unit(each.name, landscape.axes[each.name])
-        ax.plot(nodes, landscape.value, color=MUTED, lw=1.4, zorder=1)
+        ax.plot(nodes, landscape.value, color=MUTED_INK, lw=1.4, zorder=1)
     place, value = (
         traces.in_shown_unit(each.name, traces.column(each.name)),
         traces.column("objective"),
@@ -638,7 +652,7 @@ def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landsca
             1,
             1,
             transform=ax.transAxes,
-            fc=MISSING,
+            fc=MISSING_COLOUR,
             ec="white",
             hatch="////",
             lw=0,
@@ -710,7 +724,7 @@ def _draw_path(
     for turn in copies:
         x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
         if thin:
-            ax.plot(x, y, color=MUTED, lw=0.8, zorder=4)
+            ax.plot(x, y, color=MUTED_INK, lw=0.8, zorder=4)
             ax.plot(x[:1], y[:1], ms=8, mfc="none", mec=INK, mew=1.2, **mark)
         else:
             ax.plot(
@@ -897,15 +911,20 @@ def convergence(found: Evaluations) -> Figure:
     figure = page(f"{_title(quantity)} over the evaluations", _WIDTH, 4.4, note)
     ax = figure.subplots()
     ax.scatter(
-        number[allowed], values[allowed], s=9, color=BAND, lw=0, rasterized=len(values) > 2000
+        number[allowed],
+        values[allowed],
+        s=9,
+        color=BAND_COLOUR,
+        lw=0,
+        rasterized=len(values) > 2000,
     )
     reached = np.isfinite(cost[leading])
-    ax.step(number[reached], values[leading][reached], where="post", color=LINE)
+    ax.step(number[reached], values[leading][reached], where="post", color=LINE_COLOUR)
     star(ax, number[best], values[best], 170, zorder=5)
     if not allowed.all():  # short lines at the bottom where a point fell or broke a constraint
         height = np.full(int((~allowed).sum()), 0.01)
         ax.plot(
-            number[~allowed], height, "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform()
+            number[~allowed], height, "|", color=MUTED_INK, ms=5, transform=ax.get_xaxis_transform()
         )
     terms = found.search.aim.objective.terms
     higher = len(terms) == 1 and terms[0].aim == "maximize"
@@ -950,7 +969,7 @@ def hypervolume(found: Evaluations) -> Figure:
     )
     figure = page("Hypervolume of the front over the evaluations", _WIDTH, 3.6, note)
     ax = figure.subplots()
-    ax.step(_ends(found), 100 * shares, where="post", color=LINE)
+    ax.step(_ends(found), 100 * shares, where="post", color=LINE_COLOUR)
     ax.set(xlabel="evaluations [1]", ylabel="hypervolume [%]", xlim=(0, len(found.scores) + 1))
     horizontal_grid(ax)
     return figure
@@ -967,12 +986,12 @@ def coverage(found: Evaluations) -> Figure:
     note += "what their best is better than the worst of the first batch"
     figure = page("Filled cells and QD score over the evaluations", _WIDTH, 4.8, note)
     top, bottom = figure.subplots(2, 1, sharex=True)
-    top.step(_ends(found), filled, where="post", color=LINE)
+    top.step(_ends(found), filled, where="post", color=LINE_COLOUR)
     top.set_ylabel("filled cells [1]")
     scale = ShownValues("", "", total)
     if len(terms) == 1 and terms[0].aim != "hold":
         scale = _quantity(found, terms[0].metric, total * terms[0].scale / terms[0].weight)
-    bottom.step(_ends(found), scale.values, where="post", color=LINE)
+    bottom.step(_ends(found), scale.values, where="post", color=LINE_COLOUR)
     bottom.set_ylabel(f"QD score [{scale.unit or 1}]")
     for ax in (top, bottom):
         ax.set_ylim(bottom=0)
@@ -1004,7 +1023,7 @@ def atlas(found: Evaluations) -> Figure:
         ax.remove()
     for ax, pair in zip(axes, pairs, strict=False):
         _map(ax, found, points, quantity, scale, pair, best)
-    bar = ScalarMappable(scale, COLOURS)
+    bar = ScalarMappable(scale, COLOUR_MAP)
     colour_bar(figure, axes[: len(pairs)], bar, quantity.label, shrink=0.9, extend=extend)
     return around(figure, title, note)
 
@@ -1033,7 +1052,7 @@ def _map(
     grid[places[0][order], places[1][order]] = z.values[points[order]]
     ax.set_facecolor("#fafafa")
     ax.pcolormesh(
-        edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS
+        edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOUR_MAP
     )
     star(ax, at[0], at[1], 190, 1.3, zorder=5)
     set_scales(ax, *edges)
@@ -1061,7 +1080,7 @@ def _bars(
         np.diff(edges.values)[cell],
         floor,
         align="edge",
-        color=BAND,
+        color=BAND_COLOUR,
         ec="white",
     )
     at = _quantity(found, measure.metric, found.scores.measures[best, 0])

@@ -41,8 +41,8 @@ from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, optional,
 from nermo_mjx.specs.model import Spec, named_section, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, dump, read_file
 from nermo_mjx.specs.values import (
-    MEASURED,
-    MEASURED_TEXT,
+    FILE_METRICS,
+    QUANTITY_SCHEMA,
     ByParameter,
     Checked,
     Choice,
@@ -220,7 +220,7 @@ class Tuned(Spec):
     elsewhere = ("name",)
     bounds: Ends = None  # type: ignore[assignment]  # none cannot be written in a file
     """by default its range"""
-    start: Annotated[float, Field(json_schema_extra=MEASURED_TEXT)] = None  # type: ignore[assignment]
+    start: Annotated[float, Field(json_schema_extra=QUANTITY_SCHEMA)] = None  # type: ignore[assignment]
     """value of the first start, by default the parameter's"""
     periodic: bool = False
     """whether it wraps around from one bound to the other"""
@@ -652,7 +652,7 @@ MOST_CELLS: Final = 1_000_000
 
 def searched() -> tuple[str, ...]:
     """Metrics that a search may name, custom ones among them, while its file is read."""
-    return tuple(name for name in objective_metrics(MEASURED.get()) if name != TRAJECTORY_ERROR)
+    return tuple(name for name in objective_metrics(FILE_METRICS.get()) if name != TRAJECTORY_ERROR)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -33,7 +33,7 @@ from nermo_mjx.files import (
 )
 from nermo_mjx.runs.code import CodeStamp, stored_stamp
 from nermo_mjx.runs.files import (
-    TEMPORARY,
+    TEMPORARY_SUFFIX,
     DirectoryError,
     WrongDirectory,
     clear_errors,
@@ -92,7 +92,7 @@ class RunDirectory:
                 for leftover in (
                     found
                     for folder in FOLDERS
-                    for found in (self.out / folder).glob(f".*{TEMPORARY}*")
+                    for found in (self.out / folder).glob(f".*{TEMPORARY_SUFFIX}*")
                 ):
                     leftover.unlink(missing_ok=True)
             self._held = stack.pop_all()

@@ -16,11 +16,11 @@ from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
 from nermo_mjx.rollout.own_metrics import FORM, KEPT, kept_metrics, metrics_digest, source_of
 from nermo_mjx.specs.reading import Document, describe
-from nermo_mjx.specs.values import MEASURED, NAMES
+from nermo_mjx.specs.values import FILE_METRICS, FILE_PARAMETERS
 
 #: The copies of the files of a controller and of metrics in a directory.
-KEPT_CONTROLLER: Final = "controller.py"
-KEPT_METRICS: Final = "metrics.py"
+CONTROLLER_COPY: Final = "controller.py"
+METRICS_COPY: Final = "metrics.py"
 
 
 def named_controller(doc: Document) -> str | None:
@@ -79,19 +79,21 @@ def known_names(doc: Document) -> Iterator[None]:
     except ParameterError as error:
         field, _, message = str(error).partition(" ")
         doc.fail((field,), message)
-    parameters = dict(quantities(setup.world({}))) if controller is not None else NAMES.get()
+    parameters = (
+        dict(quantities(setup.world({}))) if controller is not None else FILE_PARAMETERS.get()
+    )
     times = {
         f"schedule.{name}": declaration
         for name, declaration in quantities(Schedule)
         if int(name.split(".")[1]) in switches
     }
-    names = NAMES.set({**parameters, **times})
-    metrics = MEASURED.set(all_metrics(setup))
+    names = FILE_PARAMETERS.set({**parameters, **times})
+    metrics = FILE_METRICS.set(all_metrics(setup))
     try:
         yield
     finally:
-        NAMES.reset(names)
-        MEASURED.reset(metrics)
+        FILE_PARAMETERS.reset(names)
+        FILE_METRICS.reset(metrics)
 
 
 def code_identity(setup: Setup) -> dict[str, str]:
@@ -154,12 +156,12 @@ def with_code_copied(setup: Setup, folder: Path, write: Callable[[str, bytes], A
     """
     if isinstance(setup.controller, str):
         setup = dataclasses.replace(
-            setup, controller=kept_code(setup.controller, KEPT_CONTROLLER, folder, write)
+            setup, controller=kept_code(setup.controller, CONTROLLER_COPY, folder, write)
         )
     references = written_metrics(setup)
     if references:
         write(KEPT, kept_metrics(references))
-    metrics = tuple(kept_code(reference, KEPT_METRICS, folder, write) for reference in references)
+    metrics = tuple(kept_code(reference, METRICS_COPY, folder, write) for reference in references)
     return dataclasses.replace(setup, metrics=metrics) if metrics else setup
 
 

@@ -23,14 +23,16 @@ from nermo_mjx.specs.reading import Document, FieldPath, describe
 #: Every parameter, for a file without a setup; each setup has the same names.
 PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
 #: Parameters that the current file may name: a custom controller has others.
-NAMES: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar("NAMES", default=PARAMETERS)
+FILE_PARAMETERS: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar(
+    "FILE_PARAMETERS", default=PARAMETERS
+)
 #: Metrics of the current file's runs: with custom metrics there are more.
-MEASURED: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("MEASURED", default=METRICS)
+FILE_METRICS: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("FILE_METRICS", default=METRICS)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 #: A parameter's number to an editor: a text may have a unit.
-MEASURED_TEXT: Final[JsonSchema] = {"type": ["number", "string"], "pattern": r"^\s*[-+]?\.?[0-9]"}
-FiniteInUnits = Annotated[Finite, Field(json_schema_extra=MEASURED_TEXT)]
+QUANTITY_SCHEMA: Final[JsonSchema] = {"type": ["number", "string"], "pattern": r"^\s*[-+]?\.?[0-9]"}
+FiniteInUnits = Annotated[Finite, Field(json_schema_extra=QUANTITY_SCHEMA)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -173,7 +175,7 @@ class Numbers(Checked):
 
     def schema(self, base: JsonSchema) -> JsonSchema:
         limits = {} if self.most is None else {"maxItems": self.most}
-        items = {"items": MEASURED_TEXT} if self.of_parameter else {}
+        items = {"items": QUANTITY_SCHEMA} if self.of_parameter else {}
         return {**base, **items, "minItems": self.least, **limits, "description": self.written}
 
 
@@ -248,7 +250,7 @@ def by_parameter(value: JsonSchema) -> JsonSchema:
         name: {**(value or number), "description": number["description"]}
         for name, number in numbers.items()
     }
-    patterns = {r"[*?\[]": value or MEASURED_TEXT}
+    patterns = {r"[*?\[]": value or QUANTITY_SCHEMA}
     return {"properties": names, "patternProperties": patterns, "additionalProperties": False}
 
 
@@ -293,7 +295,7 @@ def refuse_parameter(name: str, additional: Iterable[str] = ()) -> None:
         name: of the parameter.
         additional: names of what is allowed beside parameters.
     """
-    names = NAMES.get()
+    names = FILE_PARAMETERS.get()
     if name in names:
         return
     group = name.rpartition(".")[0]
@@ -309,5 +311,7 @@ def refuse_parameter(name: str, additional: Iterable[str] = ()) -> None:
         )
     mates += additional if "." not in name else ()
     listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
-    reason = "is a metric, and not a parameter" if name in MEASURED.get() else "is not a parameter"
+    reason = (
+        "is a metric, and not a parameter" if name in FILE_METRICS.get() else "is not a parameter"
+    )
     raise Refused(f"{reason}; {listed}{did_you_mean(name, [*additional, *names])}", name)

@@ -36,8 +36,23 @@ from nermo_mjx.plotting.charts import (
     set_scales,
     signed,
 )
-from nermo_mjx.plotting.shown import LEVEL, ShownValues, half_width, shown, spoken, titled
-from nermo_mjx.plotting.style import BEST, GAIN_COLOURS, GRID, INK, MISSING, MUTED, SERIES
+from nermo_mjx.plotting.shown import (
+    CONFIDENCE_LEVEL,
+    ShownValues,
+    half_width,
+    shown,
+    spoken,
+    titled,
+)
+from nermo_mjx.plotting.style import (
+    BEST_COLOUR,
+    GAIN_COLOUR_MAP,
+    GRID,
+    INK,
+    MISSING_COLOUR,
+    MUTED_INK,
+    SERIES,
+)
 from nermo_mjx.runs.files import plain_json
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.counting import Variants, counts, losses, matched, told, two_stage
@@ -60,7 +75,7 @@ from nermo_mjx.sweep.table import (
 # from the repeat's mean (Nelson and Matejcik, Manage. Sci. 41, 1995); the noise of all contenders is one number. Points
 # far below are left out first, at a tenth of the error, so that neither their number nor their noise counts.
 
-#: Probability of losing the best point before the last look, of all of 1 - `LEVEL`.
+#: Probability of losing the best point before the last look, of all of 1 - `CONFIDENCE_LEVEL`.
 EARLY: Final = 0.01
 #: Share of a look's error that the points far below take.
 _SCREENED: Final = 0.1
@@ -93,7 +108,7 @@ def hsu_margin(points: int, freedom: int, level: float, skew: float = 0.0) -> fl
     return float(optimize.brentq(beyond, 0.0, 500.0, xtol=1e-4))
 
 
-def undistinguished(values: np.ndarray, level: float = LEVEL) -> np.ndarray:
+def undistinguished(values: np.ndarray, level: float = CONFIDENCE_LEVEL) -> np.ndarray:
     """Which points may be the best, (k,) bool: the best one is among them with this probability at least.
 
     >>> undistinguished(np.array([[1.0, 5.0, 5.1], [1.1, 5.2, 5.1], [0.9, 5.1, 5.0], [1.0, 5.0, 5.0]])).tolist()
@@ -191,7 +206,7 @@ def judged(values: np.ndarray, there: np.ndarray, asked: SoughtOptimum, repeats:
             return Judged(-1, alive, alive, len(block), spent, none, "lost")
         early, last, contenders = alive.copy(), alive.copy(), alive.copy()
         early[alive] = undistinguished(used, 1 - EARLY / 2**look)
-        last[alive] = undistinguished(used, LEVEL + (EARLY if asked.budget else 0.0))
+        last[alive] = undistinguished(used, CONFIDENCE_LEVEL + (EARLY if asked.budget else 0.0))
         price, few = int(early.sum()) * repeats, bool(asked.budget) and early.sum() <= asked.until
         best = int(np.flatnonzero(alive)[used.mean(axis=0).argmax()])
         if few or spent + price > asked.budget:
@@ -682,7 +697,7 @@ _COLUMNS: Final = 3
 _STAR: Final[dict[str, Any]] = {
     "marker": "*",
     "ms": 14,
-    "color": BEST,
+    "color": BEST_COLOUR,
     "mec": "white",
     "lw": 0,
     "zorder": 4,
@@ -701,7 +716,7 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     # Symmetric about 0; losses far beyond the best gain are cut off, as they would leave the gains pale.
     far = max(known.max(initial=0.0), 0.3 * np.abs(known).max(initial=1e-9))
     colours = ScalarMappable(
-        Normalize(-far, far), GAIN_COLOURS if asked.side == "max" else f"{GAIN_COLOURS}_r"
+        Normalize(-far, far), GAIN_COLOUR_MAP if asked.side == "max" else f"{GAIN_COLOUR_MAP}_r"
     )
     columns = min(len(answers), _COLUMNS)
     lines = -(-len(answers) // columns)
@@ -738,7 +753,7 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
                 fc=np.where(inside, SERIES[0], "white"),
                 zorder=3,
             )
-            ax.axhline(0, color=MUTED, lw=0.8)
+            ax.axhline(0, color=MUTED_INK, lw=0.8)
         ax.plot(x.values[here], (more[0].values if flat else gain)[here], **_STAR, clip_on=False)
         set_scales(ax, x, more[0] if flat else None)
         _, share, ends = found.numbers(answer, asked.metric)
@@ -813,7 +828,7 @@ def _draw_map(
     )
     columns, rows = cell_edges(xs, x.log), cell_edges(ys, y.log)
     scale: Any = look.norm
-    ax.set_facecolor(MISSING)
+    ax.set_facecolor(MISSING_COLOUR)
     ax.pcolormesh(columns, rows, np.ma.masked_invalid(cells.T), norm=scale, cmap=look.cmap)
     framed = np.pad(inside > 0, 1)
     upright, level = (
@@ -840,7 +855,7 @@ def _draw_costs(
     ]
     far = 115 * float(np.nanmax([*ends, 0.01]))
     for i, (ax, own) in enumerate(zip(axes, lines, strict=True)):
-        ax.axvline(0, color=MUTED, lw=0.8)
+        ax.axvline(0, color=MUTED_INK, lw=0.8)
         for place, line in enumerate(own):
             if not math.isfinite(line.get("relative", math.nan)):
                 continue

@@ -607,7 +607,7 @@ def test_progress_on_a_terminal_is_a_bar_and_quiet_is_nothing() -> None:
 
 
 def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nermo_mjx.progress.PATIENCE", 0.05)
+    monkeypatch.setattr("nermo_mjx.progress.STALL_SECONDS", 0.05)
     slow, quick = io.StringIO(), io.StringIO()
     for stream, moves in ((slow, False), (quick, True)):
         with ProgressBar("walk", compiles=True, stream=stream) as progress:

@@ -223,7 +223,7 @@ def test_the_differences_choose_their_width_and_the_gradient_has_no_say() -> Non
         differences=np.array([[1.1, 2.0], [1.001, 2.0], [1.0, 2.0], [0.9, 2.0], [0.1, 2.0]]),
         end=np.zeros(1),
     )
-    assert checking.WIDTHS[found.chosen] == 1e-5
+    assert checking.DIFFERENCE_WIDTHS[found.chosen] == 1e-5
     assert found.spread == pytest.approx(1e-3 / np.hypot(1.0, 2.0))
     assert not np.isfinite(
         checking.distance(found.group, np.array([np.nan, 0.0]), found.differences[0])

@@ -26,12 +26,12 @@ from fakes.wires import CHANNELS, Together, until
 
 from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import read_channels, read_log
-from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
+from nermo_mjx.hardware.live import ANSWER_SECONDS, ROS_TYPE, TOPIC, NotSentError, SendError, linked
 from nermo_mjx.hardware.signals import findings_of
 from nermo_mjx.live.driving import Journal, replayed
 from nermo_mjx.live.server import LiveDrive
 from nermo_mjx.live.wire import (
-    APPROACH,
+    APPROACH_RAD_PER_SECOND,
     SENSORS_TOPIC,
     Driven,
     LinkLog,
@@ -225,9 +225,9 @@ def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(drivi
     away = both.measured.pose.copy()
     both.walk(2.0)
     steps = np.abs(np.diff([np.zeros(12), *both.commands], axis=0))[1:]
-    begins = int(np.argmax(steps.max(axis=1) > APPROACH * driving.dt + 1e-5))
+    begins = int(np.argmax(steps.max(axis=1) > APPROACH_RAD_PER_SECOND * driving.dt + 1e-5))
     assert begins > 20, "the poses at phases 0 and 1/2 are that far apart"
-    assert steps[:begins].max() <= APPROACH * driving.dt + 1e-5
+    assert steps[:begins].max() <= APPROACH_RAD_PER_SECOND * driving.dt + 1e-5
     assert np.abs(both.commands[0][[0, 2, 4, 6]] - away[:4]).max() < 1e-4
     assert driving.driven.walked == pytest.approx(
         (len(both.commands) - begins) * driving.dt, abs=0.05
@@ -254,7 +254,7 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> Non
         "no jump: where it was, slowly to where it held"
     )
     both.silent = True
-    both.walk(PATIENCE + 0.5)
+    both.walk(ANSWER_SECONDS + 0.5)
     assert driving.driven.ended == "no message of the robot for 5 s"
 
 
@@ -278,14 +278,17 @@ def test_after_a_pause_the_robot_is_approached_from_where_it_is(
     sent = len(both.commands)
     driving.step()
     assert len(both.commands) == sent + 1
-    assert np.abs(driving.pose - both.measured.pose).max() <= APPROACH * driving.dt + 1e-6
+    assert (
+        np.abs(driving.pose - both.measured.pose).max()
+        <= APPROACH_RAD_PER_SECOND * driving.dt + 1e-6
+    )
 
 
 @pytest.mark.release
 def test_a_robot_that_is_silent_during_a_pause_ends_the_drive(driving) -> None:
     both = Together(driving)
     both.walk(0.5)
-    both.clock.now += PATIENCE + 0.1
+    both.clock.now += ANSWER_SECONDS + 0.1
     with pytest.raises(SendError, match="no message of the robot for 5 s"):
         driving.watch()
 
@@ -301,7 +304,7 @@ def test_a_page_that_is_closed_ends_the_drive_of_a_robot(driving, monkeypatch) -
     drive._began = drive.paused = True
     assert drive.away == 0.0
     driving.watch()
-    drive._gone = [time.perf_counter() - PATIENCE - 0.1]
+    drive._gone = [time.perf_counter() - ANSWER_SECONDS - 0.1]
     monkeypatch.setattr(time, "sleep", lambda _: None)
     with pytest.raises(SendError, match="no message for 5 s"):
         drive.run(1.0)
@@ -394,7 +397,7 @@ def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
     driven = driving.run(None, wait)
     assert driven.ended == "a:1: the MQTT broker is gone"
     assert driven.unsent == pytest.approx(
-        (PATIENCE - both.measured.watchdog) / driving.dt, rel=0.02
+        (ANSWER_SECONDS - both.measured.watchdog) / driving.dt, rel=0.02
     )
 
 
@@ -606,7 +609,7 @@ def test_a_robot_that_says_nothing_is_told_at_the_start(
         yield lambda message: None
 
     monkeypatch.setattr("nermo_mjx.live.wire.linked", linked)
-    monkeypatch.setattr("nermo_mjx.live.wire.QUIET", 0.05)
+    monkeypatch.setattr("nermo_mjx.live.wire.SILENCE_SECONDS", 0.05)
     monkeypatch.setattr(driving, "needed", set())
     monkeypatch.setattr(driving, "_log", tmp_path / "robot.csv")
     token = MESSAGE_HANDLER.set(told.append)
