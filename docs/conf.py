@@ -14,7 +14,7 @@ from sphinx.application import Sphinx
 import nermo_mjx
 from nermo_mjx import METRICS, all_parameters
 from nermo_mjx.robot.quantity import gathered
-from nermo_mjx.rollout.own_metrics import HEADINGS
+from nermo_mjx.rollout.metric_table import HEADINGS
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
 import results

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
         leg_servos as leg_servos,
         published_controller as published_controller,
     )
-    from nermo_mjx.experiments.log_identification import identify_log as identify_log
-    from nermo_mjx.experiments.log_report import write_identification as write_identification
     from nermo_mjx.experiments.run import (
         run_experiment as run_experiment,
         run_experiments as run_experiments,
@@ -32,6 +30,12 @@ if TYPE_CHECKING:
         ServoTable as ServoTable,
         read_log as read_log,
         servo_table as servo_table,
+    )
+    from nermo_mjx.identify.identification import identify_log as identify_log
+    from nermo_mjx.identify.report import write_identification as write_identification
+    from nermo_mjx.identify.run import (
+        IdentificationResult as IdentificationResult,
+        run_identification as run_identification,
     )
     from nermo_mjx.learn import (
         Environment as Environment,

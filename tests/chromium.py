@@ -106,11 +106,11 @@ class Page:
             !(each.getAttribute("aria-label") || each.getAttribute("aria-labelledby") || each.textContent.trim()
                 || each.closest("label"))).map((each) => each.outerHTML)""")
 
-    def outside(self, ids: list[str], width: int, height: int, least: int = 8) -> list[str]:
+    def outside(self, ids: list[str], width: int, height: int, minimum: int = 8) -> list[str]:
         """Elements that do not lie in the window, or are smaller than that [pixels]."""
         return self.evaluate(f"""{ids}.filter((id) => {{
             const box = document.getElementById(id).getBoundingClientRect();
-            return !(box.width > {least} && box.height > {least} && box.left >= -1 && box.top >= -1
+            return !(box.width > {minimum} && box.height > {minimum} && box.left >= -1 && box.top >= -1
                 && box.right <= {width} + 1 && box.bottom <= {height} + 1);
         }})""")
 
@@ -252,33 +252,33 @@ class Tab(Page):
 
     def complaints(self) -> list[str]:
         """Errors and warnings of the page, and exceptions that nobody caught."""
-        found = []
+        messages = []
         for event in self._browser.events(self._session):
             method, params = event["method"], event["params"]
             if method == "Runtime.exceptionThrown":
-                found.append(json.dumps(params["exceptionDetails"])[:500])
+                messages.append(json.dumps(params["exceptionDetails"])[:500])
             elif method == "Runtime.consoleAPICalled" and params["type"] in (
                 "error",
                 "warning",
                 "assert",
             ):
-                found.append(
+                messages.append(
                     " ".join(
                         str(part.get("value", part.get("description"))) for part in params["args"]
                     )
                 )
             elif method == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
-                found.append(params["entry"]["text"])
-        return found
+                messages.append(params["entry"]["text"])
+        return messages
 
     def requests(self) -> list[str]:
         """Addresses that the page has loaded anything from, data and blobs left out."""
-        sent = [
+        requests = [
             e
             for e in self._browser.events(self._session)
             if e["method"] == "Network.requestWillBeSent"
         ]
-        urls = [event["params"]["request"]["url"] for event in sent]
+        urls = [event["params"]["request"]["url"] for event in requests]
         return [url for url in urls if not url.startswith(("data:", "blob:"))]
 
 
@@ -287,8 +287,11 @@ def browser(path: str, webgl: bool = True) -> Iterator[Browser]:
     """A running Chromium, ended with the context."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         flags = (*FLAGS, *(SOFTWARE if webgl else WITHOUT_WEBGL), f"--user-data-dir={profile}")
-        with started(path, *flags, profile=profile, tells="DevToolsActivePort") as (port, way):
-            address = f"ws://127.0.0.1:{port}{way}"
+        with started(path, *flags, profile=profile, tells="DevToolsActivePort") as (
+            port,
+            path_of_socket,
+        ):
+            address = f"ws://127.0.0.1:{port}{path_of_socket}"
             from websockets.sync.client import connect
 
             with connect(address, max_size=None, compression=None, ping_interval=None) as socket:

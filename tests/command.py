@@ -37,16 +37,16 @@ def json_of(*arguments: str | Path) -> dict[str, Any]:
     return value
 
 
-def run_command(words: list[str], **given: Any) -> Any:
+def run_command(words: list[str], **options: Any) -> Any:
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.run(
-        [sys.executable, "-m", "nermo_mjx", *words], text=True, check=False, **pipes | given
+        [sys.executable, "-m", "nermo_mjx", *words], text=True, check=False, **pipes | options
     )
 
 
-def refused(act: Any, message: str, *given: Any) -> None:
+def refused(act: Any, message: str, *arguments: Any) -> None:
     with pytest.raises(ParameterError) as error:
-        act(*given)
-    said = str(error.value)
-    assert re.search(message, said), said
-    assert "\n" not in said
+        act(*arguments)
+    message_of_error = str(error.value)
+    assert re.search(message, message_of_error), message_of_error
+    assert "\n" not in message_of_error

@@ -39,16 +39,16 @@ def known_flags(flags: str) -> str:
 
     Another process for each flag finds out, in about 0.3 s. Call it before JAX starts.
     """
-    read = "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"
-    asked = {
+    code = "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"
+    processes = {
         flag: subprocess.Popen(
-            [sys.executable, "-c", read],
+            [sys.executable, "-c", code],
             env=os.environ | {"XLA_FLAGS": flag},
             stderr=subprocess.DEVNULL,
         )
         for flag in flags.split()
     }
-    return " ".join(flag for flag, process in asked.items() if process.wait() == 0)
+    return " ".join(flag for flag, process in processes.items() if process.wait() == 0)
 
 
 # Programs of a test run for seconds and compile for longer: XLA does not optimize machine code and leaves out LLVM's
@@ -140,7 +140,7 @@ def _mark_cases(item: pytest.Item) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     for item in items:
         _mark_cases(item)
-    order = {name: place for place, name in enumerate(FIRST)}
+    order = {name: rank for rank, name in enumerate(FIRST)}
     items.sort(key=lambda item: order.get(item.path.name, len(order)))
     config.stash[LONG] = [item.nodeid for item in items if item.get_closest_marker("long")]
 
@@ -194,7 +194,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 #: Modules that make simulators by this name.
 MAKERS = (
     "rollout",
-    "sweep.run",
+    "sweep.forecast",
     "sweep.replay",
     "sweep.simulating",
     "optimize.problems",
@@ -218,9 +218,9 @@ def _name(setup: Setup, engine: str) -> str:
 class SharedSimulator(Simulator):
     """A simulator whose programs count for the simulator, not for the first test that uses them."""
 
-    def run(self, *given: Any, **named: Any) -> RunResult:
+    def run(self, *arguments: Any, **keywords: Any) -> RunResult:
         with guard.shared(_name(without_presettings(self.setup), self.engine.name)):
-            return super().run(*given, **named)
+            return super().run(*arguments, **keywords)
 
 
 @functools.cache
@@ -229,11 +229,11 @@ def _first_of(setup: Setup, engine: str) -> Simulator:
         return SharedSimulator(setup, engine)
 
 
-def shared_simulator(setup: Setup | None = None, engine: str = "auto", **more: Any) -> Simulator:
+def shared_simulator(setup: Setup | None = None, engine: str = "auto", **options: Any) -> Simulator:
     """One for each setup and engine, with the programs it has compiled, which are the same for all gaits."""
     setup = setup or Setup()
-    if more:
-        return Simulator(setup, engine, **more)
+    if options:
+        return Simulator(setup, engine, **options)
     return _first_of(without_presettings(setup), resolve_engine(engine)).with_setup(setup)
 
 
@@ -253,10 +253,10 @@ def drawing():
 
     try:
         offscreen.require_gl()
-    except offscreen.RenderingUnavailable as missing:
+    except offscreen.RenderingUnavailable as error:
         if os.environ.get("CI"):
             raise
-        pytest.skip(str(missing))
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -319,12 +319,12 @@ def canary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def compilations():
     """Names of the programs XLA has compiled since the fixture began, cache hits included."""
-    seen: list[str] = []
+    programs: list[str] = []
 
-    def listen(event: str, duration: float, **about: str) -> None:
+    def listen(event: str, duration: float, **details: str) -> None:
         if event == guard.COMPILED:
-            seen.append(about.get("fun_name", "program"))
+            programs.append(details.get("fun_name", "program"))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
-    yield seen
+    yield programs
     jax.monitoring.unregister_event_duration_listener(listen)

@@ -129,8 +129,8 @@ class Tab(Page):
         """Press and release a key, named as in a KeyboardEvent."""
         pressed = [SHIFT] if shift else []
         pressed.append(KEYS.get(key, key))
-        actions = [{"type": "keyDown", "value": each} for each in pressed]
-        actions += [{"type": "keyUp", "value": each} for each in reversed(pressed)]
+        actions = [{"type": "keyDown", "value": key_name} for key_name in pressed]
+        actions += [{"type": "keyUp", "value": key_name} for key_name in reversed(pressed)]
         self._perform({"type": "key", "id": "keyboard", "actions": actions})
 
     def mouse(self, kind: str, x: float, y: float) -> None:
@@ -141,13 +141,13 @@ class Tab(Page):
             "y": round(y),
             "origin": "viewport",
         }
-        then = {"mousePressed": ["pointerDown"], "mouseReleased": ["pointerUp"]}.get(kind, [])
+        actions = {"mousePressed": ["pointerDown"], "mouseReleased": ["pointerUp"]}.get(kind, [])
         self._perform(
             {
                 "type": "pointer",
                 "id": "mouse",
                 "parameters": {"pointerType": "mouse"},
-                "actions": [move, *({"type": each, "button": 0} for each in then)],
+                "actions": [move, *({"type": action, "button": 0} for action in actions)],
             }
         )
 
@@ -160,8 +160,8 @@ class Tab(Page):
 
     def complaints(self) -> list[str]:
         """Errors and warnings of the page's scripts."""
-        found: list[str] = self._in_browser(CONSOLE)
-        return found
+        messages: list[str] = self._in_browser(CONSOLE)
+        return messages
 
 
 @contextlib.contextmanager

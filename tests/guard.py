@@ -46,7 +46,7 @@ PEAK: Final = pytest.StashKey[int]()
 #: Programs and CPU seconds of the running test, which is "", and of the shared setups that it creates.
 _programs: collections.Counter[str] = collections.Counter()
 _seconds: collections.Counter[str] = collections.Counter()
-_owners, _read = [""], [0.0]
+_owners, _last_reading = [""], [0.0]
 #: The running file, and the programs of its tests so far.
 _file, _of_file = [Path()], dict[str, int]()
 #: In the process that collects reports: a value for each test, for each shared setup, and for each large process.
@@ -64,10 +64,12 @@ jax.monitoring.register_event_duration_secs_listener(_count)
 
 def _charge() -> None:
     """Assign the CPU time since the last call, of this process and of children that ended, to the current owner."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    now = sum(each.ru_utime + each.ru_stime for each in used)
-    _seconds[_owners[-1]] += now - _read[0]
-    _read[0] = now
+    usages = [
+        resource.getrusage(who_id) for who_id in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    ]
+    now = sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    _seconds[_owners[-1]] += now - _last_reading[0]
+    _last_reading[0] = now
 
 
 @contextlib.contextmanager
@@ -115,10 +117,10 @@ def ends_file(item: pytest.Item, following: pytest.Item | None) -> bool:
 def too_many(programs: dict[str, int]) -> str:
     """A sentence if these programs of the tests of a file are too many; else nothing."""
     functions, created = {test.partition("[")[0] for test in programs}, sum(programs.values())
-    most = sorted(programs, key=lambda test: -programs[test])[:3]
+    largest = sorted(programs, key=lambda test: -programs[test])[:3]
     return (
         f"its default tests create {created} programs, more than {MOST_PROGRAMS} for each of {len(functions)} "
-        f"functions; most of them: {', '.join(f'{test} {programs[test]}' for test in most)}"
+        f"functions; most of them: {', '.join(f'{test} {programs[test]}' for test in largest)}"
         if created > MOST_PROGRAMS * len(functions)
         else ""
     )
@@ -161,9 +163,9 @@ def pytest_runtest_teardown(
         item.user_properties.append(("limits", [dict(_programs), _seconds[""]]))
     result = yield
     wrong = []
-    if ends_file(item, nextitem) and (many := too_many(_of_file)):
+    if ends_file(item, nextitem) and (message := too_many(_of_file)):
         wrong.append(
-            f"{item.path.name}: {many}. Compile whole functions with jax.jit, share programs through a fixture of the "
+            f"{item.path.name}: {message}. Compile whole functions with jax.jit, share programs through a fixture of the "
             "module or the session, or mark tests `release`."
         )
     if (peak := peak_bytes()) > max(MOST_BYTES, item.stash[PEAK]):
@@ -175,9 +177,9 @@ def pytest_runtest_teardown(
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    about: dict[str, Any] = dict(report.user_properties) if report.when == "teardown" else {}
-    if "limits" in about:
-        programs, seconds = about["limits"]
+    properties: dict[str, Any] = dict(report.user_properties) if report.when == "teardown" else {}
+    if "limits" in properties:
+        programs, seconds = properties["limits"]
         _tests["programs"][report.nodeid], _tests["seconds"][report.nodeid] = (
             programs.get("", 0),
             seconds,
@@ -188,8 +190,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
             if count > MOST_PROGRAMS or name.startswith(SIMULATOR)
         }
         _setups.update({name: count for name, count in dear.items() if name})
-    if "memory" in about:
-        _tests["memory"][report.nodeid] = about["memory"]
+    if "memory" in properties:
+        _tests["memory"][report.nodeid] = properties["memory"]
 
 
 def _lists() -> Iterator[str]:
@@ -203,7 +205,7 @@ def _lists() -> Iterator[str]:
         file, _, name = test.partition("::")
         files[file][name] = _tests["programs"][test]
     yield from (
-        f"{file}: {many}" for file, programs in files.items() if (many := too_many(programs))
+        f"{file}: {message}" for file, programs in files.items() if (message := too_many(programs))
     )
     setups = _setups if len(_setups) > MOST_SETUPS else {}
     kinds: list[tuple[str, Any, float]] = [
@@ -220,9 +222,9 @@ def _lists() -> Iterator[str]:
             FUNCTION_SECONDS,
         ),
     ]
-    for title, values, most in kinds:
+    for title, values, limit in kinds:
         beyond = sorted(
-            ((value, name) for name, value in values.items() if value > most), reverse=True
+            ((value, name) for name, value in values.items() if value > limit), reverse=True
         )
         yield from [f"{title}: {len(beyond)}"] * bool(beyond)
         yield from (f"  {value:.3g} {name}" for value, name in beyond[:ENTRIES])

@@ -141,8 +141,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "erratum_of_fusion": Mutant(
         "control/spine_modes.py",
-        "1.0 - jnp.abs(steering), jnp.asarray",
-        "1.0 - steering, jnp.asarray",
+        "1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent)",
+        "1.0 - steering, jnp.asarray(spine.fusion_exponent)",
         "A turn to the right amplifies the auxiliary spine mode, as the equation is printed (erratum to 5.46).",
     ),
     "long_way_round": Mutant(
@@ -216,8 +216,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # rollout
     "back_emf": Mutant(
         "rollout/metrics.py",
-        "sensors.servo_torque - brake * sensors",
-        "sensors.servo_torque + brake * sensors",
+        "torque = torque - tick.brake * sensors",
+        "torque = torque + tick.brake * sensors",
         "The back-EMF adds torque to a turning servo in the metrics of work and current.",
     ),
     "image_axis": Mutant(
@@ -228,8 +228,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "fall_before_run": Mutant(
         "rollout/metrics.py",
-        "~(state.fell | state.diverged | state.finished) & begins_in_run(window, time, dt)",
-        "~(state.fell | state.diverged | state.finished)",
+        "judged = ~ended & begins_in_run(window, tick.time, tick.dt)",
+        "judged = ~ended",
         "A fall after the end of a run counts, so that results depend on the batch.",
     ),
     "spread_of_gradient": Mutant(
@@ -240,8 +240,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "rest_of_cycle": Mutant(
         "rollout/path_metrics.py",
-        "place=kept * sum_place + rest * place",
-        "place=kept * sum_place",
+        "place=is_open * sum_place + rest_time * position",
+        "place=is_open * sum_place",
         "The mean position of a gait cycle misses the rest of the tick in which the last cycle ended.",
     ),
     # runs
@@ -296,26 +296,26 @@ MUTANTS: Final[dict[str, Mutant]] = {
         "A normal distribution is clipped to the range instead of truncated, so that samples pile up at its ends.",
     ),
     "fresh_runs_choose": Mutant(
-        "sweep/optimum.py",
+        "sweep/selection.py",
         "begin = asked.fresh + look * repeats",
         "begin = look * repeats",
         "The runs that validate the optimum also choose it.",
     ),
     # optimize
     "rank_of_fallen": Mutant(
-        "optimize/methods.py",
+        "optimize/search_methods.py",
         "fallen = worst + 2.0 + np.nanmax",
         "fallen = worst + 1.0 + 0.0 * np.nanmax",
         "A fallen robot ranks before a robot that violates a constraint.",
     ),
     "best_without_gradient": Mutant(
-        "optimize/methods.py",
+        "optimize/tuner.py",
         "better = ok & (value < state.best_value)",
         "better = value < state.best_value",
         "A point without a finite gradient becomes the best point of a tuning.",
     ),
     "edge_of_atlas": Mutant(
-        "optimize/methods.py",
+        "optimize/search_methods.py",
         "(values <= measure.high)",
         "(values < measure.high)",
         "A point at the upper end of a measure's range is not in the atlas.",
@@ -359,19 +359,19 @@ MUTANTS: Final[dict[str, Mutant]] = {
         "The reported amplitude of an angle is its range.",
     ),
     "white_floor": Mutant(
-        "experiments/determinacy.py",
+        "identify/estimation.py",
         "rms(np.diff(residual)) / math.sqrt(2)",
         "rms(np.diff(residual))",
         "The noise of a channel is overestimated, so that a wrong model class counts as right.",
     ),
     "early_commands": Mutant(
-        "experiments/log_twin.py",
-        "np.interp(self.grid - each, knots, area)",
-        "np.interp(self.grid + each, knots, area)",
+        "identify/twin.py",
+        "np.interp(self.grid - delay_value, knots, area)",
+        "np.interp(self.grid + delay_value, knots, area)",
         "A delay makes the twin follow its commands before they come.",
     ),
     "judged_on_fitted": Mutant(
-        "experiments/log_identification.py",
+        "identify/identification.py",
         "lambda times, duration: times >= FITTED * duration",
         "lambda times, duration: times < FITTED * duration",
         "An identified model is validated on the samples that it was fitted to.",
@@ -502,14 +502,14 @@ def nearest_files(mutant: Mutant, root: Path) -> list[str]:
     first = {
         path: text.partition("\n")[0].removeprefix("# Tests of ") for path, text in texts.items()
     }
-    named = [path for path, line in first.items() if mutant.file in line.split(", ")]
+    listed_files = [path for path, line in first.items() if mutant.file in line.split(", ")]
     package, _, module = mutant.module.rpartition(".")
     imports = re.compile(
         rf"^\s*(from|import) {re.escape(mutant.module)}\b|^from {re.escape(package)} import \(?[^)\n]*\b{module}\b",
         re.MULTILINE,
     )
-    found = named or [path for path, text in texts.items() if imports.search(text)]
-    return [path.relative_to(root).as_posix() for path in found]
+    files = listed_files or [path for path, text in texts.items() if imports.search(text)]
+    return [path.relative_to(root).as_posix() for path in files]
 
 
 def selections(mutant: Mutant, root: Path, nearest: bool) -> Iterator[list[str]]:
@@ -520,10 +520,10 @@ def selections(mutant: Mutant, root: Path, nearest: bool) -> Iterator[list[str]]
         [folder] if (root / folder).is_dir() else [],
         [] if nearest else ["tests"],
     ]
-    before: list[str] = []
+    preceding: list[str] = []
     for group in filter(None, groups):
-        yield [*group, *(f"--ignore={each}" for each in before)]
-        before += group
+        yield [*group, *(f"--ignore={path}" for path in preceding)]
+        preceding += group
 
 
 @dataclasses.dataclass
@@ -539,7 +539,7 @@ def run_tests(
     root: Path, arguments: Sequence[str], expression: str, excluded: Sequence[str]
 ) -> Outcome:
     """Run pytest in a copy of the repository until a test fails; `test` is empty if all pass."""
-    before = _seconds(resource.RUSAGE_CHILDREN)
+    start_seconds = _seconds(resource.RUSAGE_CHILDREN)
     clock = root / "seconds.csv"
     clock.unlink(missing_ok=True)
     command = [
@@ -568,16 +568,16 @@ def run_tests(
         "MUTANTS_CLOCK": str(clock),
     }
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command, cwd=root, env=environment, capture_output=True, text=True, timeout=LONGEST
         )
-        failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
+        failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", process.stdout, re.MULTILINE)
         test = (
             failed[1]
             if failed
             else ""
-            if done.returncode in (0, 5)
-            else f"pytest ended with {done.returncode}"
+            if process.returncode in (0, 5)
+            else f"pytest ended with {process.returncode}"
         )
     except subprocess.TimeoutExpired:
         test = "time-out"
@@ -586,11 +586,13 @@ def run_tests(
         if clock.exists()
         else {}
     )
-    return Outcome(test, float(spent.get(test, "nan")), _seconds(resource.RUSAGE_CHILDREN) - before)
+    return Outcome(
+        test, float(spent.get(test, "nan")), _seconds(resource.RUSAGE_CHILDREN) - start_seconds
+    )
 
 
-def _seconds(who: int) -> float:
-    usage = resource.getrusage(who)
+def _seconds(process_kind: int) -> float:
+    usage = resource.getrusage(process_kind)
     return usage.ru_utime + usage.ru_stime
 
 
@@ -602,26 +604,26 @@ def kill(name: str, expressions: Sequence[str], nearest: bool, root: Path) -> di
         for arguments in selections(mutant, root, nearest):
             while True:
                 with mutant.applied(root):
-                    found = run_tests(root, arguments, expression, excluded)
-                seconds += found.seconds
-                if not found.test:
+                    result = run_tests(root, arguments, expression, excluded)
+                seconds += result.seconds
+                if not result.test:
                     break
                 # Only a test that passes without the mutant has found it.
-                if found.test.startswith("tests"):
-                    function = found.test.partition("[")[0]
-                    alone = run_tests(root, [function], expression, ())
-                    seconds += alone.seconds
-                    if alone.test and (function in excluded or "::" not in function):
+                if result.test.startswith("tests"):
+                    function = result.test.partition("[")[0]
+                    single_run = run_tests(root, [function], expression, ())
+                    seconds += single_run.seconds
+                    if single_run.test and (function in excluded or "::" not in function):
                         raise RuntimeError(
                             f"{function} fails without a mutant, too, and cannot be excluded."
                         )
-                    if alone.test:
+                    if single_run.test:
                         excluded.append(function)
                         continue
                 killed = {
                     "killed": expression,
-                    "test": found.test,
-                    "test_seconds": f"{found.test_seconds:.1f}",
+                    "test": result.test,
+                    "test_seconds": f"{result.test_seconds:.1f}",
                 }
                 return row | killed | {"seconds": f"{seconds:.0f}"}
     return row | {"seconds": f"{seconds:.0f}"}
@@ -661,13 +663,13 @@ def run(
     """Run mutants, append their rows to `out`, and print the table and the score."""
     if not out.exists():
         out.write_text(",".join(COLUMNS) + "\n")
-    known = {row["mutant"] for row in _rows(out)}
-    left = [name for name in names if name not in known]
+    finished = {row["mutant"] for row in _rows(out)}
+    remaining = [name for name in names if name not in finished]
     if processes == 1:
-        _work(left, expressions, nearest, out)
+        _work(remaining, expressions, nearest, out)
     else:
         with ProcessPoolExecutor(processes) as pool:
-            parts = [left[i::processes] for i in range(processes)]
+            parts = [remaining[i::processes] for i in range(processes)]
             for job in [
                 pool.submit(_work, part, expressions, nearest, out) for part in parts if part
             ]:
@@ -702,11 +704,11 @@ def table(rows: Sequence[dict[str, str]], expressions: Sequence[str]) -> str:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: object, nextitem: object) -> Iterator[object]:
     """As a plugin of pytest (`-p mutants`): record CPU seconds of each test in the file that `run_tests` names."""
-    before = _seconds(resource.RUSAGE_SELF) + _seconds(resource.RUSAGE_CHILDREN)
+    start_seconds = _seconds(resource.RUSAGE_SELF) + _seconds(resource.RUSAGE_CHILDREN)
     result = yield
-    after = _seconds(resource.RUSAGE_SELF) + _seconds(resource.RUSAGE_CHILDREN)
+    end_seconds = _seconds(resource.RUSAGE_SELF) + _seconds(resource.RUSAGE_CHILDREN)
     with open(os.environ["MUTANTS_CLOCK"], "a") as file:
-        file.write(f"{item.nodeid},{after - before:.3f}\n")  # type: ignore[attr-defined]
+        file.write(f"{item.nodeid},{end_seconds - start_seconds:.3f}\n")  # type: ignore[attr-defined]
     return result
 
 
@@ -714,12 +716,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="One-line faults of the package, and the tests that find them."
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--list", action="store_true", help="print all mutants with their reasons")
-    what.add_argument(
+    modes = parser.add_mutually_exclusive_group(required=True)
+    modes.add_argument("--list", action="store_true", help="print all mutants with their reasons")
+    modes.add_argument(
         "--check", action="store_true", help="check that all mutants still fit the package"
     )
-    what.add_argument("--run", nargs="*", metavar="NAME", help="run these mutants, by default all")
+    modes.add_argument("--run", nargs="*", metavar="NAME", help="run these mutants, by default all")
     parser.add_argument(
         "-m", action="append", metavar="MARKEXPR", help=f"selections of tests; default: {DEFAULT!r}"
     )
@@ -733,26 +735,26 @@ def main() -> None:
         default=Path("mutants.csv"),
         help="table of results; default: mutants.csv",
     )
-    given = parser.parse_args()
-    if given.list:
+    options = parser.parse_args()
+    if options.list:
         for name, mutant in MUTANTS.items():
             print(
                 f"{name} ({mutant.file}): {mutant.why}\n  - {mutant.old.strip()}\n  + {mutant.new.strip()}"
             )
-    elif given.check:
+    elif options.check:
         wrong = check()
         print("\n".join(wrong) or f"All {len(MUTANTS)} mutants fit the package.")
         sys.exit(bool(wrong))
     else:
-        unknown = [name for name in given.run if name not in MUTANTS]
+        unknown = [name for name in options.run if name not in MUTANTS]
         if unknown:
             parser.error(f"unknown mutant {unknown[0]!r}: --list prints all.")
         run(
-            given.run or list(MUTANTS),
-            given.m or [DEFAULT],
-            given.n,
-            given.nearest,
-            given.out.absolute(),
+            options.run or list(MUTANTS),
+            options.m or [DEFAULT],
+            options.n,
+            options.nearest,
+            options.out.absolute(),
         )
 
 

@@ -27,14 +27,14 @@ def _jaxtyped_first_calls(function: Any = None, *, typechecker: Any) -> Any:
         return functools.partial(_jaxtyped_first_calls, typechecker=typechecker)
     if isinstance(function, type) or "<locals>" in getattr(function, "__qualname__", ""):
         return function
-    whole = _jaxtyped(function, typechecker=typechecker)
-    if not callable(whole):  # a property
-        return whole
+    checked = _jaxtyped(function, typechecker=typechecker)
+    if not callable(checked):  # a property
+        return checked
 
     @functools.wraps(function)
-    def first_calls(*arguments: Any, **named: Any) -> Any:
+    def first_calls(*arguments: Any, **keywords: Any) -> Any:
         calls[function] += 1
-        return (whole if calls[function] <= MOST else function)(*arguments, **named)
+        return (checked if calls[function] <= MOST else function)(*arguments, **keywords)
 
     return first_calls
 

@@ -36,7 +36,7 @@ def test_each_combination_is_measured_in_order_and_counted(monkeypatch: pytest.M
     assert [tuple(line.values()) for line in result["cases"]] == [
         (case, engine, size, case) for case in ("throughput", "startup") for engine, size in options
     ]
-    assert [call.args for call in progress.call_args_list] == [(done, 8) for done in range(9)]
+    assert [call.args for call in progress.call_args_list] == [(count, 8) for count in range(9)]
     assert tuple(BENCHMARKS) == BENCH_CASES
 
 
@@ -60,11 +60,11 @@ def test_a_walk_is_measured(engine: str) -> None:
     assert (line["case"], line["engine"], line["worlds"]) == ("throughput", engine, 2)
     assert line["simulated_seconds_per_second"] == pytest.approx(0.002 * line["steps_per_second"])
     assert result["hardware"]["mujoco"] == mujoco.__version__
-    beside = engines.throughput_case(engine, 2)
-    assert beside["ratio"] == pytest.approx(
-        beside["steps_per_second"] / beside["plain_steps_per_second"], rel=0.5
+    comparison = engines.throughput_case(engine, 2)
+    assert comparison["ratio"] == pytest.approx(
+        comparison["steps_per_second"] / comparison["plain_steps_per_second"], rel=0.5
     )
-    assert set(beside) >= {"steps_per_second", "compile_s", "peak_bytes"}
+    assert set(comparison) >= {"steps_per_second", "compile_s", "peak_bytes"}
 
 
 def test_bench_shows_what_went_well_and_what_failed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,18 +93,18 @@ def test_bench_shows_what_went_well_and_what_failed(monkeypatch: pytest.MonkeyPa
         == run["cases"]
     )
     assert measured.call_args[0][:3] == (("startup",), ("c",), (4, 8))
-    shown = call("bench").stdout
+    output = call("bench").stdout
     assert measured.call_args[0][:3] == (("throughput",), ("c", "mjx"), (64,))
-    assert "hardware: cpu some processor, cores 2" in shown
-    assert "throughput (engine mjx, worlds 64) failed: no memory" in shown
-    rows = [line.split() for line in shown.splitlines()]
+    assert "hardware: cpu some processor, cores 2" in output
+    assert "throughput (engine mjx, worlds 64) failed: no memory" in output
+    rows = [line.split() for line in output.splitlines()]
     assert ["c", "64", "10,000", "600"] in rows
     assert ["c", "64", "cold", "5.50", "1.25", "30.50"] in rows
 
 
 def run_of(date: str, *lines: dict[str, Any], device: str = "1 x cpu") -> str:
     """A line of results.jsonl."""
-    about = {
+    hardware = {
         "device": device,
         "cores": 2,
         "cpu": "some processor",
@@ -113,11 +113,12 @@ def run_of(date: str, *lines: dict[str, Any], device: str = "1 x cpu") -> str:
         "python": "3",
     }
     return (
-        json.dumps({"date": date, "commit": "abc", "hardware": about, "cases": list(lines)}) + "\n"
+        json.dumps({"date": date, "commit": "abc", "hardware": hardware, "cases": list(lines)})
+        + "\n"
     )
 
 
-def walk_of(rate: float, **more: Any) -> dict[str, Any]:
+def walk_of(rate: float, **fields: Any) -> dict[str, Any]:
     """A measurement of the throughput."""
     times = dict.fromkeys(("trace_s", "compile_s", "plain_trace_s", "plain_compile_s"), 1.0)
     rates = {
@@ -126,7 +127,7 @@ def walk_of(rate: float, **more: Any) -> dict[str, Any]:
         "plain_steps_per_second": rate,
         "peak_bytes": 1e9,
     }
-    return {"case": "throughput", "engine": "c", "worlds": 64, **rates, **times} | more
+    return {"case": "throughput", "engine": "c", "worlds": 64, **rates, **times} | fields
 
 
 def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path: Path) -> None:

@@ -59,27 +59,33 @@ def requirement_of(module: str) -> str | None:
         return None
     beginnings = (".".join(parts[:length]) for length in range(len(parts), 0, -1))
     return next(
-        (REQUIREMENTS[each] for each in beginnings if each in REQUIREMENTS), normalized(parts[0])
+        (REQUIREMENTS[beginning] for beginning in beginnings if beginning in REQUIREMENTS),
+        normalized(parts[0]),
     )
 
 
 def declared(requirements: Iterable[str]) -> set[str]:
     """Names of requirements, with their extras, without versions."""
-    found = (re.match(r"([\w.-]+)(\[[\w,-]+\])?", each) for each in requirements)
+    matches = (re.match(r"([\w.-]+)(\[[\w,-]+\])?", requirement) for requirement in requirements)
     return {
-        normalized(each[1]) + (each[2] or "")
-        for each in found
-        if each and each[1] != PROJECT["name"]
+        normalized(match[1]) + (match[2] or "")
+        for match in matches
+        if match and match[1] != PROJECT["name"]
     }
 
 
 def faults(modules: Iterable[str], project: Mapping[str, Any]) -> dict[str, set[str]]:
     """Requirements that are imported but not declared, and the other way round."""
-    needed = {found for module in modules if (found := requirement_of(module)) is not None}
+    requirements = {
+        requirement for module in modules if (requirement := requirement_of(module)) is not None
+    }
     extras = project["optional-dependencies"].items()
-    ours = [each for name, extra in extras if name not in OTHER_EXTRAS for each in extra]
+    ours = [entry for name, extra in extras if name not in OTHER_EXTRAS for entry in extra]
     required, optional = declared(project["dependencies"]), declared(ours)
-    return {"undeclared": needed - required - optional, "unused": (required | optional) - needed}
+    return {
+        "undeclared": requirements - required - optional,
+        "unused": (required | optional) - requirements,
+    }
 
 
 @pytest.mark.release
@@ -135,8 +141,10 @@ def test_ci_installs_the_lowest_version_of_each_requirement() -> None:
     lowest = subprocess.run(
         ["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
-    floors = (re.match(r"([\w.-]+)[=>]=([\d.]+)", each) for each in PROJECT["dependencies"])
-    assert lowest.split() == [f"{each[1]}=={each[2]}" for each in floors if each]
+    floors = (
+        re.match(r"([\w.-]+)[=>]=([\d.]+)", requirement) for requirement in PROJECT["dependencies"]
+    )
+    assert lowest.split() == [f"{match[1]}=={match[2]}" for match in floors if match]
     without = declared(PROJECT["dependencies"]) - declared(lowest.split())
     assert without == {"jaxlib", "pydantic-core"}, "JAX and pydantic fix these"
 
@@ -147,8 +155,8 @@ def test_all_that_tests_need_is_in_one_extra() -> None:
     brought, new = set(), {"test-all"}
     while new:
         brought |= new
-        named = (re.match(r"nermo-mjx\[(.*)\]", each) for name in new for each in extras[name])
-        new = {extra for each in named if each for extra in each[1].split(",")} - brought
+        matches = (re.match(r"nermo-mjx\[(.*)\]", entry) for name in new for entry in extras[name])
+        new = {extra for match in matches if match for extra in match[1].split(",")} - brought
     assert extras.keys() - brought == {
         "dev",
         "cuda",

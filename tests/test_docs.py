@@ -75,8 +75,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         str(out),
     ]
     small = os.environ | {"NERMO_MJX_SMALL": "1"}  # one page of the viewer, not fourteen
-    done = subprocess.run(words, env=small, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(words, env=small, capture_output=True, text=True, timeout=300)
+    assert process.returncode == 0, process.stderr
     return out
 
 
@@ -89,8 +89,8 @@ def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path)
         page.stem: page.read_text(encoding="utf-8") for page in (site / "reference").glob("*.html")
     }
     for name in nermo_mjx.__all__:
-        known = re.search(rf"nermo_mjx\.{name}\b", text["python"])
-        assert known or name in (
+        match = re.search(rf"nermo_mjx\.{name}\b", text["python"])
+        assert match or name in (
             "LIMBS",
             "METRICS",
             "SERVOS",
@@ -108,17 +108,17 @@ def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path)
         "commands": [f'id="nermo-mjx-{name}"' for name in main.commands],
     }
     assert {
-        page: [mark for mark in known if mark not in text[page]] for page, known in marks.items()
+        page: [mark for mark in names if mark not in text[page]] for page, names in marks.items()
     } == {page: [] for page in marks}
     for page in PAGES:
         title = re.search(r"^# (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
         assert title is not None, page
-        made = (
+        page_text = (
             (site / page.relative_to(ROOT / "docs"))
             .with_suffix(".html")
             .read_text(encoding="utf-8")
         )
-        (heading,) = re.findall(r"<h1>(.*?)<a class=\"headerlink\"", made)
+        (heading,) = re.findall(r"<h1>(.*?)<a class=\"headerlink\"", page_text)
         assert re.sub(r"<[^>]+>", "", heading) == re.sub(r"[`*]", "", title[1]), page
 
 
@@ -134,7 +134,7 @@ def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> 
             "[...document.querySelectorAll('.math-wrapper')].map(f => [f.scrollHeight, f.clientHeight])"
         )
     assert len(heights) >= 5
-    assert [(needed, there) for needed, there in heights if needed > there] == []
+    assert [(required, available) for required, available in heights if required > available] == []
 
 
 @pytest.mark.release
@@ -147,8 +147,8 @@ def test_recordings_of_the_pages_are_of_the_robot_that_there_is() -> None:
 
 
 @pytest.fixture
-def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
-    """`beside(page)`: work in a folder that holds what the page tells a reader to save."""
+def page_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
+    """`page_folder(page)`: work in a folder that holds what the page tells a reader to save."""
 
     def work(page: Path) -> None:
         monkeypatch.chdir(tmp_path)
@@ -160,9 +160,9 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], 
 
 @pytest.mark.release
 @pytest.mark.parametrize(("page", "example"), EXAMPLES)
-def test_an_example_works(page: Path, example: str, beside: Callable[[Path], None]) -> None:
+def test_an_example_works(page: Path, example: str, page_folder: Callable[[Path], None]) -> None:
     """That of the README at a small size."""
-    beside(page)
+    page_folder(page)
     short = example.replace("25)", "3)").replace("Run(cycles=6)", "Run(cycles=1, warmup_cycles=0)")
     assert (short != example) == (page == README)
     exec(compile(short, "example", "exec"), {})
@@ -195,7 +195,7 @@ def test_the_pages_name_every_command_and_no_other_option() -> None:
 @pytest.mark.parametrize(
     "page", [page for page in TRIED if blocks(page, "yaml")], ids=lambda page: page.stem
 )
-def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
+def test_a_spec_file_is_valid(page: Path, page_folder: Callable[[Path], None]) -> None:
     """One of a search has an objective, and one of a robot's log channels."""
     from nermo_mjx.hardware.log import LogFields
     from nermo_mjx.optimize import Search
@@ -203,7 +203,7 @@ def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> Non
     from nermo_mjx.specs.reading import read_text
     from nermo_mjx.sweep import Sweep
 
-    beside(page)
+    page_folder(page)
     for text in blocks(page, "yaml"):
         if text.startswith(("apiVersion", "kind")):
             continue  # for Kubernetes
@@ -233,6 +233,7 @@ ELSEWHERE = {
     "replay_row",
     "run_experiment",
     "run_experiments",
+    "run_identification",
     "run_training",
     "run_tuning",
     "show",
@@ -252,11 +253,13 @@ def test_every_public_function_has_an_example() -> None:
     public = {name: getattr(nermo_mjx, name) for name in nermo_mjx.__all__}
     # The tests' shared simulators stand in for a class here.
     functions = {
-        name: each
-        for name, each in public.items()
-        if inspect.isfunction(each) and "nermo" in each.__module__
+        name: function
+        for name, function in public.items()
+        if inspect.isfunction(function) and "nermo" in function.__module__
     }
-    without = {name for name, each in functions.items() if ">>> " not in (each.__doc__ or "")}
+    without = {
+        name for name, function in functions.items() if ">>> " not in (function.__doc__ or "")
+    }
     assert without - {"quantity"} == ELSEWHERE  # `parameter_tree` shows both
 
 
@@ -276,10 +279,10 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
         for line in "".join(blocks(README, "sh")).splitlines()
         if line.startswith("python3 -m venv")
     ]
-    chosen = [
+    commands = [
         [line for line in lines if re.search(patterns[name], line)] for name in ("job", "tests")
     ]
-    assert chosen == [[line] for line in fresh]
+    assert commands == [[line] for line in fresh]
     assert fresh[0].endswith("nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart")
     assert fresh[1].endswith("-m pytest")
     parts = dict(re.findall(r"^([\w-]+)\(\) \{\n(.*?)^\}$", script, re.MULTILINE | re.DOTALL))

@@ -12,8 +12,8 @@ import pytest
 from command import call
 
 from nermo_mjx import ParameterError, Simulator, run_search, run_sweep, sensitivity
-from nermo_mjx.experiments.log_identification import identify_log
 from nermo_mjx.hardware import connected
+from nermo_mjx.identify.identification import identify_log
 from nermo_mjx.learn.run import run_training
 from nermo_mjx.live.server import LiveDrive
 
@@ -55,7 +55,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("library", "extra", "what", "command"),
+    ("library", "extra", "purpose", "command"),
     [
         ("ray", "ray", "--workers ray", "sweep sweep.yaml --out out --workers ray"),
         ("tensorboardX", "tensorboard", "tensorboard", "sweep sweep.yaml --out out --tensorboard"),
@@ -84,16 +84,21 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
 )
 def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(
-    library: str, extra: str, what: str, command: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+    library: str,
+    extra: str,
+    purpose: str,
+    command: str,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    before = sorted(folder.rglob("*"))
+    former_files = sorted(folder.rglob("*"))
     result = call(*command.split())
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.splitlines()[-1].removeprefix("nermo-mjx: ") == (
-        f'{what} needs {library}: pip install "nermo-mjx[{extra}]".'
+        f'{purpose} needs {library}: pip install "nermo-mjx[{extra}]".'
     )
-    assert sorted(folder.rglob("*")) == before
+    assert sorted(folder.rglob("*")) == former_files
 
 
 @pytest.mark.parametrize(
@@ -108,7 +113,7 @@ def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(
         ("paho", lambda url: connected(url).__enter__(), ("mqtt://127.0.0.1",)),
         (
             "tensorboardX",
-            lambda *given: run_training(*given, tensorboard=True),
+            lambda *values: run_training(*values, tensorboard=True),
             (SPECS["training"], "out"),
         ),
     ],

@@ -30,19 +30,21 @@ from fakes.sweep_fake import SPEC as SWEEP
 from nermo_mjx import trust
 from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.control import protocol
-from nermo_mjx.experiments import log_report
 from nermo_mjx.experiments.cases import CaseRuns
 from nermo_mjx.experiments.report import table_of
-from nermo_mjx.experiments.run import EXPERIMENTS, Directory
+from nermo_mjx.experiments.run import EXPERIMENTS
+from nermo_mjx.experiments.store import RECORD, Directory
 from nermo_mjx.files import FileError, read_bytes
 from nermo_mjx.hardware.channels import read_channels
+from nermo_mjx.identify.report import RESULT, identification_page
+from nermo_mjx.identify.run import identification_status
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.live import driving
 from nermo_mjx.live.driving import replayed
 from nermo_mjx.optimize import run_search
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.rollout import Setup, own_metrics
+from nermo_mjx.rollout import Setup, custom_metrics
 from nermo_mjx.runs.directory import codes_of, digest, read_record
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, stored_json
 from nermo_mjx.runs.rows import opened_part
@@ -57,6 +59,15 @@ from nermo_mjx.view.recorded import robot_of
 
 ROOT = Path(__file__).parents[1]
 POLICY = ROOT / "tests" / "data" / "former_policy.npz"
+#: A parameter in identification.json.
+ESTIMATE = {
+    "unit": "1",
+    "why": "a test",
+    "at_bound": "",
+    "determined": True,
+    "interval": [0.1, 0.3],
+}
+ESTIMATE |= {"start": 0.1, "value": 0.2, "low": 0.0, "high": 1.0}
 RECORDED = ROOT / "docs" / "howto" / "terrain" / "walks" / "ramp" / "stiff.npz"
 
 
@@ -67,18 +78,20 @@ def mutated_bytes(content: bytes, draw: random.Random) -> bytes:
     """Some bytes changed, left out, repeated or put in, or the end cut off."""
     changed = bytearray(content)
     for _ in range(draw.choice((1, 1, 2, 8))):
-        at, length = draw.randrange(len(changed) + 1), draw.choice((1, 1, 4, 64))
+        position, length = draw.randrange(len(changed) + 1), draw.choice((1, 1, 4, 64))
         act = draw.randrange(5)
         if act == 0:
-            changed[at : at + length] = draw.randbytes(len(changed[at : at + length]))
+            changed[position : position + length] = draw.randbytes(
+                len(changed[position : position + length])
+            )
         elif act == 1:
-            del changed[at : at + length]
+            del changed[position : position + length]
         elif act == 2:
-            changed[at:at] = changed[at : at + length] * draw.choice((1, 3))
+            changed[position:position] = changed[position : position + length] * draw.choice((1, 3))
         elif act == 3:
-            changed[at:at] = draw.choice(ODD_BYTES)
+            changed[position:position] = draw.choice(ODD_BYTES)
         elif draw.random() < 0.2:
-            del changed[at:]
+            del changed[position:]
     return bytes(changed)
 
 
@@ -108,8 +121,10 @@ def mutated_json(content: bytes, draw: random.Random) -> bytes:
 
 def mutated_lines(content: bytes, draw: random.Random) -> bytes:
     lines = content.splitlines()
-    at = draw.randrange(len(lines))
-    lines[at] = draw.choice((mutated_bytes, mutated_json, mutated_json))(lines[at], draw)
+    line_index = draw.randrange(len(lines))
+    lines[line_index] = draw.choice((mutated_bytes, mutated_json, mutated_json))(
+        lines[line_index], draw
+    )
     return b"\n".join(lines) + b"\n"
 
 
@@ -118,21 +133,21 @@ def mutated_arrays(content: bytes, draw: random.Random) -> bytes:
     with np.load(io.BytesIO(content)) as file:
         arrays = {name: file[name] for name in file.files}
     name = draw.choice([*arrays])
-    given = arrays[name]
+    array = arrays[name]
     if name in ("header", "about") and draw.random() < 0.9:
-        text = mutated_json(given.tobytes() if name == "about" else str(given).encode(), draw)
+        text = mutated_json(array.tobytes() if name == "about" else str(array).encode(), draw)
         arrays[name] = np.frombuffer(text, np.uint8) if name == "about" else np.array(text.decode())
     else:
         odd: list[Callable[[], Any]] = [
-            lambda: given[:0],
-            lambda: given.ravel(),
-            lambda: given[None],
-            lambda: given.astype("U4"),
-            lambda: given.astype(complex) if given.dtype.kind in "fiu" else given,
+            lambda: array[:0],
+            lambda: array.ravel(),
+            lambda: array[None],
+            lambda: array.astype("U4"),
+            lambda: array.astype(complex) if array.dtype.kind in "fiu" else array,
             lambda: np.array([]),
-            lambda: np.full_like(given, np.nan) if given.dtype.kind == "f" else given,
-            lambda: -given[::-1],
-            lambda: given[:-1],
+            lambda: np.full_like(array, np.nan) if array.dtype.kind == "f" else array,
+            lambda: -array[::-1],
+            lambda: array[:-1],
             lambda: np.zeros(3, "datetime64[s]"),
             lambda: np.zeros(2, [("a", "f8")]),
         ]
@@ -148,9 +163,9 @@ def mutated_arrays(content: bytes, draw: random.Random) -> bytes:
         with zipfile.ZipFile(changed, "w") as new:
             for member in old.namelist():
                 text = old.read(member)
-                at = text.find(b"'shape': (")
+                position = text.find(b"'shape': (")
                 promised = (
-                    text[: at + 10] + size + text[at + 10 + len(size) :]
+                    text[: position + 10] + size + text[position + 10 + len(size) :]
                     if member == f"{name}.npy"
                     else text
                 )
@@ -163,36 +178,36 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
     """A table of which a column, its name, its type or what is said of it is another."""
     table = parquet_table(content)
     assert table is not None
-    at = draw.randrange(table.num_columns)
-    field, column = table.schema.field(at), table.column(at)
+    index = draw.randrange(table.num_columns)
+    field, column = table.schema.field(index), table.column(index)
     act = draw.randrange(7)
     if act == 0:
-        table = table.remove_column(at)
+        table = table.remove_column(index)
     elif act == 1:
         table = table.set_column(
-            at, draw.choice(("row", "", "\x1b[2J", "speed", "a" * 9000)), column
+            index, draw.choice(("row", "", "\x1b[2J", "speed", "a" * 9000)), column
         )
     elif act == 2:
-        other = draw.choice(
+        values = draw.choice(
             ([None], ["text"], [[1.0]], [True], [{"a": 1}], [float("nan")], [10**15])
         )
-        like = pa.field(field.name, pa.array(other).type, metadata=field.metadata)
-        table = table.set_column(at, like, pa.array(other * table.num_rows))
+        like = pa.field(field.name, pa.array(values).type, metadata=field.metadata)
+        table = table.set_column(index, like, pa.array(values * table.num_rows))
     elif act == 3:
-        about = {
+        metadata = {
             key: draw.choice((b"", b"\xff", b"[1]", b"nan", b"\x1b[2J"))
             for key in field.metadata or {b"role": b""}
         }
-        table = table.set_column(at, field.with_metadata(about), column)
+        table = table.set_column(index, field.with_metadata(metadata), column)
     elif act == 4:
-        about = dict(table.schema.metadata or {b"a": b""})
-        about[draw.choice([*about])] = draw.choice(
+        metadata = dict(table.schema.metadata or {b"a": b""})
+        metadata[draw.choice([*metadata])] = draw.choice(
             (b"", b"\xff", b"[1]", b"{", b"null", b"9" * 400, b'{"a": {}}')
         )
-        table = table.replace_schema_metadata(about)
+        table = table.replace_schema_metadata(metadata)
     elif act == 5:
-        some = [None if draw.random() < 0.5 else value for value in column.to_pylist()]
-        table = table.set_column(at, field, pa.array(some, field.type))
+        incomplete = [None if draw.random() < 0.5 else value for value in column.to_pylist()]
+        table = table.set_column(index, field, pa.array(incomplete, field.type))
     else:
         table = table.slice(0, draw.choice((0, 1)))
     stream = io.BytesIO()
@@ -232,11 +247,16 @@ def kinds_of_files(
         for name in ABOUT
     }
     experiments = Directory(top / "experiments")
-    (experiments.out / "results").mkdir(parents=True)
-    about = {"started": "2026-01-01", "engine": "c", "recordings": {}, "code": "0"}
     name = "free_gait" if "free_gait" in EXPERIMENTS else next(iter(EXPERIMENTS))
-    table = table_of(CaseRuns(name, columns, ABOUT, {}), {"about": json.dumps(about)}, "0")
-    pq.write_table(table, experiments.path(name))
+    rows = experiments.folder(name)
+    (rows / "results").mkdir(parents=True)
+    write_json(
+        rows / RECORD, {"started": "2026-01-01", "settings": {}, "rows": 2, "recordings": {}}
+    )
+    about = {"engine": "c", "steps": 0, "wall_seconds": 1.0}
+    table = table_of(CaseRuns(name, columns, ABOUT, {}), 0, 0, 0, "0", about)
+    walked = rows / "results" / f"part-0-{0:016x}.parquet"
+    pq.write_table(table, walked)
     pq.write_table(pa.table({"frequency": [0.5, 0.8]}), top / "rows.parquet")
     part = next((sweep / "results").glob("*.parquet"))
     text, table_like = (
@@ -254,7 +274,7 @@ def kinds_of_files(
     def whole(path: Path) -> Callable[[], Any]:
         return lambda: robot_of(Recording.load(path))
 
-    about = {"setup": Setup().fields(), "driven": {"values": {"frequency": 0.8}}}
+    metadata = {"setup": Setup().fields(), "driven": {"values": {"frequency": 0.8}}}
     piece = {
         "commands": [
             [0, {"at": 0.0, "blend": 1.0, "gait": "lateral_walk", "set": {"stride": 0.9}}]
@@ -265,12 +285,12 @@ def kinds_of_files(
     }
 
     def journal() -> Any:
-        about, _ = driving._told(top / "drive.jsonl")
-        return driving._setup(about, None)
+        metadata, _ = driving._told(top / "drive.jsonl")
+        return driving._setup(metadata, None)
 
-    found: dict[str, tuple[Path, list[Any], Callable[[], Any]]] = {
+    kinds: dict[str, tuple[Path, list[Any], Callable[[], Any]]] = {
         "journal": (
-            write_text(top / "drive.jsonl", f"{json.dumps(about)}\n{json.dumps(piece)}\n"),
+            write_text(top / "drive.jsonl", f"{json.dumps(metadata)}\n{json.dumps(piece)}\n"),
             [mutated_lines],
             journal,
         ),
@@ -293,21 +313,23 @@ def kinds_of_files(
         "metrics.json": (
             sweep / "metrics.json",
             text,
-            lambda: own_metrics.load_metrics(str(sweep / "metrics.py")),
+            lambda: custom_metrics.load_metrics(str(sweep / "metrics.py")),
         ),
         "best.json": (search / "best.json", text, kind("search", search)),
-        "steps.json": (
+        "identification.json": (
             write_json(
-                identified / log_report.STEPS,
-                {"decides": "a", "arrays": [[[0.1, None], [0.2, 0.3]]]},
+                identified / RESULT,
+                {
+                    "command": "",
+                    "logs": ["a"],
+                    "sentences": ["It moves."],
+                    "parameters": {"kp": ESTIMATE},
+                },
             ),
             text,
-            lambda: (
-                log_report.identification_status(identified),
-                log_report.kept_in(identified, "a")(lambda: np.ones(1)),
-            ),
+            lambda: (identification_status(identified), identification_page(identified)),
         ),
-        "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
+        "experiment": (walked, table_like, kind("experiments", experiments.out)),
         "part": (
             part,
             table_like,
@@ -331,7 +353,7 @@ def kinds_of_files(
             lambda: read_file(top / "t.yaml"),
         ),
     }
-    return found
+    return kinds
 
 
 @pytest.mark.release
@@ -370,8 +392,8 @@ def hunted(kinds_of_files: Any, mutants: int, seed: int) -> list[str]:
             if "\n" in str(error) or not str(error).endswith((".", "?")):
                 wrong.append(f"{number} {name}: {error}")
         except Exception as error:
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            wrong.append(f"{number} {name}: {error!r} in {place.filename}:{place.lineno}")
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            wrong.append(f"{number} {name}: {error!r} in {frame.filename}:{frame.lineno}")
         finally:
             path.write_bytes(intact)
         if (took := time.process_time() - began) > 5.0:
@@ -405,13 +427,13 @@ def hunted(kinds_of_files: Any, mutants: int, seed: int) -> list[str]:
 def test_a_file_that_is_none_is_refused(load: Any, kind: str, tmp_path: Path) -> None:
     for name in ("run.json", "run.parquet", "run.py"):
         special(tmp_path / name, kind)
-    said = "not a regular file"
+    message = "not a regular file"
     with bounded():
         try:
-            said = load(tmp_path / "run.json") or said  # None as of a damaged file
+            message = load(tmp_path / "run.json") or message  # None as of a damaged file
         except (FileError, ParameterError) as error:
-            said = str(error)
-    assert "not a regular file" in said or "there is no such file" in said
+            message = str(error)
+    assert "not a regular file" in message or "there is no such file" in message
 
 
 @pytest.mark.release
@@ -471,16 +493,16 @@ NOT_READ_FOR_A_PERSON = {
 
 def test_nothing_else_opens_what_is_read() -> None:
     package = Path(protocol.__file__).parents[1]
-    found = {
+    counts_of_files = {
         path.relative_to(package).as_posix(): len(
             [1 for line in path.read_text().splitlines() if OPENS.search(line)]
         )
         for path in package.rglob("*.py")
         if "vendor" not in path.parts
     }
-    assert {name: count for name, count in found.items() if count} == NOT_READ_FOR_A_PERSON | {
-        "files.py": 5
-    }
+    assert {
+        name: count for name, count in counts_of_files.items() if count
+    } == NOT_READ_FOR_A_PERSON | {"files.py": 5}
 
 
 @pytest.mark.release(cases=("variant", "fell", "speed", "frequency", "code"))
@@ -494,9 +516,9 @@ def test_a_null_in_a_typed_column_is_a_sentence_or_a_gap(
     part = next((out / "results").glob("*.parquet"))
     table = parquet_table(part)
     assert table is not None
-    at, field = table.column_names.index(name), table.schema.field(name)
+    index, field = table.column_names.index(name), table.schema.field(name)
     table = table.set_column(
-        at, field, pa.array([None, *table.column(at).to_pylist()[1:]], field.type)
+        index, field, pa.array([None, *table.column(index).to_pylist()[1:]], field.type)
     )
     content = parquet_bytes(table)
     part.unlink()

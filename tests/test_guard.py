@@ -49,13 +49,15 @@ def test_shared_again(case):
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("few", [14, 15])
-def test_ci_fails_for_many_programs_and_for_many_setups(few: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("program_count", [14, 15])
+def test_ci_fails_for_many_programs_and_for_many_setups(program_count: int, tmp_path: Path) -> None:
     """Of two files with the same programs, each has its own; the cases of a fixture are two setups."""
-    (tmp_path / "conftest.py").write_text("import guard; guard.MOST_SETUPS = 3\n")
+    (tmp_path / "conftest.py").write_text(
+        "import guard; guard.MOST_SETUPS, guard.MOST_PROGRAMS = 3, 8\n"
+    )
     for name in ("a", "b"):
-        (tmp_path / f"test_{name}.py").write_text(TESTS.replace("FEW", str(few)))
-    done = subprocess.run(
+        (tmp_path / f"test_{name}.py").write_text(TESTS.replace("FEW", str(program_count)))
+    process = subprocess.run(
         [
             sys.executable,
             "-m",
@@ -75,23 +77,24 @@ def test_ci_fails_for_many_programs_and_for_many_setups(few: int, tmp_path: Path
         text=True,
         check=False,
     )
-    assert done.returncode == 1
-    many = "its default tests create 25 programs, more than 8 for each of 3 functions; most of them: test_shared 21, "
-    told = [
-        done.stdout.count(f"\ntest_{name}.py: {many}") for name in ("a", "b")
+    assert process.returncode == 1
+    message = "its default tests create 25 programs, more than 8 for each of 3 functions; most of them: test_shared 21, "
+    counts = [
+        process.stdout.count(f"\ntest_{name}.py: {message}") for name in ("a", "b")
     ]  # by the test and at the end
-    assert told == [2 * (few == 15)] * 2, done.stdout
-    assert ("2 errors" in done.stdout) == (few == 15)
-    assert "more than 3 shared setups, with their programs: 4" in done.stdout
-    assert "  20 test_a.py::setup[1]" in done.stdout
+    assert counts == [2 * (program_count == 15)] * 2, process.stdout
+    assert ("2 errors" in process.stdout) == (program_count == 15)
+    assert "more than 3 shared setups, with their programs: 4" in process.stdout
+    assert "  20 test_a.py::setup[1]" in process.stdout
 
 
 def test_the_programs_of_a_file_count_in_any_order() -> None:
-    few = {"test_a": 20, "test_b[0]": 2, "test_b[1]": 2, "test_c": 0}
-    assert guard.too_many(few) == ""
-    assert guard.too_many(few | {"test_b[1]": 3}) == guard.too_many(
-        {"test_c": 0, "test_b[1]": 3} | few | {"test_b[1]": 3}
-    )
+    limit = 3 * guard.MOST_PROGRAMS  # of three functions
+    counts = {"test_a": limit - 4, "test_b[0]": 2, "test_b[1]": 2, "test_c": 0}
+    assert guard.too_many(counts) == ""
+    message = guard.too_many(counts | {"test_b[1]": 3})
+    assert f"{limit + 1} programs" in message
+    assert message == guard.too_many({"test_c": 0, "test_b[1]": 3} | counts | {"test_b[1]": 3})
 
 
 def test_too_many_setups_fail_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,8 +117,8 @@ def test_programs_of_a_shared_setup_do_not_count_for_the_test(
     monkeypatch.setattr(guard, "_programs", collections.Counter())
     jax.jit(lambda x: x + 0.25)(1.0)
     with guard.shared("a"):
-        for more in range(3):
-            jax.jit(lambda x: x + more)(1.0)  # noqa: B023
+        for number in range(3):
+            jax.jit(lambda x: x + number)(1.0)  # noqa: B023
         with guard.shared("b"):
             jax.jit(lambda x: x - 0.25)(1.0)
     assert guard._programs == {"": 1, "a": 3, "b": 1}
@@ -126,7 +129,11 @@ def test_a_process_that_becomes_too_large_fails_the_test_once(
 ) -> None:
     class Item:
         def __init__(self) -> None:
-            self.stash, self.user_properties, self.name = {guard.PEAK: before}, list[Any](), "test"
+            self.stash, self.user_properties, self.name = (
+                {guard.PEAK: previous_peak},
+                list[Any](),
+                "test",
+            )
             self.path = Path("a")
 
         def get_closest_marker(self, _: str) -> None: ...
@@ -140,13 +147,13 @@ def test_a_process_that_becomes_too_large_fails_the_test_once(
         return item
 
     monkeypatch.setattr(guard, "ENFORCED", True)
-    before, peak = 2 * guard.GIB, 3 * guard.GIB
+    previous_peak, peak = 2 * guard.GIB, 3 * guard.GIB
     monkeypatch.setattr(guard, "peak_bytes", lambda: peak)
     torn_down()
     peak += guard.GIB
     with pytest.raises(pytest.fail.Exception, match=r"takes 4\.0 GiB, more than 3 GiB"):
         torn_down()
-    before = peak
+    previous_peak = peak
     torn_down()
 
 
@@ -158,11 +165,11 @@ def test_the_end_of_a_file_frees_memory(monkeypatch: pytest.MonkeyPatch) -> None
     freed: list[bool] = []
     monkeypatch.setattr(guard, "free", lambda: freed.append(True))
     monkeypatch.setattr(guard, "_file", [Path("a")])
-    for used in (guard.FREED_BYTES, guard.FREED_BYTES + 1):
-        monkeypatch.setattr(guard, "resident_bytes", lambda used=used: used)
+    for used_bytes in (guard.FREED_BYTES, guard.FREED_BYTES + 1):
+        monkeypatch.setattr(guard, "resident_bytes", lambda used_bytes=used_bytes: used_bytes)
         for following in ("a", "b"):
-            item, after = Item("a"), Item(following)
-            generator = guard.pytest_runtest_protocol(item, after)  # type: ignore[arg-type]
+            item, next_item = Item("a"), Item(following)
+            generator = guard.pytest_runtest_protocol(item, next_item)  # type: ignore[arg-type]
             next(generator)
             with pytest.raises(StopIteration):
                 generator.send(True)

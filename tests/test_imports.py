@@ -15,18 +15,18 @@ import nermo_mjx
 PACKAGE = Path(nermo_mjx.__file__).parent
 
 
-def imported(node: ast.AST, known: Collection[str]) -> Iterator[str]:
+def imported(node: ast.AST, module_names: Collection[str]) -> Iterator[str]:
     """The modules that a source imports, but for the annotations of type checkers. `from PACKAGE import MODULE` imports
     the module."""
-    for each in ast.iter_child_nodes(node):
-        if isinstance(each, ast.If) and "TYPE_CHECKING" in ast.unparse(each.test):
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
             continue
-        if isinstance(each, ast.ImportFrom):
-            full = {f"{each.module}.{name.name}" for name in each.names}
-            yield from {name if name in known else str(each.module) for name in full}
-        elif isinstance(each, ast.Import):
-            yield from (name.name for name in each.names)
-        yield from imported(each, known)
+        if isinstance(child, ast.ImportFrom):
+            full = {f"{child.module}.{name.name}" for name in child.names}
+            yield from {name if name in module_names else str(child.module) for name in full}
+        elif isinstance(child, ast.Import):
+            yield from (name.name for name in child.names)
+        yield from imported(child, module_names)
 
 
 def graph(sources: dict[str, str]) -> dict[str, set[str]]:
@@ -50,10 +50,10 @@ def modules() -> dict[str, str]:
 
 
 def test_no_import_leads_back() -> None:
-    known = modules()
-    found = graph(known)
-    assert "nermo_mjx.cli.kinds" in found["nermo_mjx.cli.view"]
-    graphlib.TopologicalSorter(found).prepare()
+    module_names = modules()
+    imports = graph(module_names)
+    assert "nermo_mjx.cli.kinds" in imports["nermo_mjx.cli.view"]
+    graphlib.TopologicalSorter(imports).prepare()
 
 
 def test_a_cycle_of_function_imports_is_found() -> None:

@@ -50,7 +50,7 @@ PUBLIC = {module: public(module) for module in MODULES}
 def is_internal(path: str) -> bool:
     """Whether a dotted path leads into the package, but not to a public name, or to what such a name has."""
     module = max(
-        (each for each in MODULES if f"{path}.".startswith(f"{each}.")), key=len, default=""
+        (prefix for prefix in MODULES if f"{path}.".startswith(f"{prefix}.")), key=len, default=""
     )
     name = path.removeprefix(module).removeprefix(".").partition(".")[0]
     return module != "" and name != "" and name not in PUBLIC[module]
@@ -58,15 +58,15 @@ def is_internal(path: str) -> bool:
 
 def internal(code: str) -> list[str]:
     """The names of the package that a piece of code uses, and that are not public."""
-    found = list[str]()
+    imported_names = list[str]()
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            imported_names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            found += [f"{node.module}.{alias.name}" for alias in node.names]
+            imported_names += [f"{node.module}.{alias.name}" for alias in node.names]
         elif isinstance(node, ast.Attribute):
-            found.append(ast.unparse(node))
-    return [each for each in found if is_internal(each)]
+            imported_names.append(ast.unparse(node))
+    return [imported_name for imported_name in imported_names if is_internal(imported_name)]
 
 
 def pages() -> Iterator[tuple[str, str]]:
@@ -95,10 +95,10 @@ def pages() -> Iterator[tuple[str, str]]:
 
 
 def test_pages_notebooks_and_examples_use_public_names_alone() -> None:
-    used = list(pages())
-    assert len({name for name, _ in used if name.endswith(".md")}) > 15
-    assert len({name for name, _ in used if name.endswith(".ipynb")}) == 8
-    assert {name: bad for name, code in used if (bad := internal(code))} == {}
+    names_of_pages = list(pages())
+    assert len({name for name, _ in names_of_pages if name.endswith(".md")}) > 15
+    assert len({name for name, _ in names_of_pages if name.endswith(".ipynb")}) == 8
+    assert {name: bad for name, code in names_of_pages if (bad := internal(code))} == {}
 
 
 @pytest.mark.parametrize(
@@ -125,10 +125,10 @@ def test_texts_of_pages_write_public_names_alone() -> None:
     wrong = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8").partition("| former name |")[0]
-        named = re.findall(
+        names_of_page = re.findall(
             r"(?<![\w/])nermo_mjx(?:\.[A-Za-z_]+)+\b(?!:)", text.replace("nermo_mjx.zip", "")
         )
-        wrong |= {page.name: bad} if (bad := [*filter(is_internal, named)]) else {}
+        wrong |= {page.name: bad} if (bad := [*filter(is_internal, names_of_page)]) else {}
     assert wrong == {}
 
 
@@ -143,10 +143,10 @@ def test_the_page_lists_every_public_module_and_each_has_its_names() -> None:
     }
     assert set(MODULES) == {"nermo_mjx", *(f"nermo_mjx.{room.name}" for room in rooms), *doors}
     for module in set(MODULES) - doors:
-        found: dict[str, object] = {}
-        exec(f"from {module} import *", found)
+        namespace: dict[str, object] = {}
+        exec(f"from {module} import *", namespace)
         names = importlib.import_module(module).__all__
-        assert set(names) == found.keys() - {"__builtins__"}
+        assert set(names) == namespace.keys() - {"__builtins__"}
         assert len(set(names)) == len(names)
     for name in re.findall(
         r"`(\w+)`", INTERFACE.partition("| `nermo_mjx.kinematics` |")[2].partition("\n")[0]
@@ -163,8 +163,8 @@ def test_a_former_name_works_and_warns(former: str, present: str) -> None:
     with pytest.warns(
         DeprecationWarning, match=rf"{re.escape(former)} is a former name.*: use {present}\.$"
     ) as caught:
-        found = getattr(importlib.import_module(room), name)
-    assert found is getattr(importlib.import_module(home), new)
+        value = getattr(importlib.import_module(room), name)
+    assert value is getattr(importlib.import_module(home), new)
     assert caught[0].filename == __file__, "the warning names the line that uses the name"
     assert name not in importlib.import_module(room).__all__
     with pytest.warns(DeprecationWarning, match=re.escape(former)):
@@ -211,13 +211,13 @@ def test_a_module_may_be_lazy_from_a_zip_archive(tmp_path: Path) -> None:
         "from room import *; print(pi, wing.__name__); warnings.simplefilter('error'); print(room.pi)\n"
         "try: room.half\nexcept DeprecationWarning as told: print(told)"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.stdout.splitlines() == [
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert process.stdout.splitlines() == [
         "('pi', 'wing')",
         "3.141592653589793 room.wing",
         "3.141592653589793",
         "room.half is a former name, which the next minor version will not accept: use math.pi.",
-    ], done.stderr
+    ], process.stderr
 
 
 # --- choices
@@ -272,14 +272,15 @@ def test_a_type_checker_rejects_an_unknown_choice(tmp_path: Path) -> None:
     """In the lines with a wrong name, and nowhere else."""
     (tmp_path / "typed.py").write_text(TYPED)
     words = [sys.executable, "-m", "mypy", "--no-error-summary", str(tmp_path / "typed.py")]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    process = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     wrong = {
-        int(line): said for line, said in re.findall(r"typed\.py:(\d+): error: (.*)", done.stdout)
+        int(line): message
+        for line, message in re.findall(r"typed\.py:(\d+): error: (.*)", process.stdout)
     }
     expected = [
         number
         for number, line in enumerate(TYPED.splitlines(), 1)
         if re.search('trott|late"|circ|sphere|rou|gla', line)
     ]
-    assert sorted(wrong) == expected, done.stdout + done.stderr
-    assert all('expected "Literal[' in said for said in wrong.values())
+    assert sorted(wrong) == expected, process.stdout + process.stderr
+    assert all('expected "Literal[' in message for message in wrong.values())

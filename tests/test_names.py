@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import nermo_mjx
-from nermo_mjx.rollout.own_metrics import METRICS, SIDES
+from nermo_mjx.rollout.metric_table import METRICS, SIDES
 
 
 def test_no_name_stands_for_two_things():
@@ -24,7 +24,7 @@ def test_no_name_stands_for_two_things():
 
 def directions(source):
     """The metrics whose better direction a source declares: in a mapping, in a pair, or as a `Metric`."""
-    words, found = {*SIDES, *SIDES.values()}, set()
+    words, words_of_values = {*SIDES, *SIDES.values()}, set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Dict):
             pairs = zip(node.keys, node.values, strict=True)
@@ -33,12 +33,12 @@ def directions(source):
         else:
             continue
         for name, value in pairs:
-            said = {
-                each.value for each in ast.walk(value) if isinstance(each, ast.Constant)
+            words_of_description = {
+                constant.value for constant in ast.walk(value) if isinstance(constant, ast.Constant)
             } & words
-            if isinstance(name, ast.Constant) and name.value in METRICS and said:
-                found.add(name.value)
-    return found
+            if isinstance(name, ast.Constant) and name.value in METRICS and words_of_description:
+                words_of_values.add(name.value)
+    return words_of_values
 
 
 def test_one_place_declares_which_direction_of_a_metric_is_better():
@@ -49,7 +49,7 @@ def test_one_place_declares_which_direction_of_a_metric_is_better():
     declaring = {
         path for path in package.rglob("*.py") if directions(path.read_text(encoding="utf-8"))
     }
-    assert declaring == {package / "rollout" / "own_metrics.py"}
+    assert declaring == {package / "rollout" / "metric_table.py"}
 
 
 @pytest.mark.parametrize(

@@ -38,10 +38,12 @@ INSTALL = nbformat.read(NOTEBOOKS[0], as_version=4).cells[1].source
 @pytest.fixture(scope="module")
 def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NotebookClient]:
     """One kernel for all notebooks: it imports the package, and compiles what several use, once."""
-    where = {"metadata": {"path": tmp_path_factory.mktemp("kernel")}}
+    resources = {"metadata": {"path": tmp_path_factory.mktemp("kernel")}}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("NERMO_MJX_SMALL", "1")
-        client = NotebookClient(new_notebook(), timeout=300, kernel_name="python3", resources=where)
+        client = NotebookClient(
+            new_notebook(), timeout=300, kernel_name="python3", resources=resources
+        )
         with client.setup_kernel():
             yield client
 
@@ -105,12 +107,12 @@ def test_a_film_is_stored_as_one_frame_and_a_link_and_a_figure_with_few_colours(
     figure = io.BytesIO()
     pixels = np.random.default_rng(0).integers(0, 256, (40, 50, 3), dtype=np.uint8)
     Image.fromarray(pixels).save(figure, "png")
-    shown = [
+    outputs = [
         {"image/gif": base64.b64encode(film.getvalue()).decode(), "text/plain": "film"},
         {"image/png": base64.b64encode(figure.getvalue()).decode()},
         {"text/html": "<video>" + 60_000 * "x"},
     ]
-    cell = new_code_cell("", outputs=[new_output("display_data", data) for data in shown])
+    cell = new_code_cell("", outputs=[new_output("display_data", data) for data in outputs])
     cell.outputs.insert(0, new_output("stream", name="stderr", text="10%"))
     notebook = new_notebook(cells=[cell])
     notebooks.shrink(notebook)

@@ -70,7 +70,7 @@ def test_what_is_undecided_appears_nowhere() -> None:
         assert (re.search(f"^{key}:", citation, re.MULTILINE) is None) == (name in undecided), key
     assert ("urls" not in PROJECT) == ("Repository address" in undecided)
     assert ("not released" in text("CHANGELOG.md")) == ("Release date" in undecided)
-    known = {"OWNER", "a-rohr", *PROJECT.get("urls", {}).get("Repository", "").split("/")[-2:-1]}
+    owners = {"OWNER", "a-rohr", *PROJECT.get("urls", {}).get("Repository", "").split("/")[-2:-1]}
     names = (
         "README.md",
         "CHANGELOG.md",
@@ -88,7 +88,7 @@ def test_what_is_undecided_appears_nowhere() -> None:
         for owner in re.findall(
             r"github(?:\.com)?/([\w.-]+)/nermo", path.read_text(encoding="utf-8")
         ):
-            assert owner in known, path
+            assert owner in owners, path
 
 
 def test_the_changelog_is_short_and_has_the_usual_headings() -> None:
@@ -103,10 +103,10 @@ def test_the_changelog_is_short_and_has_the_usual_headings() -> None:
 def test_an_issue_form_asks_and_requires(name: str) -> None:
     form = yaml(f".github/ISSUE_TEMPLATE/{name}.yml")
     assert set(form) == {"name", "description", "labels", "body"}
-    asked = [each for each in form["body"] if each["type"] != "markdown"]
-    assert len({each["id"] for each in asked}) == len(asked)
-    assert all(each["attributes"]["label"] for each in asked)
-    assert any(each.get("validations", {}).get("required") for each in asked)
+    fields = [field for field in form["body"] if field["type"] != "markdown"]
+    assert len({field["id"] for field in fields}) == len(fields)
+    assert all(field["attributes"]["label"] for field in fields)
+    assert any(field.get("validations", {}).get("required") for field in fields)
 
 
 def test_the_hosted_ci_runs_each_part_and_the_parts_are_those_of_the_script() -> None:
@@ -116,12 +116,14 @@ def test_the_hosted_ci_runs_each_part_and_the_parts_are_those_of_the_script() ->
     assert set(parts) <= set(re.findall(r"^([\w-]+)\(\) \{$", script, re.MULTILINE))
     jobs = yaml(".github/workflows/ci.yml")["jobs"]
     matrix = jobs["part"]["strategy"]["matrix"]
-    called = [*matrix["part"], *(each["part"] for each in matrix["include"]), "other-pythons"]
+    called = [*matrix["part"], *(entry["part"] for entry in matrix["include"]), "other-pythons"]
     assert sorted(called) == sorted(parts)
     assert jobs["part"]["steps"][-1]["run"] == ".ci/run ${{ matrix.part }}"
     assert jobs["other-pythons"]["steps"][-1]["run"] == ".ci/run other-pythons"
     admitted = {
-        each.rsplit(" ", 1)[1] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)
+        classifier.rsplit(" ", 1)[1]
+        for classifier in PROJECT["classifiers"]
+        if re.search(r":: 3\.\d+$", classifier)
     }
     assert set(matrix["python"]) == admitted
     versions = jobs["other-pythons"]["steps"][1]["with"]["python-version"].split()
@@ -129,10 +131,12 @@ def test_the_hosted_ci_runs_each_part_and_the_parts_are_those_of_the_script() ->
 
 
 def test_a_part_that_does_not_exist_is_rejected_before_any_part_runs() -> None:
-    done = subprocess.run([ROOT / ".ci" / "run", "style", "moon"], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert "no part moon: allowed are readme " in done.stderr
+    process = subprocess.run(
+        [ROOT / ".ci" / "run", "style", "moon"], capture_output=True, text=True
+    )
+    assert process.returncode == 2
+    assert process.stdout == ""
+    assert "no part moon: allowed are readme " in process.stderr
 
 
 def test_pre_commit_runs_the_two_commands_of_the_ci() -> None:

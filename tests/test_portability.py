@@ -72,12 +72,14 @@ def optional_modules() -> list[str]:
     """Modules at the top of what only extras install."""
     extras = PROJECT["optional-dependencies"].items()
     installed = declared(
-        each for name, extra in extras if name not in OTHER_EXTRAS for each in extra
+        requirement for name, extra in extras if name not in OTHER_EXTRAS for requirement in extra
     )
     modules = {"salib": "SALib", "tensorboardx": "tensorboardX"} | {
-        of: name for name, of in REQUIREMENTS.items()
+        requirement_name: name for name, requirement_name in REQUIREMENTS.items()
     }
-    return sorted(modules.get(each, each.replace("-", "_")) for each in installed)
+    return sorted(
+        modules.get(requirement, requirement.replace("-", "_")) for requirement in installed
+    )
 
 
 @pytest.mark.release
@@ -96,18 +98,18 @@ def test_the_robot_walks_sweeps_and_is_tuned_without_posix_and_extras(tmp_path: 
         "sweep sweep.yaml --out swept --engine c --json --quiet",
         "tune tuning.yaml --out tuned --json --quiet",
     ]
-    given = [json.dumps(each) for each in (absent, POSIX_NAMES, commands)]
+    arguments = [json.dumps(argument) for argument in (absent, POSIX_NAMES, commands)]
     # Its own cache: without fcntl, filelock takes the files of other processes' locks for locks.
-    own = os.environ | {"NERMO_MJX_CACHE": str(tmp_path / "cache")}
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *given],
+    environment = os.environ | {"NERMO_MJX_CACHE": str(tmp_path / "cache")}
+    process = subprocess.run(
+        [sys.executable, "-c", WITHOUT, *arguments],
         cwd=tmp_path,
-        env=own,
+        env=environment,
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stderr
-    assert '"status": "ok"' in done.stdout
+    assert process.returncode == 0, process.stderr
+    assert '"status": "ok"' in process.stdout
     assert {"swept/summary.json", "tuned/best.json"} <= {
         path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.json")
     }

@@ -29,8 +29,8 @@ class Uses(ast.NodeVisitor):
     An attribute of an object is of another package if no file of this package defines its name.
     """
 
-    def __init__(self, own: set[str]) -> None:
-        self.own, self.found, self.members = own, set[str](), set[str]()
+    def __init__(self, package_names: set[str]) -> None:
+        self.own, self.found, self.members = package_names, set[str](), set[str]()
         self._scopes: list[dict[str, str]] = [{}]
 
     def _add(self, name: str) -> None:
@@ -53,8 +53,8 @@ class Uses(ast.NodeVisitor):
             return next(
                 (scope[node.id] for scope in reversed(self._scopes) if node.id in scope), None
             )
-        before = self._name(node.value) if isinstance(node, ast.Attribute) else None
-        return before and f"{before}.{node.attr}"  # type: ignore[attr-defined]
+        prefix = self._name(node.value) if isinstance(node, ast.Attribute) else None
+        return prefix and f"{prefix}.{node.attr}"  # type: ignore[attr-defined]
 
     def visit_Import(self, node: ast.Import) -> None:
         for alias in node.names:
@@ -101,11 +101,13 @@ class Uses(ast.NodeVisitor):
             self._add(node.value)
 
 
-def uses_of(code: str, own: set[str] | None = None) -> Uses:
-    uses = Uses(own or set())
+def uses_of(code: str, package_names: set[str] | None = None) -> Uses:
+    uses = Uses(package_names or set())
     uses.visit(ast.parse(code))
     uses.found = {
-        name for name in uses.found if not any(other.startswith(f"{name}.") for other in uses.found)
+        name
+        for name in uses.found
+        if not any(longer.startswith(f"{name}.") for longer in uses.found)
     }
     return uses
 
@@ -113,17 +115,17 @@ def uses_of(code: str, own: set[str] | None = None) -> Uses:
 def exists(name: str) -> bool:
     """Whether a dotted name of the list is there: a module, its attribute, or a field of its class."""
     parts = name.split(".")
-    found: Any = None
+    part_value: Any = None
     for i, part in enumerate(parts):
-        inside = getattr(found, part, None)
+        inside = getattr(part_value, part, None)
         if inside is None:
-            if part in getattr(found, "__dataclass_fields__", {}):
+            if part in getattr(part_value, "__dataclass_fields__", {}):
                 return True
             try:
                 inside = importlib.import_module(".".join(parts[: i + 1]))
             except ModuleNotFoundError:
                 return False
-        found = inside
+        part_value = inside
     return True
 
 
@@ -132,21 +134,25 @@ def test_the_list_is_complete() -> None:
     codes = {
         path.relative_to(PACKAGE).as_posix(): path.read_text() for path in PACKAGE.rglob("*.py")
     }
-    own = {
+    package_names = {
         name
         for code in codes.values()
         for name in re.findall(r"(?:self\.|cls\.|def |class |^ *)(_\w+)", code, re.M)
     }
-    where = dict[str, str]()
+    files_by_name = dict[str, str]()
     for file, code in codes.items():
-        uses = uses_of(code, own)
-        where |= dict.fromkeys(uses.found, file)
+        uses = uses_of(code, package_names)
+        files_by_name |= dict.fromkeys(uses.found, file)
         for member in uses.members:
-            known = [name for name in LISTED if name.rpartition(".")[2] == member]
-            where |= dict.fromkeys(known or [f"(some class).{member}"], file)
-    missing = [f"{name}  # {where[name]}" for name in sorted(where.keys() - set(LISTED))]
-    gone = sorted(set(LISTED) - where.keys())
-    assert (missing, gone) == ([], []), "\n".join(["add:", *missing, "remove:", *gone])
+            listed = [name for name in LISTED if name.rpartition(".")[2] == member]
+            files_by_name |= dict.fromkeys(listed or [f"(some class).{member}"], file)
+    missing_names = [
+        f"{name}  # {files_by_name[name]}" for name in sorted(files_by_name.keys() - set(LISTED))
+    ]
+    unused_names = sorted(set(LISTED) - files_by_name.keys())
+    assert (missing_names, unused_names) == ([], []), "\n".join(
+        ["add:", *missing_names, "remove:", *unused_names]
+    )
     assert sorted(set(LISTED)) == LISTED
 
 

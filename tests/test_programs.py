@@ -41,9 +41,9 @@ def said(script: str, **settings: str) -> str:
     """Output of a new process."""
     environment = os.environ | {"PYTHONPATH": str(Path(run.__file__).parents[2])} | settings
     words = [sys.executable, "-c", script]
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    process = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300)
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()
 
 
 @pytest.mark.release
@@ -54,9 +54,9 @@ def test_a_constant_that_is_changed_at_run_time_counts(monkeypatch: pytest.Monke
         simulator = Simulator(Setup(), "c")
         return float(simulator.prepare({"frequency": np.array([0.8])}, Run(cycles=1)).qpos[0, 2])
 
-    before = height()
+    former_height = height()
     monkeypatch.setattr(run, "DEPTH", run.DEPTH + 1e-3)
-    assert height() == pytest.approx(before - 1e-3, abs=1e-7)
+    assert height() == pytest.approx(former_height - 1e-3, abs=1e-7)
 
 
 @pytest.mark.release
@@ -82,5 +82,5 @@ def test_a_handful_of_programs_are_compiled_to_start_the_c_engine() -> None:
     """
     names = said(COMPILED).split()
     assert "step_once" in " ".join(names)
-    asked = [name for name in runtime.COMPILER_OPTIONS if name not in os.environ["XLA_FLAGS"]]
-    assert len(names) - len(asked) <= 6, names
+    options = [name for name in runtime.COMPILER_OPTIONS if name not in os.environ["XLA_FLAGS"]]
+    assert len(names) - len(options) <= 6, names

@@ -43,9 +43,9 @@ def test_a_job_shows_its_progress_on_a_terminal(monkeypatch):
 def test_a_job_is_mute_where_it_is_told_to_be_and_where_nobody_looks(monkeypatch):
     terminal = on_a_terminal(monkeypatch)
     swept(progress=False)
-    seen = []
-    swept(watch=Watch(progress=seen.append))
-    assert seen[-1].fraction == 1.0
+    events = []
+    swept(watch=Watch(progress=events.append))
+    assert events[-1].fraction == 1.0
     assert terminal.getvalue() == ""
     quiet = io.StringIO()
     monkeypatch.setattr(sys, "stderr", quiet)
@@ -69,7 +69,8 @@ def test_in_a_notebook_a_job_writes_one_line_over_and_over(monkeypatch):
     assert states[-1].startswith("sweep: 100%, 36 of 36 runs")
     widths = [len(state) for state in states]
     assert all(
-        after >= len(state.rstrip()) for state, after in zip(states, widths[1:], strict=False)
+        next_width >= len(state.rstrip())
+        for state, next_width in zip(states, widths[1:], strict=False)
     ), "nothing is left"
 
 

@@ -18,8 +18,8 @@ BALL = """
 """
 
 
-def ball(mass: float = 1.0, more: str = "") -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(BALL.format(mass=mass, more=more))
+def ball(mass: float = 1.0, elements: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(BALL.format(mass=mass, more=elements))
 
 
 def some_recording(**changes: object) -> Recording:
@@ -80,9 +80,9 @@ def test_another_layout_is_refused_with_its_number(
 
 def test_another_file_a_cut_one_and_a_missing_one_are_refused(tmp_path: Path) -> None:
     path = some_recording().save(tmp_path / "walk.npz")
-    whole = path.read_bytes()
+    complete_bytes = path.read_bytes()
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    for content in (b"", b"hello", whole[:-300], (tmp_path / "other.npz").read_bytes()):
+    for content in (b"", b"hello", complete_bytes[:-300], (tmp_path / "other.npz").read_bytes()):
         path.write_bytes(content)
         with pytest.raises(RecordingError, match="not a recording of nermo_mjx"):
             Recording.load(path)
@@ -92,7 +92,7 @@ def test_another_file_a_cut_one_and_a_missing_one_are_refused(tmp_path: Path) ->
 
 def test_a_failed_save_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = some_recording().save(tmp_path / "walk.npz")
-    before = path.read_bytes()
+    former_bytes = path.read_bytes()
 
     def no_space(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -100,7 +100,7 @@ def test_a_failed_save_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("os.replace", no_space)
     with pytest.raises(RecordingError, match="No space left"):
         some_recording(metadata={"other": 1}).save(path)
-    assert path.read_bytes() == before
+    assert path.read_bytes() == former_bytes
     assert [file.name for file in tmp_path.iterdir()] == ["walk.npz"]
 
 
@@ -111,24 +111,24 @@ def test_arrays_of_different_lengths_are_refused() -> None:
 
 def test_the_hash_knows_structure_and_ignores_what_a_sweep_varies() -> None:
     assert model_hash(ball()) == model_hash(ball(mass=2.0))
-    assert model_hash(ball()) == model_hash(ball(more="<camera name='eye'/><light name='sun'/>")), (
-        "looks"
-    )
+    assert model_hash(ball()) == model_hash(
+        ball(elements="<camera name='eye'/><light name='sun'/>")
+    ), "looks"
     assert model_hash(ball()) != model_hash(
-        ball(more="<body pos='0 0 1'><joint/><geom size='.1'/></body>")
+        ball(elements="<body pos='0 0 1'><joint/><geom size='.1'/></body>")
     )
-    assert model_hash(ball(more="<body pos='0 0 1'/>")) != model_hash(
-        ball(more="<body pos='0 0 1.001'/>")
+    assert model_hash(ball(elements="<body pos='0 0 1'/>")) != model_hash(
+        ball(elements="<body pos='0 0 1.001'/>")
     )
 
 
 def test_a_recording_of_another_model_is_refused() -> None:
     some_recording().check_model(ball(mass=3.0))
-    some_recording(model_hash="").check_model(ball(more="<body pos='0 0 1'/>"))
+    some_recording(model_hash="").check_model(ball(elements="<body pos='0 0 1'/>"))
     with pytest.raises(RecordingError, match="another version of the robot's model"):
-        some_recording().check_model(ball(more="<body pos='0 0 1'/>"))
+        some_recording().check_model(ball(elements="<body pos='0 0 1'/>"))
     with pytest.raises(RecordingError, match="7 positions, but the model has 8"):
-        some_recording().check_model(ball(more="<body><joint/><geom size='.1'/></body>"))
+        some_recording().check_model(ball(elements="<body><joint/><geom size='.1'/></body>"))
 
 
 def test_one_world_of_a_trace_becomes_a_recording() -> None:

@@ -56,7 +56,7 @@ TWO = {"scene": "ramp"}, {"scene": "rough"}
 
 
 def named(function: Callable[..., Any]) -> Callable[[dict[str, Any]], Any]:
-    return lambda given: function(**given)
+    return lambda keywords: function(**keywords)
 
 
 def of_world(values: dict[str, Any], **choices: Any) -> None:
@@ -95,8 +95,8 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ({"timestep": 0.1}, "timestep is 0.1: allowed is [1e-05, 0.005] s."),
         ({"timestep": float("nan")}, "timestep is nan: allowed is [1e-05, 0.005] s."),
         *(
-            ({"hinges": each}, f"hinges is {each!r}: allowed is a whole number from 1 to 6.")
-            for each in (0, 7, 2.0, True, "3")
+            ({"hinges": hinges}, f"hinges is {hinges!r}: allowed is a whole number from 1 to 6.")
+            for hinges in (0, 7, 2.0, True, "3")
         ),
     ],
     named(Setup): [
@@ -158,7 +158,7 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ),
         ([(0, 0), (0, -1), (1,)], "The way points are not numbers in rows of (x, y)."),
     ],
-    lambda given: tabulated(*given): [
+    lambda arguments: tabulated(*arguments): [
         (([0.0, 0.0], 0.1, 0.0), "command.time is not increasing at 0 s"),
         (([], 0.1, 0.0), "command.time has shape"),
         (([0.0, 1.0], [0.1], 0.0), "command.speed has shape (1,): expected (2,)"),
@@ -282,8 +282,8 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ),
         ("vary: {contact.time_constant: [0.005, 0.01]}\nphysics: fast", STIFF),
         *(
-            (SWITCHED.replace(old, new), said)
-            for old, new, said in (
+            (SWITCHED.replace(old, new), expected)
+            for old, new, expected in (
                 (
                     "gait: lateral_walk",
                     "gait: laterl_walk",
@@ -443,8 +443,8 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
             "field 'whole_degrees' is 'floored': allowed is rounded or truncated",
         ),
         *(
-            ({"channels": CHANNELS | wrong}, said)
-            for wrong, said in (
+            ({"channels": CHANNELS | wrong}, expected)
+            for wrong, expected in (
                 (
                     {"spin": {"channel": 3}},
                     "neck, tail, spine_vertical, head; did you mean 'spine'?",
@@ -486,13 +486,13 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
             )
         ),
     ],
-    lambda given: run_bench(*given): [
+    lambda arguments: run_bench(*arguments): [
         ((["speed"],), "case is 'speed': allowed is one of throughput, startup."),
         ((["throughput"], ["cpu"]), "engine is 'cpu': allowed is one of auto, c, mjx, warp."),
         ((["throughput"], ["c"], [0]), "worlds is 0: allowed is a whole number from 1."),
     ],
     choose_devices: [
-        (each, f"devices is {each}: allowed is 1 to {DEVICES}, ") for each in (0, -1, 100)
+        (devices, f"devices is {devices}: allowed is 1 to {DEVICES}, ") for devices in (0, -1, 100)
     ],
     assemble_leg: [("tail", "limb is 'tail': allowed is one of front_left, ")],
     lambda solve: solve(leg.leg_of(FRONT_LEG), np.zeros(2), "type4"): [
@@ -511,16 +511,16 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    ("act", "given", "said"),
+    ("act", "arguments", "expected"),
     [pytest.param(act, *case, id=case[1][:60]) for act, cases in REFUSED.items() for case in cases],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(
-    act: Callable[[Any], Any], given: Any, said: str
+    act: Callable[[Any], Any], arguments: Any, expected: str
 ) -> None:
     with pytest.raises(ParameterError) as error:
-        act(given)
+        act(arguments)
     sentence = str(error.value)
-    assert said in sentence or re.search(said, sentence), sentence
+    assert expected in sentence or re.search(expected, sentence), sentence
     assert "\n" not in sentence
     assert sentence[-1] in ".?"
 
@@ -536,16 +536,16 @@ def test_a_choice_that_there_is_not_is_answered_with_those_that_there_are() -> N
 
 
 def test_a_value_out_of_its_range_is_answered_with_the_range() -> None:
-    for name, about in quantities(WorldParameters):
-        for end, outside in ((about.low, -0.01), (about.high, 0.01)):
+    for name, quantity in quantities(WorldParameters):
+        for end, outside in ((quantity.low, -0.01), (quantity.high, 0.01)):
             for value in [end + outside * (1.0 + abs(end))] * bool(np.isfinite(end)) + [
                 np.nan,
                 np.inf,
             ]:
-                sentence = f"{name} is {value:g}: allowed is {about.allowed()}."
+                sentence = f"{name} is {value:g}: allowed is {quantity.allowed()}."
                 with pytest.raises(ParameterError, match=f"^{re.escape(sentence)}$"):
-                    about.check(name, [about.default, value])
-        about.check(name, about.default)
+                    quantity.check(name, [quantity.default, value])
+        quantity.check(name, quantity.default)
 
 
 @pytest.mark.parametrize(

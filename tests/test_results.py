@@ -18,9 +18,9 @@ from nermo_mjx import Setup
 from nermo_mjx.runs.files import replace_file
 
 ROOT = Path(__file__).parents[1]
-_found = importlib.util.spec_from_file_location("docs_results", ROOT / "docs" / "results.py")
-results = sys.modules["docs_results"] = importlib.util.module_from_spec(_found)
-_found.loader.exec_module(results)
+_spec = importlib.util.spec_from_file_location("docs_results", ROOT / "docs" / "results.py")
+results = sys.modules["docs_results"] = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(results)
 
 LISTED = results.results()
 #: Files of the docs that runs make, by where they stand.
@@ -34,14 +34,14 @@ MADE = (
 
 
 def test_each_result_of_the_docs_is_listed_once():
-    made = {path.relative_to(ROOT).as_posix() for each in MADE for path in ROOT.glob(each)}
+    files = {path.relative_to(ROOT).as_posix() for pattern in MADE for path in ROOT.glob(pattern)}
     outputs = [
         path.relative_to(ROOT).as_posix()
-        for each in LISTED.values()
-        for one in each.outputs
-        for path in ROOT.glob(one)
+        for entry in LISTED.values()
+        for pattern in entry.outputs
+        for path in ROOT.glob(pattern)
     ]
-    assert made - set(outputs) == {"docs/answers/stamps.json"}
+    assert files - set(outputs) == {"docs/answers/stamps.json"}
     assert len(outputs) == len(set(outputs))
     stamped = results.stamps()
     assert stamped.keys() <= LISTED.keys()
@@ -54,10 +54,10 @@ def test_each_result_of_the_docs_is_listed_once():
 def test_what_is_stale_is_told():
     """Not an error: who changes the body makes its results later. A warning stands at the end of a run of the tests."""
     changed = {name: results.stale(name, result) for name, result in LISTED.items()}
-    stale = [f"{name} ({', '.join(each)})" for name, each in changed.items() if each]
-    unknown = [name for name, each in changed.items() if each is None]
-    for name, each in changed.items():
-        assert ("stale" in results.told(name, LISTED[name])) == bool(each), name
+    stale = [f"{name} ({', '.join(files)})" for name, files in changed.items() if files]
+    unknown = [name for name, files in changed.items() if files is None]
+    for name, files in changed.items():
+        assert ("stale" in results.told(name, LISTED[name])) == bool(files), name
     if stale or unknown:
         warnings.warn(
             f"results of the docs that are stale: {stale}; without a stamp: {unknown}", stacklevel=1
@@ -65,16 +65,16 @@ def test_what_is_stale_is_told():
 
 
 def test_pages_have_the_numbers_that_were_made():
-    known = results.numbers()
-    used = set()
+    values = results.numbers()
+    used_names = set()
     for page in results.pages():
         text = page.read_text(encoding="utf-8")
-        assert results.filled(text, known) == text, f"{page}: run docs/results.py"
-        used |= {found[2] for found in results.MARKED.finditer(text)}
+        assert results.filled(text, values) == text, f"{page}: run docs/results.py"
+        used_names |= {match[2] for match in results.MARKED.finditer(text)}
         # At the beginning of a line a comment makes it HTML, and its Markdown text.
         assert not re.search(r"^<!-- [\w./]+ -->.", text, re.MULTILINE), page
-    assert len(used & known.keys()) > 20
-    assert used <= known.keys()
+    assert len(used_names & values.keys()) > 20
+    assert used_names <= values.keys()
     page, numbers = (
         "a <!-- one -->0<!-- / --> b\n<!-- two --><!-- /two -->",
         {"one": "2", "two": "| a |\n|---|"},
@@ -103,10 +103,10 @@ def test_the_counts_of_published_values_leave_none_out():
         (ROOT / "nermo_mjx" / "experiments" / "published.yaml").read_text(encoding="utf-8")
     )
     listed = Counter(
-        each["rule"]
+        value["rule"]
         for group in yaml["figures"].values()
-        for each in group
-        if each["kind"] == "predicted"
+        for value in group
+        if value["kind"] == "predicted"
     )
     rules = {
         "outcomes": ["outcome"],
@@ -115,12 +115,12 @@ def test_the_counts_of_published_values_leave_none_out():
         "ranges": ["range", "at_most"],
     }
     counts = {name: results.numbers()[f"published.{name}"].split(" of ") for name in rules}
-    assert {name: int(many) for name, (_, many) in counts.items()} == {
+    assert {name: int(total) for name, (_, total) in counts.items()} == {
         name: sum(listed[rule] for rule in names) for name, names in rules.items()
     }
-    hold, many = results.numbers()["published.hold"].split(" of the ")
-    assert sum(int(held) for held, _ in counts.values()) == int(hold)
-    assert sum(int(listed_values) for _, listed_values in counts.values()) == int(many)
+    hold, total = results.numbers()["published.hold"].split(" of the ")
+    assert sum(int(held_out_value) for held_out_value, _ in counts.values()) == int(hold)
+    assert sum(int(listed_values) for _, listed_values in counts.values()) == int(total)
 
 
 @pytest.mark.release
@@ -139,24 +139,26 @@ def test_a_digest_follows_what_changes_a_result(tmp_path: Path, monkeypatch: pyt
         assert after('# why\ndef f(x):\n    """Two times."""\n\n    return 2 * x\n') == first
         assert after('def f(x):\n    """Twice."""\n    return 3 * x\n') != first
     results.digest_of_sources.cache_clear()
-    assert all(results.digests(each) for each in LISTED.values())  # files of pictures are no text
+    assert all(
+        results.digests(result) for result in LISTED.values()
+    )  # files of pictures are no text
     name = next(
         name
-        for name, each in LISTED.items()
-        if name in results.stamps() and each.robot == "nermo_lite"
+        for name, result in LISTED.items()
+        if name in results.stamps() and result.robot == "nermo_lite"
     )
-    before = results.digests(LISTED[name])
+    former_digests = results.digests(LISTED[name])
     defaults = Setup.defaults
     monkeypatch.setattr(Setup, "defaults", lambda setup: defaults(setup) | {"damping.knee": 0.0253})
     results.body.cache_clear()
     now = results.digests(LISTED[name])
     results.body.cache_clear()
-    assert {what for what in now if now[what] != before[what]} == {"body"}
+    assert {part for part in now if now[part] != former_digests[part]} == {"body"}
     monkeypatch.undo()
     stamp = {
         "date": "2026-01-01",
         "version": "0",
-        "digests": before | {"metrics": "of another day"},
+        "digests": former_digests | {"metrics": "of another day"},
     }
     monkeypatch.setattr(results, "stamps", lambda: {name: stamp})
     assert results.stale(name, LISTED[name]) == ["metrics"]

@@ -31,11 +31,11 @@ SETTINGS = (
 def run(script: str, **environment: str) -> list[str]:
     """Lines printed by a script in a fresh interpreter, without the settings of this one."""
     clean = {key: value for key, value in os.environ.items() if key not in SETTINGS}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], env=clean | environment, capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.splitlines()
 
 
 IMPORT = """
@@ -166,8 +166,8 @@ CACHE = (
 
 @pytest.mark.parametrize("first", ["", "import jax; ", "import jax; jax.numpy.ones(3); "])
 def test_the_cache_is_on_where_we_compile_and_has_a_size(tmp_path: Path, first: str) -> None:
-    (found,) = run(CACHE.format(first=first), NERMO_MJX_CACHE=str(tmp_path / "cache"))
-    directory, size = found.split()
+    (line,) = run(CACHE.format(first=first), NERMO_MJX_CACHE=str(tmp_path / "cache"))
+    directory, size = line.split()
     assert directory.startswith(str(tmp_path / "cache"))
     assert Path(directory).is_dir()
     assert int(size) == runtime.MAX_CACHE_BYTES
@@ -201,6 +201,6 @@ def test_commands_take_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv(runtime.THREADS_VARIABLE, "1")
     command = click.command()(options.engine(lambda engine: click.echo(runtime.thread_count())))
     assert CliRunner().invoke(command, ["--threads", "3"]).output == "3\n"
-    done = CliRunner().invoke(command, ["--threads", "0"])
-    assert done.exit_code == 2
-    assert "--threads" in done.output
+    result = CliRunner().invoke(command, ["--threads", "0"])
+    assert result.exit_code == 2
+    assert "--threads" in result.output

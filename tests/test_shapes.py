@@ -36,11 +36,11 @@ def test_an_array_of_another_shape_is_refused(function, arguments):
 
 def test_a_residual_is_asked_for_one_point_at_a_time():
     """Of the shape of the bracket's ends: JAX takes no other from 0.12 on."""
-    seen = set()
+    shapes_of_points = set()
 
     def residual(x):
-        seen.add(jnp.shape(x))
+        shapes_of_points.add(jnp.shape(x))
         return x - 0.5
 
     assert float(bracketed_root(residual, 0.0, 2.0, 1e-3)) == pytest.approx(0.5)
-    assert seen == {()}
+    assert shapes_of_points == {()}

@@ -40,12 +40,12 @@ MODELS = dict(step_models.installed_models())
 )
 def test_the_gradient_is_that_of_the_differences(name: str) -> None:
     """An arm, a tendon with armature, and a body that slides with contacts and dry friction; states agree with C."""
-    found = step_matrix.measure(MODELS[name], "gradient", {})
-    assert found["finite"]
-    assert found["spread"] < 1e-5
-    assert found["error"] < 1e-4
-    assert found["end_off_c"] < 1e-9
-    assert (found["contacts"] > 0) == (name == "mjx/quadratic_frictionloss")
+    result = step_matrix.measure(MODELS[name], "gradient", {})
+    assert result["finite"]
+    assert result["spread"] < 1e-5
+    assert result["error"] < 1e-4
+    assert result["end_off_c"] < 1e-9
+    assert (result["contacts"] > 0) == (name == "mjx/quadratic_frictionloss")
 
 
 # test_special_states.py has muscles, balls and welds, test_differentiable_step.py a tendon wound round a cylinder.
@@ -53,11 +53,11 @@ def test_the_gradient_is_that_of_the_differences(name: str) -> None:
 @pytest.mark.parametrize("name", IN_THEIR_PLACE)
 def test_the_gradient_of_what_stands_for_composites(name: str, tmp_path: Path) -> None:
     (tmp_path / "model.xml").write_text(IN_THEIR_PLACE[name])
-    found = step_matrix.measure(tmp_path / "model.xml", "gradient", {})
-    assert found["finite"]
-    assert found["spread"] < 1e-5
-    assert found["error"] < 1e-4
-    assert found["end_off_c"] < 1e-9
+    result = step_matrix.measure(tmp_path / "model.xml", "gradient", {})
+    assert result["finite"]
+    assert result["spread"] < 1e-5
+    assert result["error"] < 1e-4
+    assert result["end_off_c"] < 1e-9
 
 
 def test_mujocos_models_of_mjx_are_there() -> None:
@@ -80,8 +80,8 @@ def test_a_mesh_that_is_missing_is_left_out_where_it_is_only_drawn(tmp_path: Pat
     path, inertia = tmp_path / "robot.xml", '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
     path.write_text(MISSING.format(inertia=inertia, collides='contype="0" conaffinity="0"'))
     assert step_models.load(path).ngeom == 2
-    for given in ((inertia, ""), ("", 'contype="0" conaffinity="0"')):
-        path.write_text(MISSING.format(inertia=given[0], collides=given[1]))
+    for attributes in ((inertia, ""), ("", 'contype="0" conaffinity="0"')):
+        path.write_text(MISSING.format(inertia=attributes[0], collides=attributes[1]))
         with pytest.raises(
             ValueError, match="mesh 'skin' is not there, and it collides or has a mass"
         ):
@@ -120,15 +120,15 @@ def test_the_stages_of_a_profile_are_a_step() -> None:
 
     def staged(data: Solved) -> Solved:
         return functools.reduce(
-            lambda each, stage: stage(engine.model, each), profile_step.MJX_STAGES.values(), data
+            lambda state, stage: stage(engine.model, state), profile_step.MJX_STAGES.values(), data
         )
 
     options = compiler_options(level=0)
-    found = jax.jit(staged, compiler_options=options)(Solved.of(engine.data))
-    wanted = jax.jit(functools.partial(step, engine.model), compiler_options=options)(engine.data)
+    result = jax.jit(staged, compiler_options=options)(Solved.of(engine.data))
+    expected = jax.jit(functools.partial(step, engine.model), compiler_options=options)(engine.data)
     for name in ("qpos", "qvel", "sensordata"):
         np.testing.assert_allclose(
-            getattr(found, name), getattr(wanted, name), rtol=1e-4, atol=1e-5, err_msg=name
+            getattr(result, name), getattr(expected, name), rtol=1e-4, atol=1e-5, err_msg=name
         )
     rows = profile_step.profile("mjx", worlds=2)["stages"]
     assert [row["stage"] for row in rows] == list(profile_step.MJX_STAGES)

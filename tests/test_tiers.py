@@ -24,6 +24,8 @@ ELSEWHERE = {
     "rollout/eye_metrics.py": "control",  # head control
     "rollout/saving.py": "sweep",  # the series that a sweep stores
     "rollout/transitions.py": "control",  # a schedule's switches
+    "runs/work.py": "sweep",  # a sweep asks for rows
+    "sweep/scalars.py": "runs",  # the writer of TensorBoard
     "runs/status.py": "cli",  # the command `status`
     "view/trained.py": "learn",  # the page of a training
 }
@@ -31,27 +33,29 @@ ELSEWHERE = {
 
 def test_the_first_line_of_each_file_names_the_modules_that_it_tests() -> None:
     """Each module is named in the folder of its room, so that its tests are easy to find."""
-    here, form = Path(__file__).parent, re.compile("# Tests of (.+)")
-    package, found = here.parent / "nermo_mjx", set[tuple[str, str]]()
-    for path in sorted(here.rglob("test_*.py")):
+    folder, form = Path(__file__).parent, re.compile("# Tests of (.+)")
+    package, module_rooms = folder.parent / "nermo_mjx", set[tuple[str, str]]()
+    for path in sorted(folder.rglob("test_*.py")):
         line = form.fullmatch(path.read_text().partition("\n")[0])
         assert line is not None, path
         for name in line[1].split(", "):
-            assert (package / name).exists() or (here.parent / name).exists(), (path, name)
-            found.add((name, path.relative_to(here).parts[0] if path.parent != here else ""))
+            assert (package / name).exists() or (folder.parent / name).exists(), (path, name)
+            module_rooms.add(
+                (name, path.relative_to(folder).parts[0] if path.parent != folder else "")
+            )
     modules = [
         path.relative_to(package) for path in package.rglob("*.py") if path.name != "__init__.py"
     ]
     rooms = {
         path.as_posix(): path.parts[0] if path.parent.parts else "" for path in modules
     } | ELSEWHERE
-    assert set(rooms.items()) - found == set()
+    assert set(rooms.items()) - module_rooms == set()
 
 
 def test_every_test_marked_long_is_in_the_record(request: pytest.FixtureRequest) -> None:
     """With the day when it last passed, or null: of the tests that were collected, none is forgotten."""
-    here = Path(__file__).parent
-    files = {path.relative_to(here).as_posix() for path in here.rglob("test_*.py")}
+    folder = Path(__file__).parent
+    files = {path.relative_to(folder).as_posix() for path in folder.rglob("test_*.py")}
     recorded = set(tiers.last_runs())
     assert set(request.config.stash[LONG]) <= recorded
     assert {name.partition("::")[0].removeprefix("tests/") for name in recorded} <= files
@@ -64,11 +68,12 @@ def test_a_day_is_written_down_and_told(tmp_path: Path, monkeypatch: pytest.Monk
     tiers.LAST_RUN.write_text('{"a": null, "b": null}')
     assert tiers.sentence() == "not yet: a, b"
     tiers.note({"a": 61.4})
-    about = tiers.last_runs()["a"]
-    assert about is not None
-    assert about["seconds"] == 61
+    last_run = tiers.last_runs()["a"]
+    assert last_run is not None
+    assert last_run["seconds"] == 61
     assert (
-        tiers.sentence() == f"1 last passed between {about['day']} and {about['day']}; not yet: b"
+        tiers.sentence()
+        == f"1 last passed between {last_run['day']} and {last_run['day']}; not yet: b"
     )
 
 

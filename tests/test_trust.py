@@ -23,7 +23,7 @@ from nermo_mjx.control import protocol
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.rollout import own_metrics
+from nermo_mjx.rollout import custom_metrics
 from nermo_mjx.sweep import DirectoryError, merge_sweeps, read_table, run_sweep
 from nermo_mjx.sweep.table import meta
 
@@ -40,25 +40,25 @@ SPECS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("own", ["metrics", "controller", "module", "deep"])
+@pytest.mark.parametrize("source", ["metrics", "controller", "module", "deep"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_command_that_reads_runs_the_code_of_a_directory(
-    kind: str, own: str, tmp_path: Path, canary: Path
+    kind: str, source: str, tmp_path: Path, canary: Path
 ) -> None:
     out, code = tmp_path / "theirs", (tmp_path / "own.py").read_text()
-    named = {
+    code_fields = {
         "metrics": {"metrics": "metrics.py"},
         "controller": {"controller": "controller.py:stiff"},
         "module": {"metrics": "own"},
         "deep": {"controller": "own.under:stiff"},
-    }[own]
+    }[source]
     (out / "results").mkdir(parents=True)
     for name in ("metrics.py", "controller.py", "own.py", "sitecustomize.py"):
         (out / name).write_text(code)
     (out / "run.json").write_text(json.dumps({"kind": kind}))
     if kind in SPECS:
         name, spec = SPECS[kind]
-        (out / name).write_text(json.dumps(spec | named))
+        (out / name).write_text(json.dumps(spec | code_fields))
     for words in (
         ("status", out),
         ("status", out, "--json"),
@@ -81,18 +81,18 @@ def test_no_command_that_reads_runs_the_code_of_a_directory(
 @pytest.fixture(params=["metrics", "controller"])
 def directories(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path, Path, Path]:
     """What is own, two directories that were moved here, and the file that their code writes when it is run."""
-    log, made = tmp_path / "log", tmp_path / "made"
-    own = {request.param: {"metrics": "own.py", "controller": "own.py:stiff"}[request.param]}
-    made.mkdir()
-    (made / "own.py").write_text(CANARY.format(log=str(log)))
+    log, folder = tmp_path / "log", tmp_path / "made"
+    code = {request.param: {"metrics": "own.py", "controller": "own.py:stiff"}[request.param]}
+    folder.mkdir()
+    (folder / "own.py").write_text(CANARY.format(log=str(log)))
     vary = {"frequency": {"linspace": [0.5, 1.0, 80]}, "stride": [0.5, 0.7]}
     for name, gait in (("a", "trot"), ("b", "lateral_walk")):
-        spec = own | {"gait": gait, "plots": False, "vary": vary, "compare": {"by": "stride"}}
-        (made / f"{name}.yaml").write_text(json.dumps(spec))
-        run_sweep(made / f"{name}.yaml", made / name, simulator=Measuring())
-    run_sweep(made / "a.yaml", made / "half", chunk=40, shard=(0, 2), simulator=Measuring())
+        spec = code | {"gait": gait, "plots": False, "vary": vary, "compare": {"by": "stride"}}
+        (folder / f"{name}.yaml").write_text(json.dumps(spec))
+        run_sweep(folder / f"{name}.yaml", folder / name, simulator=Measuring())
+    run_sweep(folder / "a.yaml", folder / "half", chunk=40, shard=(0, 2), simulator=Measuring())
     for name in ("a", "b", "half"):
-        shutil.move(made / name, tmp_path / name)
+        shutil.move(folder / name, tmp_path / name)
     assert log.read_text().startswith("run")
     log.unlink()
     protocol._imported.cache_clear()
@@ -102,7 +102,7 @@ def directories(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Pa
 @pytest.mark.release
 def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]) -> None:
     """Yet units, sides, meanings, the section `compare`, and how many runs there will be are known."""
-    own, a, b, log = directories
+    code, a, b, log = directories
     half = a.with_name("half")
     for words in (
         ("status", a),
@@ -117,7 +117,7 @@ def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]
     assert "gait: trot and lateral_walk" in call("compare", a, b).stdout
     assert (a / "plots" / "differences.png").exists()
     merged = call("merge", a, half, "--out", a.with_name("both"))
-    if own == "controller":
+    if code == "controller":
         assert merged.exit_code == 1
         assert "field 'controller' is " in merged.stderr
         assert "it is code, which a command that only reads does not run" in merged.stderr
@@ -131,10 +131,10 @@ def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]
         )
     assert not log.exists(), "it was run"
     if (
-        own == "metrics"
+        code == "metrics"
     ):  # the merged directory has the code, which `sweep` then runs: nothing is simulated again
-        both, simulator = a.with_name("both"), Measuring()
-        assert run_sweep(both / "sweep.yaml", both, simulator=simulator).complete
+        union, simulator = a.with_name("both"), Measuring()
+        assert run_sweep(union / "sweep.yaml", union, simulator=simulator).complete
         assert simulator.batches == []
         assert log.exists()
 
@@ -142,8 +142,8 @@ def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]
 def test_a_file_that_is_not_that_of_the_table_is_not_run_either(
     directories: tuple[str, Path, Path, Path],
 ) -> None:
-    own, a, b, log = directories
-    (a / f"{own}.py").write_text((a / f"{own}.py").read_text() + "\n")
+    code, a, b, log = directories
+    (a / f"{code}.py").write_text((a / f"{code}.py").read_text() + "\n")
     with pytest.raises(
         DirectoryError, match=r"it is code, which a command that only reads does not run\."
     ):
@@ -151,21 +151,21 @@ def test_a_file_that_is_not_that_of_the_table_is_not_run_either(
     assert call("status", a).exit_code == 0
     assert not log.exists()
     with trust.only_reading(), pytest.raises(protocol.ParameterError, match="does not run"):
-        own_metrics.load_metrics(str(a / "metrics.py") if own == "metrics" else "json:loads")
+        custom_metrics.load_metrics(str(a / "metrics.py") if code == "metrics" else "json:loads")
 
 
 @pytest.mark.parametrize(
-    "named", [{"controller": "own.py:stiff"}, {"metrics": "own.py"}, {"scene": "own.xml"}]
+    "code_fields", [{"controller": "own.py:stiff"}, {"metrics": "own.py"}, {"scene": "own.xml"}]
 )
-def test_a_policy_names_no_code(named: dict[str, str], tmp_path: Path, canary: Path) -> None:
+def test_a_policy_names_no_code(code_fields: dict[str, str], tmp_path: Path, canary: Path) -> None:
     with np.load(POLICY) as file:
         arrays = {name: file[name] for name in file.files}
-    for place in ("base", "top"):
-        about = json.loads(arrays["about"].tobytes())
-        (about if place == "top" else about["base"]).update(named)
+    for level in ("base", "top"):
+        metadata = json.loads(arrays["about"].tobytes())
+        (metadata if level == "top" else metadata["base"]).update(code_fields)
         np.savez(
             tmp_path / "a.npz",
-            **arrays | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)},
+            **arrays | {"about": np.frombuffer(json.dumps(metadata).encode(), np.uint8)},
         )
         with pytest.raises(ParameterError, match="holds no policy of `nermo-mjx train`: "):
             load_policy(tmp_path / "a.npz")
@@ -194,12 +194,12 @@ def test_a_recording_names_no_code(tmp_path: Path, canary: Path) -> None:
 
 
 def test_whose_code_is_run_is_said_before(tmp_path: Path, canary: Path) -> None:
-    said: list[tuple[str, bool]] = []
-    token = trust.MESSAGE_HANDLER.set(lambda sentence: said.append((sentence, canary.exists())))
+    messages: list[tuple[str, bool]] = []
+    token = trust.MESSAGE_HANDLER.set(lambda sentence: messages.append((sentence, canary.exists())))
     try:
-        own_metrics.load_metrics("own.py")
-        own_metrics.load_metrics("own.py")
+        custom_metrics.load_metrics("own.py")
+        custom_metrics.load_metrics("own.py")
     finally:
         trust.MESSAGE_HANDLER.reset(token)
-    assert said == [(f"the Python code of {tmp_path / 'own.py'} is run.", False)]
+    assert messages == [(f"the Python code of {tmp_path / 'own.py'} is run.", False)]
     assert canary.exists()

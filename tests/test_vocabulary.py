@@ -96,8 +96,8 @@ def in_the_log_of_a_drive(folder):
     channels = read_channels("published")
     log = LinkLog(folder / "log.csv", channels, ROBOT, lambda: 0.0)
     log.measured(0.0, None, {name: np.asarray(getattr(SENSORS, name)) for name in MESSAGE})
-    sent = dict(zip(ROBOT.servos, CTRL, strict=True))
-    log.command(0.0, np.array([sent.get(channel.servo, 0.0) for channel in channels]))
+    command_values = dict(zip(ROBOT.servos, CTRL, strict=True))
+    log.command(0.0, np.array([command_values.get(channel.servo, 0.0) for channel in channels]))
     log.end()
     names, *rows = (line.split(",") for line in log.path.read_text().splitlines())
     for row in rows:
@@ -137,24 +137,26 @@ def test_each_number_of_the_sensors_has_one_name(tmp_path):
         "drive": in_the_log_of_a_drive(tmp_path),
         "log": beside_a_log(),
     }
-    called, seen = collections.defaultdict(set), collections.defaultdict(set)
+    called, values_of_names = collections.defaultdict(set), collections.defaultdict(set)
     for numbers in doors.values():
         for name, value in numbers:
             called[round(float(value), 5)].add(name)
-            seen[name].add(round(float(value), 5))
+            values_of_names[name].add(round(float(value), 5))
     assert {value: names for value, names in called.items() if len(names) != 1} == {}
-    assert {name: values for name, values in seen.items() if len(values) != 1} == {}, (
+    assert {name: values for name, values in values_of_names.items() if len(values) != 1} == {}, (
         "and no two things one name"
     )
     of_joints = {
         name
-        for name in seen
+        for name in values_of_names
         if name.endswith("_velocity") and "_foot_" not in name and "servo" not in name
     }
-    known = {number for name in READINGS for number in reading_names(name, ROBOT.servos)}
-    assert set(seen) - of_joints <= known
+    names_of_readings = {
+        number for name in READINGS for number in reading_names(name, ROBOT.servos)
+    }
+    assert set(values_of_names) - of_joints <= names_of_readings
     assert {number for name in SAVED for number in reading_names(name, ROBOT.servos)} <= set(
-        seen
+        values_of_names
     ) | {
         *READINGS["attitude"].names,
         "speed",
@@ -165,17 +167,17 @@ def test_names_of_a_log_are_the_last_words_of_the_vocabulary():
     numbers = {number for name in READINGS for number in (name, *reading_names(name))}
     last = {number.rpartition("_")[2] for number in numbers}
     assert set(QUANTITIES) <= last
-    assert len({name for each in READINGS for name in reading_names(each)}) == sum(
-        len(reading_names(each)) for each in READINGS
+    assert len({name for reading in READINGS for name in reading_names(reading)}) == sum(
+        len(reading_names(reading)) for reading in READINGS
     )
 
 
 def test_what_a_policy_is_told_has_the_names_of_the_vocabulary():
-    known = {number for name in READINGS for number in reading_names(name)}
+    names_of_readings = {number for name in READINGS for number in reading_names(name)}
     observer = Observer(tuple(SENSED_READINGS), (), (), False, False, 0, False, 0.01)
-    assert set(observer.names) <= known
+    assert set(observer.names) <= names_of_readings
     critic = {name for name in privileged_names((), (), False) if "." not in name}
-    assert critic - known <= {
+    assert critic - names_of_readings <= {
         "height",
         "time_left",
         *(name for name in critic if name.endswith("_foot_height")),
@@ -207,9 +209,9 @@ def test_motor_current_is_one_thing_as_metric_and_as_observation():
 
 def test_a_policy_of_a_former_version_observes_the_same_numbers():
     path = ROOT / "tests" / "data" / "former_policy.npz"
-    about = json.loads(bytes(np.load(path)["about"]))
+    metadata = json.loads(bytes(np.load(path)["about"]))
     policy = load_policy(path)
-    assert {"servo_load.spine", "tilt.x", "gyro.x"} <= set(about["observation"]), (
+    assert {"servo_load.spine", "tilt.x", "gyro.x"} <= set(metadata["observation"]), (
         "it is of a former version"
     )
     for old, new in (
@@ -218,10 +220,10 @@ def test_a_policy_of_a_former_version_observes_the_same_numbers():
         ("foot_contact.rear_left", "rear_left_foot_contact"),
         ("phase.cos", "phase.cos"),
     ):
-        assert policy.observer.names.index(new) == about["observation"].index(old)
-    written = json.loads(bytes(np.load(io.BytesIO(policy.content()))["about"]))
-    assert written["observation"] == list(policy.observer.names)
-    assert not set(FORMER_NAMES) & set(written["observer"]["groups"])
+        assert policy.observer.names.index(new) == metadata["observation"].index(old)
+    saved_metadata = json.loads(bytes(np.load(io.BytesIO(policy.content()))["about"]))
+    assert saved_metadata["observation"] == list(policy.observer.names)
+    assert not set(FORMER_NAMES) & set(saved_metadata["observer"]["groups"])
 
 
 def test_specifications_of_a_former_version_are_read():
@@ -255,15 +257,15 @@ def test_channels_of_a_former_version_are_read(tmp_path):
     log = read_log(
         tmp_path / "log.csv", {"time": {"column": "t", "unit": "s"}, "channels": channels}
     )
-    assert [each.quantity for each in log.channels] == ["force", "contact", "accelerometer"]
+    assert [channel.quantity for channel in log.channels] == ["force", "contact", "accelerometer"]
 
 
 @pytest.mark.release
 def test_a_walk_saves_commands_under_their_name(simulator):
-    found = simulator("c").run(
+    result = simulator("c").run(
         {}, Run(duration=0.1), save=Saving(("servo_command", "spine_servo_angle"), 100.0)
     )
-    assert [*found.series.values] == [
+    assert [*result.series.values] == [
         *reading_names("servo_command", ROBOT.servos),
         "spine_servo_angle",
     ]

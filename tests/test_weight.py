@@ -45,8 +45,8 @@ def test_no_file_is_there_twice(tree: list[Path]) -> None:
     files: dict[str, Path] = {}
     for path in tree:
         if path.stat().st_size > 100:  # empty modules are alike
-            other = files.setdefault(hashlib.sha256(path.read_bytes()).hexdigest(), path)
-            assert other == path, f"{path} is {other}"
+            first_path = files.setdefault(hashlib.sha256(path.read_bytes()).hexdigest(), path)
+            assert first_path == path, f"{path} is {first_path}"
 
 
 def test_pictures_and_films_of_the_pages_are_small_webp() -> None:
@@ -94,19 +94,19 @@ def test_a_film_that_is_too_large_is_rejected_and_not_written(tmp_path: Path) ->
 
 
 def test_a_picture_of_few_colours_is_stored_exactly_and_others_nearly(tmp_path: Path) -> None:
-    few = np.random.default_rng(2).integers(0, 16, (30, 40, 1), dtype=np.uint8) * np.array(
+    few_colours = np.random.default_rng(2).integers(0, 16, (30, 40, 1), dtype=np.uint8) * np.array(
         [16, 8, 4], np.uint8
     )
     ramp = np.stack(np.meshgrid(np.arange(256), np.arange(256)), axis=-1).astype(np.uint8)
-    many = np.concatenate([ramp, np.full((256, 256, 1), 90, np.uint8)], axis=-1)
-    for pixels, error in ((few, 0), (many, 16)):
+    colourful = np.concatenate([ramp, np.full((256, 256, 1), 90, np.uint8)], axis=-1)
+    for pixels, error in ((few_colours, 0), (colourful, 16)):
         path = tmp_path / "picture.webp"
         pictures.write_picture(Image.fromarray(pixels), path)
         with Image.open(path) as stored:
-            shown = np.asarray(stored.convert("RGB")).astype(int)
-        assert shown.shape == pixels.shape
-        assert np.abs(shown - pixels).max() <= error
-        assert len(np.unique(shown.reshape(-1, 3), axis=0)) <= 256
+            pixels_of_file = np.asarray(stored.convert("RGB")).astype(int)
+        assert pixels_of_file.shape == pixels.shape
+        assert np.abs(pixels_of_file - pixels).max() <= error
+        assert len(np.unique(pixels_of_file.reshape(-1, 3), axis=0)) <= 256
 
 
 def test_the_command_writes_films_pictures_and_stills(tmp_path: Path) -> None:

@@ -130,9 +130,9 @@ def test_a_length_of_a_run_may_have_a_unit():
     assert Run(duration="8 s", warmup="500 ms") == Run(duration=8.0, warmup=0.5)
     assert Run(cycles=3, distance="30 cm").distance == pytest.approx(0.3)
     assert Run(duration=["2 s", 3]).duration == [2.0, 3.0]
-    for name, other in (("cycles", "duration"), ("warmup_cycles", "warmup")):
+    for name, equivalent in (("cycles", "duration"), ("warmup_cycles", "warmup")):
         with pytest.raises(
-            ParameterError, match=rf"^run.{name} is '8 s': .* such; seconds are run.{other}\.$"
+            ParameterError, match=rf"^run.{name} is '8 s': .* such; seconds are run.{equivalent}\.$"
         ):
             Run(**{name: "8 s"})
     with pytest.raises(

@@ -19,17 +19,17 @@ LAST_RUN: Final = Path(__file__).with_name("long.json")
 
 def needs(*packages: str) -> None:
     """Skip a test if one of these packages, which extras bring, is not installed; none of them is imported."""
-    missing = [name for name in packages if importlib.util.find_spec(name) is None]
-    if missing:
-        pytest.skip(f"without {' and '.join(missing)}: pip install '.[test-all]'")
+    missing_packages = [name for name in packages if importlib.util.find_spec(name) is None]
+    if missing_packages:
+        pytest.skip(f"without {' and '.join(missing_packages)}: pip install '.[test-all]'")
 
 
 def last_runs() -> dict[str, dict[str, Any] | None]:
     """Test -> day and version of its last run, and how long it took [s]."""
-    found: dict[str, dict[str, Any] | None] = (
+    runs: dict[str, dict[str, Any] | None] = (
         json.loads(LAST_RUN.read_text()) if LAST_RUN.exists() else {}
     )
-    return found
+    return runs
 
 
 def note(seconds: Mapping[str, float]) -> None:
@@ -50,7 +50,7 @@ def sentence() -> str:
     never = sorted(
         {test.partition("[")[0].partition("::")[2] or test for test, run in runs.items() if not run}
     )
-    told = f"{len(days)} last passed between {days[0]} and {days[-1]}" if days else ""
+    interval = f"{len(days)} last passed between {days[0]} and {days[-1]}" if days else ""
     return "; ".join(
-        part for part in (told, f"not yet: {', '.join(never)}" if never else "") if part
+        part for part in (interval, f"not yet: {', '.join(never)}" if never else "") if part
     )

@@ -23,7 +23,7 @@ from gradients import HARD
 from nermo_mjx.optimize import Tuning
 from nermo_mjx.optimize.objective import FURTHEST
 from nermo_mjx.optimize.problems import WalkProblem
-from nermo_mjx.optimize.spec import Gradient
+from nermo_mjx.optimize.tuning_spec import Gradient
 from nermo_mjx.plotting.shown import shown
 
 SPEC = Path(__file__).parents[2] / "sweeps" / "tune_speed.yaml"

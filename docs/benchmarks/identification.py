@@ -25,10 +25,10 @@ import numpy as np
 from scipy.stats import binomtest
 
 from nermo_mjx import Run, Setup, Simulator
-from nermo_mjx.experiments.log_identification import Identification, identify_log
-from nermo_mjx.experiments.log_twin import NermoBody
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.hardware.twin import SETTLING_SECONDS
+from nermo_mjx.identify.body import NermoBody
+from nermo_mjx.identify.identification import Identification, identify_log
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import load_robot
 from nermo_mjx.robot.masses import mass_values

@@ -19,8 +19,8 @@ import numpy as np
 from nermo_mjx import Run, Setup, Simulator, all_parameters
 from nermo_mjx.control.parameters import body_values, robot_choices
 from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, worlds
-from nermo_mjx.experiments.determinacy import Estimation, LoggedSamples, Parameter, ParameterSpace
-from nermo_mjx.experiments.log_report import ensemble_text
+from nermo_mjx.identify.estimation import Estimation, LoggedSamples, Parameter, ParameterSpace
+from nermo_mjx.identify.report import ensemble_text
 from nermo_mjx.plotting.charts import pair_scatters
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import shown

@@ -15,10 +15,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 from nermo_mjx import Rollout, Simulator, Tuning
-from nermo_mjx.optimize.methods import Tuner, initial_state, strategy
 from nermo_mjx.optimize.objective import from_unconstrained, slope, to_unconstrained
 from nermo_mjx.optimize.problems import WalkProblem
-from nermo_mjx.optimize.run import verified
+from nermo_mjx.optimize.search_methods import strategy
+from nermo_mjx.optimize.tuner import Tuner, initial_state
+from nermo_mjx.optimize.tuning_run import verified
 
 SECONDS = 40.0
 SECANTS = {"wide_differences": {"scheme": "forward", "step": 0.02}}

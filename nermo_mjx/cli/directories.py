@@ -293,7 +293,7 @@ _MOST_GROUPS = 30
 def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool) -> None:
     """Tables for people: the chosen metrics, or all of them, over all variants, and the drawn ones by groups; where
     lines have an end, what differs, in the columns that fit."""
-    from nermo_mjx.rollout.own_metrics import headed
+    from nermo_mjx.rollout.metric_table import headed
     from nermo_mjx.sweep.table import profile_text
 
     profile = profile_text(found.profiles)

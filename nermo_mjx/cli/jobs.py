@@ -6,8 +6,6 @@ import contextlib
 import dataclasses
 import functools
 import math
-import shlex
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -169,7 +167,7 @@ def sweep_command(
     if dry_run and how["workers"] != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     from nermo_mjx.sweep import Sweep, run_sweep
-    from nermo_mjx.sweep.run import sweep_forecast
+    from nermo_mjx.sweep.forecast import sweep_forecast
 
     sweep = (
         Sweep.from_rows(rows, spec, body) if rows is not None else Sweep.from_file(str(spec), body)
@@ -239,7 +237,8 @@ def _print_sweep(result: SweepResult) -> None:
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.counting import told
-    from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
+    from nermo_mjx.sweep.optimum import optimum_in
+    from nermo_mjx.sweep.optimum_tables import optimum_cells
     from nermo_mjx.sweep.replay import recording_file
     from nermo_mjx.sweep.table import LEADING, Results, meta, profile_text
 
@@ -391,7 +390,7 @@ def search_command(
       nermo-mjx search sweeps/atlas.yaml --out runs/atlas --budget 10000
     """
     from nermo_mjx.optimize import Search, run_search
-    from nermo_mjx.optimize.run import search_forecast
+    from nermo_mjx.optimize.search_run import search_forecast
 
     search = Search.from_file(spec, body)
     if budget is not None:
@@ -481,7 +480,7 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
       nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
     """
     from nermo_mjx.optimize import Tuning, run_tuning
-    from nermo_mjx.optimize.run import tuning_forecasts
+    from nermo_mjx.optimize.tuning_run import tuning_forecasts
 
     tuning = Tuning.from_file(spec, body)
     tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed"))
@@ -797,9 +796,13 @@ def _print_experiments(result: ExperimentsResult) -> None:
     click.echo("Only predicted lines count as evidence.")
     for sentence in content["differences"]:
         click.echo(sentence)
-    folders = ("plots", "recordings", "videos")
-    made = {name: name for name in folders if any(getattr(each, name) for each in result.results)}
-    print_places(result.out, report="report.md", tables="results", **made)
+    folders = {"plots": "plots", "recordings": "*/recordings", "videos": "videos"}
+    made = {
+        name: place
+        for name, place in folders.items()
+        if any(getattr(each, name) for each in result.results)
+    }
+    print_places(result.out, report="report.md", tables="*/results", **made)
 
 
 def _counted(summary: dict[str, Any]) -> str:
@@ -875,15 +878,12 @@ def identify_command(
         )
     if model and "robot" in options.given():
         raise WrongUse("--model is another robot: give it, or --robot.")
-    from nermo_mjx.experiments import log_identification, log_report, log_twin
-    from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
     from nermo_mjx.hardware.log import read_log
+    from nermo_mjx.identify.identification import FREE
+    from nermo_mjx.identify.report import HEADINGS, estimate_rows
+    from nermo_mjx.identify.run import run_identification
     from nermo_mjx.robot.quantity import require
-    from nermo_mjx.robot.robot import fingerprint
-    from nermo_mjx.runs import RunDirectory, code
-    from nermo_mjx.runs.directory import digest
-    from nermo_mjx.runs.job import resumable
-    from nermo_mjx.specs.described import digest_of
+    from nermo_mjx.runs.job import Watch
 
     require("identify", "cma", "cma")
     if channels is None:
@@ -897,38 +897,21 @@ def identify_command(
             raise WrongUse(f"--range {each}: expected NAME=LOW:HIGH, such as kp=1:3.") from None
         ranges[name] = (low, high)
     logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
-    kinds = tuple(free.split(",")) if free else log_identification.FREE
-    of, wanted = robot if model is None else model, repr((kinds, ranges, seed))
-    unread = [
-        each.name
-        for each in logs[0].channels
-        if each.quantity not in (*log_twin.PREDICTED, "command")
-    ]
-    if unread:
-        say(f"not compared, since they are not predicted: {', '.join(unread)}.")
-    body = log_twin.body_of(of, [*logs, *judges], kinds)
-    stamp = code.stamp(fingerprint(body.model), "c", ("experiments", "hardware"))
-    decides = digest_of(
-        stamp.id,
-        wanted,
-        [digest(read_bytes(each, MAX_FILE_BYTES)) for each in (*log, channels, *check)],
-    )
-    with (
-        RunDirectory(out, "identification from a log") as held,
-        ProgressBar("identify") as shown,
-        resumable(out),
-    ):
-        held.note_session(code.session())
-        kept = log_report.kept_in(out, decides)
-        found = log_identification.identify_log(
-            logs, of, kinds, ranges, judges, seed, shown.share, kept
+    with ProgressBar("identify") as shown:
+        result = run_identification(
+            logs,
+            out,
+            model=robot if model is None else model,
+            free=free.split(",") if free else FREE,
+            ranges=ranges,
+            judges=judges,
+            seed=seed,
+            watch=Watch(lambda done: shown.share(done.fraction), say),
         )
-        content = log_report.write_identification(
-            found, out, shlex.join(["nermo-mjx", *sys.argv[1:]])
-        )
+    content = result.content
 
     def show() -> None:
-        print_table("Parameters", log_report.HEADINGS, log_report.estimate_rows(found))
+        print_table("Parameters", HEADINGS, estimate_rows(content["parameters"]))
         for sentence in content["sentences"]:
             click.echo(sentence)
         print_places(

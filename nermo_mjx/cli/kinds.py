@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from nermo_mjx.cli.output import WrongUse
+
+if TYPE_CHECKING:
+    from nermo_mjx.view.page import Page
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,6 +27,8 @@ class Kind:
         status: the same of the function that says how far such a directory is.
         tracked: whether run.json records which files the program wrote, so that no others are replaced.
         options: keywords that `figures` takes, of those that the command `plot` has.
+        page: the same of the function that makes its page, `page(path, **options)`; empty: the page shows the figures.
+        follows: whether the page can follow a job that is at work.
     """
 
     name: str
@@ -31,6 +37,8 @@ class Kind:
     status: str = ""
     tracked: bool = False
     options: tuple[str, ...] = ()
+    page: str = ""
+    follows: bool = False
 
     def load(self, place: str) -> Callable[..., Any]:
         """The function of a place, imported now."""
@@ -40,7 +48,7 @@ class Kind:
 
 
 _COLUMNS: Final = ("x", "y", "color")
-_IDENTIFIED: Final = "experiments.log_report"
+_RUNS: Final = "view.explore:explore"
 _KINDS: Final = (
     Kind(
         "sweep",
@@ -49,20 +57,30 @@ _KINDS: Final = (
         "sweep.table:sweep_status",
         False,
         (*_COLUMNS, "notify"),
+        _RUNS,
     ),
     Kind(
         "search",
         "a search",
-        "optimize.figures:search_figures",
-        "optimize.directory:search_status",
+        "optimize.search_figures:search_figures",
+        "optimize.search_directory:search_status",
         False,
         _COLUMNS,
+        _RUNS,
     ),
     Kind(
-        "tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"
+        "tuning",
+        "a tuning",
+        "optimize.tuning_figures:tuning_figures",
+        "optimize.tuning_directory:tuning_status",
     ),
     Kind(
-        "training", "a training", "learn.plots:training_figures", "learn.directory:training_status"
+        "training",
+        "a training",
+        "learn.plots:training_figures",
+        "learn.directory:training_status",
+        page="view.trained:trained",
+        follows=True,
     ),
     Kind(
         "experiments",
@@ -70,13 +88,24 @@ _KINDS: Final = (
         "experiments.run:images",
         "experiments.run:experiments_status",
         True,
+        page=_RUNS,
+    ),
+    Kind(
+        "experiment",
+        "the rows of an experiment",
+        "sweep.plots:sweep_figures",
+        "experiments.run:experiment_status",
+        False,
+        (*_COLUMNS, "notify"),
+        _RUNS,
     ),
     *(
         Kind(
             name,
             f"an {name}",
-            f"{_IDENTIFIED}:kept_figures",
-            f"{_IDENTIFIED}:identification_status",
+            "identify.report:kept_figures",
+            "identify.run:identification_status",
+            page="identify.report:identification_page",
         )
         for name in ("identification", "identification from a log")
     ),
@@ -122,3 +151,20 @@ def kind_of_directory(path: Path) -> Kind:
             f"{path} holds a {name}, which this release does not open: use the release that made it, named in run.json."
         )
     return KINDS[name]
+
+
+def directory_page(path: Path, **options: Any) -> Page:
+    """The page of a directory: its runs, to which the options apply, its training, or its figures.
+
+    Raises:
+        DirectoryError: it has nothing to show.
+    """
+    from nermo_mjx.runs import kind_of
+    from nermo_mjx.view.page import Page
+    from nermo_mjx.view.trained import offline_page
+
+    kind = KINDS.get(kind_of(path) or "", KINDS["sweep"])
+    if kind.page:
+        return cast("Page", kind.load(kind.page)(path, **options if kind.page == _RUNS else {}))
+    name, figures = html.escape(path.resolve().name), kind.load(kind.figures)(path)
+    return Page(offline_page(name, kind.called, [], figures), 680)

@@ -94,8 +94,8 @@ def robot_summary(robot: Robot) -> dict[str, Any]:
 #: Where the fields of each command's file are declared.
 FILES: Final = {
     "sweep": "sweep.spec:SweepFile",
-    "search": "optimize.spec:SearchFile",
-    "tune": "optimize.spec:TuningFile",
+    "search": "optimize.search_spec:SearchFile",
+    "tune": "optimize.tuning_spec:TuningFile",
     "train": "learn.spec:TrainingFile",
     "servos": "hardware.channels:ChannelsFile",
     "log": "hardware.log:LogFields",

@@ -16,7 +16,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import OVERLAYS
-from nermo_mjx.cli.kinds import kind_of_directory
+from nermo_mjx.cli.kinds import directory_page, kind_of_directory
 from nermo_mjx.cli.options import FileKind, flag, number
 from nermo_mjx.cli.output import Output, WrongUse, command, say
 from nermo_mjx.progress import ProgressBar
@@ -248,16 +248,17 @@ def view_command(
     no_open: bool,
     follow: bool,
 ) -> Output:
-    """View a recording, a sweep, a search or a training in the browser.
+    """View a recording, or any directory of results, in the browser.
 
     The page is self-contained and needs no network. For a recording FILE.npz:
     an interactive 3D view with a time line, tendons coloured by tension,
     contact forces, plots; a second recording is compared with it, synchronized
-    in time. For the directory of a sweep or a search: every run as a point or
-    a cell, to filter and brush; clicking a run shows its numbers and the
-    command that repeats it, and plays its recording if DIR/recordings has it.
+    in time. For the directory of a sweep, a search or experiments: every run
+    as a point or a cell, to filter and brush; clicking a run shows its numbers
+    and the command that repeats it, and plays its recording if there is one.
     For the directory of a training: curves, evaluation, and a walk of its
-    policy on each scene, which is simulated for the page.
+    policy on each scene, which is simulated for the page. For an identification:
+    its report. For others: figures.
 
     Examples:
       nermo-mjx view walk.npz
@@ -270,7 +271,7 @@ def view_command(
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
     if not path.exists():
         raise WrongUse(
-            f"{path} does not exist: allowed is a recording FILE.npz, or the directory of a sweep or search."
+            f"{path} does not exist: allowed is a recording FILE.npz, or a directory of results."
         )
     if follow:
         return _follow(path, out, no_open)
@@ -302,10 +303,9 @@ _RELOAD = 20.0
 def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
     """Write the page of a training anew after each of its checkpoints, until it has ended."""
     from nermo_mjx.learn.directory import HISTORY_FILE, training_status
-    from nermo_mjx.runs import kind_of
     from nermo_mjx.view.trained import trained
 
-    if not path.is_dir() or kind_of(path) != "training":
+    if not path.is_dir() or not kind_of_directory(path).follows:
         raise WrongUse(f"--follow is for the directory of a training, but {path} is none.")
     shown, seen, status = None, 0, training_status(path)
     with contextlib.suppress(KeyboardInterrupt):
@@ -336,12 +336,9 @@ def _page(
     path: Path, other: Path | None, recordings: int | None, notes: list[str]
 ) -> tuple[Page, dict[str, Any]]:
     """The page of a recording or a directory, and how much it shows."""
-    from nermo_mjx.runs import kind_of
     from nermo_mjx.view import show
-    from nermo_mjx.view.explore import EXPLORABLE_KINDS, MAX_RECORDINGS, explore
-    from nermo_mjx.view.trained import trained
+    from nermo_mjx.view.explore import MAX_RECORDINGS
 
-    page: Page
     if not path.is_dir():
         if recordings is not None:
             raise WrongUse(
@@ -355,18 +352,12 @@ def _page(
         raise WrongUse(
             f"{path} is a directory: it has its own page; show {other} with a separate command."
         )
-    if kind_of(path) == "training":
-        page = trained(path)
+    kind_of_directory(path)  # refuses what is none
+    most = MAX_RECORDINGS if recordings is None else recordings
+    page = directory_page(path, recordings=most, notify=notes.append)
+    if page.samples:
         return page, {"samples": page.samples}
-    if kind_of(path) not in EXPLORABLE_KINDS:
-        raise WrongUse(
-            f"{path} is the directory of {kind_of_directory(path).called}: the page of a directory shows the runs of a "
-            "sweep or a search, or a training, and nermo-mjx plot draws the others."
-        )
-    page = explore(
-        path, recordings=MAX_RECORDINGS if recordings is None else recordings, notify=notes.append
-    )
-    return page, {"rows": page.rows, "recordings": page.recordings}
+    return page, {"rows": page.rows, "recordings": page.recordings} if page.rows else {}
 
 
 def _has_browser() -> bool:

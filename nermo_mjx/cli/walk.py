@@ -576,7 +576,7 @@ def replay_command(
         return _replay_drive(out, sweep, controller, saved)
     if row is None:
         raise WrongUse("Give --row N, a row of the table.")
-    from nermo_mjx.optimize.directory import find_evaluation
+    from nermo_mjx.optimize.search_directory import find_evaluation
     from nermo_mjx.runs.files import make_writable, plain_json
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
@@ -656,8 +656,8 @@ def _replay_log(
 
 def _replay_on_model(file: Path, channels: Path | None, model: Path) -> Output:
     """Drive any MJCF by a log's commands, and compare what was measured with it."""
-    from nermo_mjx.experiments.log_twin import replay_on_model
     from nermo_mjx.hardware.signals import channel_differences, findings_of
+    from nermo_mjx.identify.twin import replay_on_model
 
     for name, flag in options.given().items():
         if name not in ("commands", "channels", "model", "as_json", "quiet"):

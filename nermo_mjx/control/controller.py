@@ -210,10 +210,8 @@ class Controller:
     ) -> tuple[ControllerState, ServoAngles]:
         """One control tick: the state and the servo angles `dt` later."""
         walk = self._walk(params, state)
-        decided, held_commands = (
-            self.pilot.update(params, state.pilot, sensors, walk),
-            (state.pilot, state.drive),
-        )
+        decided = self.pilot.update(params, state.pilot, sensors, walk)
+        held_commands = (state.pilot, state.drive)
         memory, drive = jax.tree.map(
             lambda now, previous: jnp.where(walk.due, now, previous), decided, held_commands
         )
@@ -338,6 +336,7 @@ class Controller:
         return Walk(state.time, state.phase, speed, yaw_rate, due, self.pilot_rate)
 
 
+# Many parameters because each choice of the controller is named.
 def published_controller(
     spine: str | tuple[str, ...] = spine_modes.NO_MODE,
     pilot: str = "straight",
@@ -523,11 +522,9 @@ def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str)
     ]
     links = f", with {' and '.join(changed)}" if changed else ""
     if not reached[0]:
-        behind, up, down = (
-            getattr(stance, f"{axle}_y"),
-            stance.swing_amplitude,
-            stance.stance_amplitude,
-        )
+        behind = getattr(stance, f"{axle}_y")
+        up = stance.swing_amplitude
+        down = stance.stance_amplitude
         return (
             f"stance.{axle}_z is {height:g} m: with stance.{axle}_y {behind:g} m, raised by {up:g} m and lowered by "
             f"{down:g} m, the {axle} foot leaves its leg's workspace even without a stride{links}."

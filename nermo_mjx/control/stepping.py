@@ -141,10 +141,8 @@ class Stepping(GaitLike):
         frequency, duty and offsets, which determine the tick of a switch.
         """
         duty = self._duty(params)
-        length, other_length = (
-            jnp.where(limbs.stance, duty, 1.0 - duty),
-            jnp.where(limbs.stance, 1.0 - duty, duty),
-        )
+        length = jnp.where(limbs.stance, duty, 1.0 - duty)
+        other_length = jnp.where(limbs.stance, 1.0 - duty, duty)
         # Time since the leg's last switch, and length of a tick, as shares of the gait cycle.
         since = limbs.progress * length
         in_tick = jnp.maximum(params.gait.frequency * dt / params.tracking.clock_ratio, 1e-9)

@@ -67,10 +67,8 @@ class Constants:
         self._tendon_armature = model.tendon_armature + tendons
         # Bodies that only slide, and their joints, have the inverse of their mass.
         self._slides = model.body_simple == 2
-        self._slides_of_dof, self._body_of_dof = (
-            self._slides[model.dof_bodyid],
-            model.dof_bodyid.copy(),
-        )
+        self._slides_of_dof = self._slides[model.dof_bodyid]
+        self._body_of_dof = model.dof_bodyid.copy()
         within = np.zeros((model.nv, model.nv), bool)
         within[np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind] = True
         self._within_branches = within | within.T

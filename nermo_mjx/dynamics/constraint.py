@@ -78,10 +78,8 @@ def exact_residual(problem: ConstraintProblem, qacc: Dofs) -> Efc:
     jacobian = problem.jacobian * jnp.ldexp(jnp.ones_like(qacc), power)
     _, largest = jnp.frexp(jnp.max(jnp.abs(jacobian), axis=1, keepdims=True))
     grid = jnp.ldexp(jnp.ones_like(problem.aref)[:, None], largest - digits)
-    front, coarse = (
-        jax.lax.reduce_precision(share, kind.nexp, digits - 1),
-        grid * jnp.round(jacobian / grid),
-    )
+    front = jax.lax.reduce_precision(share, kind.nexp, digits - 1)
+    coarse = grid * jnp.round(jacobian / grid)
     rest = coarse @ (share - front) + (jacobian - coarse) @ share
     return (coarse @ front - problem.aref) + rest
 

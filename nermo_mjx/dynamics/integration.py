@@ -90,10 +90,8 @@ def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     flags = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
     if model.opt._impl.has_fluid_params and model.opt.disableflags & flags != flags:
         slope += drag_slope(model, data)
-    inertia, slope = (
-        mjx.full_m(model, data),
-        model.opt.timestep * jnp.where(rows.within_branches(model), slope, 0.0),
-    )
+    inertia = mjx.full_m(model, data)
+    slope = model.opt.timestep * jnp.where(rows.within_branches(model), slope, 0.0)
     qacc = data.qacc + solve_definite(inertia - slope, slope @ data.qacc)
     for body, first in _lone_bodies(model):
         dof_slice = slice(first, first + 6)

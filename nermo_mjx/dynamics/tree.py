@@ -69,10 +69,8 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
         joints = np.flatnonzero(nth == each)
         at = bodies[joints]
         offset, before = model.jnt_pos[joints], orientation[at]
-        anchor, axis = (
-            spatial.rotate(offset, before) + position[at],
-            spatial.rotate(model.jnt_axis[joints], before),
-        )
+        anchor = spatial.rotate(offset, before) + position[at]
+        axis = spatial.rotate(model.jnt_axis[joints], before)
         after = spatial.product(before, turns[joints])
         moved = anchor - spatial.rotate(offset, after) + axis * slides[joints, None]
         free = (kinds[joints] == FREE_JOINT)[:, None]

@@ -404,24 +404,71 @@ SETTABLE: Final = frozenset(SPINE_NAMES) | {
 OFFSET_COMPENSATION: Final = 1.0
 
 
-def run(settings: Settings) -> CaseRuns:
-    """Run the balance experiment.
+def world_count(settings: Settings) -> int:
+    """How many worlds `run` simulates."""
+    repeats = 1 if settings.quick else settings.repeats
+    return max(settings.body_count, 1) * len(settings.profiles) * len(LIMBS) * 2 * repeats
 
-    The recordings also hold `readings` as sensors, and in their metadata `phases`: begin and end of each phase in
-    simulated time [s].
 
-    Args:
-        settings: of the profiles the body and the clock apply; quick: one repeat; values: body parameters such as
-            `contact.friction`, and `SPINE_NAMES`.
+@dataclasses.dataclass(frozen=True)
+class _Worlds:
+    """All worlds of the test.
 
-    Raises:
-        ParameterError: a parameter that does not apply here.
+    Attributes:
+        labels: the columns of the case of each world.
+        columns: parameter name -> (n,) of those that are set.
+        starts: the perturbation of each start.
+        body, spine: the parameters of all worlds.
     """
+
+    labels: list[dict[str, Any]]
+    columns: dict[str, np.ndarray]
+    starts: list[Nudge]
+    body: ModelParameters
+    spine: Spine
+
+    @property
+    def limbs(self) -> list[int]:
+        """The lifted limb of each world."""
+        return [LIMBS.index(row["leg"]) for row in self.labels]
+
+    @property
+    def ratios(self) -> np.ndarray:
+        """Simulated seconds per second of the protocol, (n,)."""
+        return np.array([clock(row["profile"]) for row in self.labels])
+
+    @property
+    def on_body(self) -> dict[str, np.ndarray]:
+        """The columns of the body's parameters."""
+        return {name: column for name, column in self.columns.items() if name not in SPINE_NAMES}
+
+    def parameters(self) -> BalanceParameters:
+        """Of the loop, every leaf with a leading axis, in JAX's default precision."""
+        n, spine = len(self.labels), self.spine
+        spines = jax.tree.map(
+            lambda leaf: np.broadcast_to(leaf, n), dataclasses.replace(spine, harmonics=0.0)
+        )
+        params = BalanceParameters(
+            lifted=np.eye(4)[self.limbs],
+            sbc=np.array([row["sbc"] for row in self.labels]),
+            clock_ratio=self.ratios,
+            spine=dataclasses.replace(
+                spines, harmonics=np.broadcast_to(spine.harmonics, (n, *np.shape(spine.harmonics)))
+            ),
+            start=np.stack([start.servo for start in self.starts]),
+            servo_speed=np.broadcast_to(self.body.servo.top_speed, n),
+        )
+        real = jax.dtypes.canonicalize_dtype(float)
+        return jax.tree.map(lambda leaf: np.asarray(leaf).astype(real), params)
+
+
+def _worlds(settings: Settings) -> _Worlds:
+    """All cases, from all starts, for all bodies; errors as for `run`."""
     bodies = settings.bodies or {}
     for name in {**settings.values, **bodies}:
         choice("values", name, sorted(SETTABLE))
     labels: list[dict[str, Any]] = []
-    given: list[dict[str, float]] = []
+    rows: list[dict[str, float]] = []
     starts: list[Nudge] = []
     numbers = range(1, settings.body_count + 1) or (0,)
     repeats = range(1 if settings.quick else settings.repeats)
@@ -437,48 +484,44 @@ def run(settings: Settings) -> CaseRuns:
             if profile == "as_built"
             else {}
         )
-        drawn = {name: float(of[body - 1]) for name, of in bodies.items()}
+        drawn = {name: float(values[body - 1]) for name, values in bodies.items()}
         own = body_values(profile) | built | dict(settings.values) | drawn
-        given.append({"spine.offset_compensation": OFFSET_COMPENSATION} | own)
+        rows.append({"spine.offset_compensation": OFFSET_COMPENSATION} | own)
         # The perturbation of a start is the same in all profiles.
         starts.append(nudge(settings.seed, 2 * limb + sbc, repeat + max(body - 1, 0)))
     defaults = dict(values_of(ModelParameters())) | {
         f"spine.{name}": value for name, value in values_of(ControlParameters().spine)
     }
     columns = {
-        name: np.array([values.get(name, defaults[name]) for values in given], float)
-        for name in dict.fromkeys(itertools.chain.from_iterable(given))
+        name: np.array([row.get(name, defaults[name]) for row in rows], float)
+        for name in dict.fromkeys(itertools.chain.from_iterable(rows))
     }
-    on_body = {name: values for name, values in columns.items() if name not in SPINE_NAMES}
-    model_parameters = replace_quantities(ModelParameters(), on_body)
-    spine = replace_quantities(
-        ControlParameters().spine,
-        {name.split(".")[1]: columns[name] for name in SPINE_NAMES if name in columns},
-    )
-    check_quantities(model_parameters)
+    on_spine = {name.split(".")[1]: columns[name] for name in SPINE_NAMES if name in columns}
+    on_body = {name: column for name, column in columns.items() if name not in SPINE_NAMES}
+    body_parameters = replace_quantities(ModelParameters(), on_body)
+    spine = replace_quantities(ControlParameters().spine, on_spine)
+    check_quantities(body_parameters)
     check_quantities(spine, "spine.")
+    return _Worlds(labels, columns, starts, body_parameters, spine)
+
+
+def run(settings: Settings) -> CaseRuns:
+    """Run the balance experiment.
+
+    The recordings also hold `readings` as sensors, and in their metadata `phases`: begin and end of each phase in
+    simulated time [s].
+
+    Args:
+        settings: of the profiles the body and the clock apply; quick: one repeat; values: body parameters such as
+            `contact.friction`, and `SPINE_NAMES`.
+
+    Raises:
+        ParameterError: a parameter that does not apply here.
+    """
+    worlds = _worlds(settings)
     robot = load_robot(scene="balance_stand", **settings.robot)
     loop = BalanceLoop(robot)
-    engine = make_engine(settings.engine, robot, loop)
-
-    # Parameters of all worlds, every leaf with a leading axis, in JAX's default precision.
-    n, limbs = len(labels), [LIMBS.index(row["leg"]) for row in labels]
-    ratios = np.array([clock(row["profile"]) for row in labels])
-    spines = jax.tree.map(
-        lambda leaf: np.broadcast_to(leaf, n), dataclasses.replace(spine, harmonics=0.0)
-    )
-    params = BalanceParameters(
-        lifted=np.eye(4)[limbs],
-        sbc=np.array([row["sbc"] for row in labels]),
-        clock_ratio=ratios,
-        spine=dataclasses.replace(
-            spines, harmonics=np.broadcast_to(spine.harmonics, (n, *np.shape(spine.harmonics)))
-        ),
-        start=np.stack([start.servo for start in starts]),
-        servo_speed=np.broadcast_to(model_parameters.servo.top_speed, n),
-    )
-    real = jax.dtypes.canonicalize_dtype(float)
-    params = jax.tree.map(lambda leaf: np.asarray(leaf).astype(real), params)
+    engine, params = make_engine(settings.engine, robot, loop), worlds.parameters()
 
     @jax.jit
     def posture(params: BalanceParameters) -> tuple[jax.Array, jax.Array]:
@@ -486,22 +529,21 @@ def run(settings: Settings) -> CaseRuns:
         bends = joint_angle(jax.vmap(loop.spine_servo)(params), Geometry())
         return forward_kinematics(four_legs(Geometry()), STANCE, ROUTING).foot, bends
 
-    feet, bends = (np.asarray(each) for each in posture(params))
-
-    lengths = [round(DURATION * ratio / loop.dt) for ratio in ratios]
-    qpos = np.stack([start_pose(robot, start) for start in starts])
-    session = engine.open(params, qpos, Variation(robot).batch(model_parameters, n, on_body))
-    blocks = []
+    feet, bends = (np.asarray(array) for array in posture(params))
+    ticks = [round(DURATION * ratio / loop.dt) for ratio in worlds.ratios]
+    qpos = np.stack([start_pose(robot, start) for start in worlds.starts])
+    variation = Variation(robot).batch(worlds.body, len(ticks), worlds.on_body)
+    session, blocks = engine.open(params, qpos, variation), []
     # Whole blocks only: a recorded block of another length would need another program.
-    for done in range(0, max(lengths), BLOCK):
+    for done in range(0, max(ticks), BLOCK):
         blocks.append(session.record(BLOCK))
         if settings.progress:
-            settings.progress(min(1.0, (done + BLOCK) / max(lengths)))
+            settings.progress(min(1.0, (done + BLOCK) / max(ticks)))
     traces = [
         np.concatenate([np.asarray(getattr(block, name), float) for block in blocks], axis=1)
         for name in ("qpos", "qvel", "ctrl", "sensordata")
     ]
-    read = robot.sensors(traces.pop()[:, : max(lengths)])
+    read = robot.sensors(traces.pop()[:, : max(ticks)])
     named = {
         field.name: np.asarray(getattr(read, field.name)) for field in dataclasses.fields(read)
     }
@@ -513,41 +555,46 @@ def run(settings: Settings) -> CaseRuns:
 
     sole = float(robot.model.geom(f"{LIMBS[0]}_sole").size[0])
     rows, recordings = [], {}
-    for i, (row, length, ratio) in enumerate(zip(labels, lengths, ratios, strict=True)):
-        model = model_of(
-            tuple((name, values[i]) for name, values in on_body.items() if name.startswith("mass."))
-        )
-        time, sensors = (
-            (1 + np.arange(length)) * loop.dt,
-            {name: of[i, :length] for name, of in named.items()},
-        )
-        shown = readings(limbs[i], model, traces[0][i, :length], sensors)
-        row = row | measure(limbs[i], time / ratio, sensors, shown, sole)
+    for i, (row, length, ratio) in enumerate(zip(worlds.labels, ticks, worlds.ratios, strict=True)):
+        masses = [(name, column) for name, column in worlds.on_body.items() if name[:5] == "mass."]
+        model = model_of(tuple((name, column[i]) for name, column in masses))
+        limb, time = worlds.limbs[i], (1 + np.arange(length)) * loop.dt
+        sensors = {name: column[i, :length] for name, column in named.items()}
+        shown = readings(limb, model, traces[0][i, :length], sensors)
+        labels, row = row, row | measure(limb, time / ratio, sensors, shown, sole)
         ground = np.asarray(kinematics.feet_positions(float(bends[i]), feet, Geometry()))
         com = np.asarray(kinematics.centre_of_mass(robot.mass_model, float(bends[i]), Geometry()))
-        rows.append(
-            row | {"theory_margin": float(inside(limbs[i], com[None], ground[None])[0])}
-        )  # (5.35)
-        if row["repeat"] == row.get(BODY, 0) == 0 and row["profile"] == labels[0]["profile"]:
-            case = f"balance {row['leg']}" + (" sbc" if row["sbc"] else "")
-            metadata = {
-                "experiment": "balance",
-                "case": case,
-                "setup": dataclasses.asdict(robot.config),
-                "metrics": {
-                    name: value if isinstance(value, str) else float(value)
-                    for name, value in row.items()
-                },
-                "phases": {
-                    name: [phase.begin * ratio, phase.end * ratio] for name, phase in PHASES.items()
-                },
-                "engine": engine.name,
-                "parameters": {name: float(values[i]) for name, values in columns.items()},
-            }
+        margin = inside(limb, com[None], ground[None])[0]  # (5.35)
+        rows.append(row | {"theory_margin": float(margin)})
+        if row["repeat"] == row.get(BODY, 0) == 0 and row["profile"] == rows[0]["profile"]:
+            metadata = _about(
+                row,
+                labels,
+                {name: float(column[i]) for name, column in worlds.columns.items()},
+                ratio,
+            )
+            metadata |= {"setup": dataclasses.asdict(robot.config), "engine": engine.name}
             world = {name: reading[None] for name, reading in (sensors | shown).items()}
             poses, speeds, ctrl = (trace[i : i + 1, :length] for trace in traces)
             history = History(time, poses, speeds, ctrl, world)
-            recordings[case] = recording_of(history, model, metadata=metadata)
-    return CaseRuns.of(
-        "balance", {name: np.array([row[name] for row in rows]) for name in rows[0]}, recordings
-    )
+            recordings[metadata["case"]] = recording_of(history, model, metadata=metadata)
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return CaseRuns.of("balance", columns, recordings)
+
+
+def _about(
+    row: Mapping[str, Any], labels: Mapping[str, Any], parameters: Mapping[str, float], ratio: float
+) -> dict[str, Any]:
+    """What a recording says of its world."""
+    return {
+        "experiment": "balance",
+        "case": f"balance {row['leg']}" + (" sbc" if row["sbc"] else ""),
+        "labels": dict(labels),
+        "metrics": {
+            name: value if isinstance(value, str) else float(value) for name, value in row.items()
+        },
+        "phases": {
+            name: [phase.begin * ratio, phase.end * ratio] for name, phase in PHASES.items()
+        },
+        "parameters": dict(parameters),
+    }

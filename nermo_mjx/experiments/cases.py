@@ -359,6 +359,12 @@ def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Setti
     return Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)
 
 
+def world_count(cases: Sequence[Case], settings: Settings) -> int:
+    """How many worlds `worlds` has."""
+    walked = sum(len({*case.profiles} & {*settings.profiles}) for case in cases)
+    return max(settings.body_count, 1) * settings.repeats * walked
+
+
 def settable(cases: Sequence[Case]) -> frozenset[str]:
     """Parameters that may be set for all worlds of an experiment: those that neither a case nor a repeat sets."""
     decided = set(START_SPREAD)

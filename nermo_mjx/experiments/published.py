@@ -228,6 +228,7 @@ class Experiment:
     Attributes:
         name: as on the command line.
         run: simulates all its cases.
+        rows: how many worlds these are.
         settable: parameters that may be set for all its worlds.
         title: for the report.
         description: what is done and when it counts, in sentences.
@@ -241,6 +242,7 @@ class Experiment:
 
     name: str
     run: Callable[[Settings], CaseRuns]
+    rows: Callable[[Settings], int]
     settable: frozenset[str]
     title: str
     description: str

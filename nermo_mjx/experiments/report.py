@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePosixPath
@@ -12,8 +14,9 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
-from nermo_mjx.experiments.cases import PROFILES, CaseRuns, Column, texts
+from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, Column, texts
 from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, line_counts, set_ups
+from nermo_mjx.files import json_of
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
 from nermo_mjx.runs.code import local_time
@@ -21,41 +24,83 @@ from nermo_mjx.runs.files import MISSING, listed, table
 from nermo_mjx.sweep.spec import START_SPREAD
 from nermo_mjx.sweep.table import Columns, meta
 
-# --- a table: one row per world, with the roles `case` (what tells the cases apart), `index` (repeat), `metric`,
-# `status`, and `code` (that made it)
+# --- a table: one row per world, with the roles of a sweep's table (see `nermo_mjx.sweep.table`): what tells the cases
+# apart is varied. `text` is a measurement in words; what is true or false is 1 or 0, and `logical` in the metadata
 
-REPEAT, PROFILE, CODE = "repeat", "profile", "code"
+REPEAT, PROFILE, CODE, TEXT = "repeat", "profile", "code", "text"
 
 
-def table_of(outcome: CaseRuns, about: Mapping[str, Any], code: str) -> pa.Table:
+def table_of(
+    outcome: CaseRuns,
+    first_row: int,
+    first_variant: int,
+    seed: int,
+    code: str,
+    about: Mapping[str, Any],
+) -> pa.Table:
     """The table of an outcome.
 
     Args:
-        about: what to note in the schema's metadata.
+        first_row, first_variant: numbers of its first row and its first case.
+        seed: of the starts.
         code: short name of the code that made it.
+        about: what to note in the schema's metadata.
     """
-    columns, cases = Columns(), case_columns(outcome)
-    for name, values in outcome.columns.items():
-        role = {REPEAT: "index", "row": "index", "status": "status"}.get(
-            name, "case" if name in cases else "metric"
-        )
+    columns, cases, count = Columns(), case_columns(outcome), len(outcome)
+    variants: dict[tuple[Any, ...], int] = {}
+    labels = [outcome.columns[name].tolist() for name in cases if name != BODY]
+    variant = [variants.setdefault(case, len(variants)) for case in zip(*labels, strict=True)]
+    start = outcome.columns.get(REPEAT, np.zeros(count, int)) + outcome.columns.get(BODY, 1) - 1
+    draws = [hashlib.blake2b(f"{seed} {number}".encode(), digest_size=6) for number in start]
+    added = {
+        "row": (first_row + np.arange(count), "position of the world in the experiment"),
+        "variant": (first_variant + np.array(variant), "index of the case"),
+        "seed": ([int.from_bytes(draw.digest()) for draw in draws], "of the start of the run"),
+    }
+    for name, (numbers, text) in added.items():
+        columns.add(name, np.array(numbers), "index", "1", text)
+    for name, measured in outcome.columns.items():
+        values = np.asarray(measured)
+        named, logical = values.dtype.kind in "OU", values.dtype == bool
+        role = "varied" if name in cases else TEXT if named else "metric"
+        role = {REPEAT: "index", BODY: "index", "status": "status"}.get(name, role)
         column = outcome.about.get(name, Column("1", name.replace("_", " ")))
-        columns.add(name, np.asarray(values), role, column.unit or "1", column.doc)
-    columns.add(
-        CODE, np.full(len(outcome), code), CODE, "1", "the code that made the row, see run.json"
-    )
-    return columns.table({"experiment": outcome.experiment, **about})
+        scale = ("structure" if named else "linear") if role == "varied" else None
+        numbers = values.astype(float) if logical else values
+        columns.add(
+            name,
+            numbers,
+            role,
+            column.unit or "1",
+            column.doc,
+            scale=scale,
+            logical="true" if logical else None,
+        )
+    if "status" not in outcome.columns:
+        columns.add("status", np.full(count, "ok"), "status", "1", "no run can end early")
+    columns.add(CODE, np.full(count, code), CODE, "1", "the code that made the row, see run.json")
+    profiles = " ".join(dict.fromkeys(outcome.columns[PROFILE].tolist()))
+    names = json.dumps(list(outcome.columns))
+    own = {"experiment": outcome.experiment, "columns": names, "profile": profiles}
+    return columns.table({**own, **about})
 
 
 def outcome_of(content: pa.Table, recordings: Mapping[str, Recording]) -> CaseRuns:
     """The outcome that `table_of` converted to a table; its recordings are stored separately."""
-    fields = [field for field in content.schema if meta(field).get("role") != CODE]
-    # Texts become string arrays again instead of object arrays.
-    columns = {field.name: np.array(content.column(field.name).to_pylist()) for field in fields}
-    about = {
-        field.name: Column(meta(field)["unit"], meta(field)["description"]) for field in fields
+    metadata = content.schema.metadata
+    fields = {
+        name: content.schema.field(name)
+        for name in json_of(metadata[b"columns"], list[str], "a table of an experiment")
     }
-    return CaseRuns(content.schema.metadata[b"experiment"].decode(), columns, about, recordings)
+    # Texts become string arrays again instead of object arrays.
+    columns = {name: np.array(content.column(name).to_pylist()) for name in fields}
+    for name, field in fields.items():
+        columns[name] = columns[name].astype(bool) if "logical" in meta(field) else columns[name]
+    about = {
+        name: Column(meta(field)["unit"], meta(field)["description"])
+        for name, field in fields.items()
+    }
+    return CaseRuns(metadata[b"experiment"].decode(), columns, about, recordings)
 
 
 def case_columns(outcome: CaseRuns) -> list[str]:
@@ -145,6 +190,10 @@ HEADINGS = (
 )
 
 
+#: What a record says for the directory alone.
+_OF_RECORD: Final = ("recordings", "rows", "bodies", "drawn")
+
+
 def entry_of(
     title: str, outcome: CaseRuns, about: Mapping[str, Any], lines: Sequence[Line]
 ) -> dict[str, Any]:
@@ -165,7 +214,7 @@ def entry_of(
         if cases
         else 1,
         "status": dict(zip(status.tolist(), number_of.tolist(), strict=True)),
-        **{name: value for name, value in about.items() if name != "recordings"},
+        **{name: value for name, value in about.items() if name not in _OF_RECORD},
         "lines": [dataclasses.asdict(line) for line in lines],
     }
 

@@ -2,26 +2,18 @@
 
 A directory is resumed where it was interrupted: an experiment in it, run with the same settings, is not run again.
 Experiments of one directory may have been run with different settings; each keeps its own, and the report says so.
-
-DIR/results/<experiment>.parquet    one row per world; the settings and the provenance are in the schema's metadata
-DIR/results/<experiment>-bodies.parquet   the same for identified bodies, if requested
-DIR/results/<experiment>.json       its lines of the report, and the settings of the run
-DIR/recordings/<experiment>-*.npz   runs shown in plots and videos
-DIR/plots/, DIR/videos/             made from the above
-DIR/report.json, DIR/report.md      all experiments that the directory holds
-DIR/run.json                        which code made the rows (their column `code`), each session, the program's files
+Its files: `nermo_mjx.experiments.store`.
 """
 
 from __future__ import annotations
 
-import collections
+import contextlib
 import dataclasses
 import functools
 import hashlib
 import json
 import math
 import os
-import re
 import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,24 +21,16 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import BaseModel
 
 from nermo_mjx.experiments import balance, cases, stands, walks
-from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, ReplacementPolicy, Settings
+from nermo_mjx.experiments.cases import PROFILES, CaseRuns, ReplacementPolicy, Settings
 from nermo_mjx.experiments.published import Experiment, Line, Shot, published_lines
-from nermo_mjx.experiments.report import (
-    collect,
-    differences,
-    entry_of,
-    outcome_of,
-    report_page,
-    table_of,
-)
-from nermo_mjx.files import MAX_FILE_BYTES, TEMPORARY_SUFFIX, FileError, json_of, read_bytes
+from nermo_mjx.experiments.report import differences, entry_of
+from nermo_mjx.experiments.store import Directory, ExperimentRows, Stored
+from nermo_mjx.files import MAX_FILE_BYTES, TEMPORARY_SUFFIX, read_bytes
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.progress import shows_progress
-from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import (
@@ -60,192 +44,65 @@ from nermo_mjx.runs import (
     stamp,
 )
 from nermo_mjx.runs.code import local_time
-from nermo_mjx.runs.directory import SessionRecord, read_record
-from nermo_mjx.runs.files import (
-    clear_errors,
-    parquet_bytes,
-    parquet_table,
-    replace_file,
-    stored_json,
-    to_json,
-)
-from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
+from nermo_mjx.runs.directory import read_record
+from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.status import Status, last_command
-from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
+from nermo_mjx.runs.work import Work, finish
+from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.view import RecordingError, VideoError, render, robot_of
 
 # --- the experiments by name
 
 
 def _catalogue() -> Iterator[Experiment]:
-    for name, run, settable, walking in (
-        ("straight-line", walks.walk_line, cases.settable(walks.line_cases()), True),
-        ("turning", walks.walk_turns, cases.settable(walks.turn_cases()), True),
-        ("balance", balance.run, balance.SETTABLE, False),
-        ("maze", walks.walk_maze, cases.settable(walks.maze_cases()), True),
-        ("body", stands.run_body, stands.BODY_SETTABLE, False),
-        ("leg-stand", stands.run_leg, stands.STAND_SETTABLE, False),
-        ("spine-stand", stands.run_spine, stands.STAND_SETTABLE, False),
-    ):
+    def counted(design: Callable[[Settings], Sequence[cases.Case]]) -> Callable[[Settings], int]:
+        return lambda settings: cases.world_count(design(settings), settings)
+
+    def walking(run: Any, design: Any, some: Sequence[cases.Case]) -> tuple[Any, ...]:
+        return functools.partial(cases.in_each_robot, run), counted(design), cases.settable(some)
+
+    def line(settings: Settings) -> Sequence[cases.Case]:
+        return walks.line_cases(settings.quick)
+
+    def maze(settings: Settings) -> Sequence[cases.Case]:
+        return walks.maze_cases()
+
+    tested = functools.partial(cases.in_each_robot, balance.run)
+    for name, (run, rows, settable) in {
+        "straight-line": walking(walks.walk_line, line, walks.line_cases()),
+        "turning": walking(walks.walk_turns, walks.walked_turns, walks.turn_cases()),
+        "balance": (tested, balance.world_count, balance.SETTABLE),
+        "maze": walking(walks.walk_maze, maze, walks.maze_cases()),
+        "body": (stands.run_body, stands.world_count([{}]), stands.BODY_SETTABLE),
+        "leg-stand": (
+            stands.run_leg,
+            stands.world_count(stands.LEG_CASES),
+            stands.STAND_SETTABLE,
+        ),
+        "spine-stand": (
+            stands.run_spine,
+            stands.world_count(stands.SPINE_CASES),
+            stands.STAND_SETTABLE,
+        ),
+    }.items():
         about = cases.texts("catalogue")[name]
-        run = (
-            run
-            if run.__module__ == stands.__name__
-            else functools.partial(cases.in_each_robot, run)
-        )
-        yield Experiment(
-            name, run, settable, walks=walking, **about | {"shot": Shot(**about.get("shot", {}))}
-        )
+        walks_here = name in ("straight-line", "turning", "maze")
+        shot = Shot(**about.get("shot", {}))
+        yield Experiment(name, run, rows, settable, walks=walks_here, **about | {"shot": shot})
 
 
-EXPERIMENTS: Final[dict[str, Experiment]] = {each.name: each for each in _catalogue()}
+EXPERIMENTS: Final[dict[str, Experiment]] = {
+    experiment.name: experiment for experiment in _catalogue()
+}
 
-# --- a directory: the results of each experiment, its settings, and how far it is
-
-
-@dataclasses.dataclass(frozen=True)
-class Stored:
-    """An experiment stored in a directory.
-
-    Attributes:
-        outcome: its table; recordings are read on demand.
-        about: `settings`, `engine`, `code`, `wall_seconds`, and `started`, `command`, `versions`, `machine` of the run.
-        table: the file of the table; recordings: those of the recordings.
-    """
-
-    outcome: CaseRuns
-    about: dict[str, Any]
-    table: Path
-    recordings: tuple[Path, ...]
-
-
-class _About(SessionRecord):
-    """What a table says of its run."""
-
-    started: str
-    engine: str
-    code: str = ""
-    recordings: dict[str, str]
-
-
-class _Entry(BaseModel, extra="allow"):
-    lines: list[dict[str, Any]]
-    finished: bool = False
-
-
-class _Recordings(collections.UserDict[str, Any]):
-    """Recordings by name, each read from its file on first access."""
-
-    def __getitem__(self, name: str) -> Recording:
-        if isinstance(self.data[name], Path):
-            self.data[name] = Recording.load(self.data[name])
-        return self.data[name]
-
-
-class Directory:
-    """Files of a directory; paths in an `entry` are relative to it."""
-
-    def __init__(self, out: str | os.PathLike[str]) -> None:
-        self.out = Path(out)
-
-    def path(self, experiment: str, *, bodies: bool = False) -> Path:
-        """The table of an experiment, or of the identified bodies in it."""
-        return self.out / "results" / f"{experiment}{'-bodies' if bodies else ''}.parquet"
-
-    def save(
-        self, outcome: CaseRuns, about: Mapping[str, Any], written: Written, *, bodies: bool = False
-    ) -> Stored:
-        """Store an experiment's results, replacing earlier ones; the table is written last and makes them valid.
-
-        Args:
-            about: `code`, `settings`, `engine`, `wall_seconds` and the session.
-            written: the experiment's files.
-            bodies: whether they are those of the identified bodies, beside the experiment's own.
-        """
-        name, path = outcome.experiment, self.path(outcome.experiment, bodies=bodies)
-        files: dict[str, Path] = {}
-        if not bodies:
-            written.clear(path)
-            # Without the lines of earlier results, which belong to the old table.
-            self.write_entry(name, {})
-            own = tuple(f"{folder}/{name}" for folder in ("recordings", "videos"))
-            written.remove([file for file in written.known if file.startswith(own)])
-            for title, recording in outcome.recordings.items():
-                # "trot, 0.67 Hz, with spine" is trot-0.67-hz-with-spine.
-                slug = (
-                    re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-.").removeprefix(f"{name}-")
-                    or "run"
-                )
-                file = self.out / "recordings" / f"{name}-{slug}.npz"
-                files[title] = (
-                    file
-                    if file not in files.values()
-                    else file.with_stem(f"{file.stem}-{len(files)}")
-                )
-                written.write(files[title], recording.content())
-        notes = to_json(
-            {**about, "recordings": {title: file.name for title, file in files.items()}}
-        ).decode()
-        written.write(path, parquet_bytes(table_of(outcome, {"about": notes}, about["code"])))
-        written.note()
-        stored = self.load(name, bodies=bodies)
-        if stored is None:
-            raise DirectoryError(
-                f"{path} was written but cannot be read back: run the same command again."
-            )
-        return stored
-
-    def load(self, experiment: str, *, bodies: bool = False) -> Stored | None:
-        """The directory's results of an experiment, or of the identified bodies in it; None if absent or damaged."""
-        path = self.path(experiment, bodies=bodies)
-        table = parquet_table(path)
-        if table is None:
-            return None
-        try:
-            about = json_of((table.schema.metadata or {})[b"about"], _About, path)
-            files = {
-                name: self.out / "recordings" / Path(file).name
-                for name, file in about["recordings"].items()
-            }
-            outcome = outcome_of(table, _Recordings(files))
-        except (KeyError, FileError):
-            return None
-        if not all(file.exists() for file in files.values()):
-            return None
-        return Stored(outcome, about, path, tuple(files.values()))
-
-    def write_entry(self, experiment: str, entry: Mapping[str, Any]) -> None:
-        """Store an experiment's lines, its settings, and whether all derived files exist (`finished`).
-
-        Raises:
-            DirectoryError: it cannot be written.
-        """
-        with clear_errors(self.out):
-            replace_file(self.out / "results" / f"{experiment}.json", to_json(entry))
-
-    def entry(self, experiment: str) -> dict[str, Any] | None:
-        """The entry that `write_entry` stored for an experiment, or None."""
-        entry: dict[str, Any] | None = stored_json(
-            self.out / "results" / f"{experiment}.json", _Entry
-        )
-        return entry or None
-
-    def report(self, written: Written) -> dict[str, Any]:
-        """Write the report of all experiments that the directory holds, and return the content of report.json."""
-        entries = {name: entry for name in EXPERIMENTS if (entry := self.entry(name)) is not None}
-        content = collect(entries)
-        outcomes = {
-            name: stored.outcome for name in entries if (stored := self.load(name)) is not None
-        }
-        written.write(self.out / "report.json", to_json(content))
-        written.write(self.out / "report.md", report_page(content, EXPERIMENTS, outcomes).encode())
-        written.note()
-        return content
+# --- a directory: how far it is, and its figures
 
 
 def experiments_status(out: Path) -> Status:
     """The experiments in a directory, out of the requested ones."""
     directory, sessions = Directory(out), read_record(out).get("sessions", [])
+    directory.refuse_former_layout()
     found = {name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
     bodies = {
         name: stored for name in found if (stored := directory.load(name, bodies=True)) is not None
@@ -277,6 +134,15 @@ def experiments_status(out: Path) -> Status:
     )
 
 
+def experiment_status(out: Path) -> Status:
+    """How many rows of one experiment a directory holds; those of bodies are in a directory of their own."""
+    name = out.name.removesuffix("-bodies")
+    stored = Directory(out.parent).load(name, bodies=name != out.name)
+    rows = None if stored is None else len(stored.outcome)
+    command = f"nermo-mjx plot {shlex.quote(str(out))}" if rows else last_command(out)
+    return Status("runs", rows or 0, rows, rows is not None, command, engine=engine_of(out))
+
+
 def images(out: Path) -> Figures:
     """The figures of all experiments that a directory holds, by name.
 
@@ -286,6 +152,7 @@ def images(out: Path) -> Figures:
     from nermo_mjx.experiments.plots import figures_of_experiment
 
     directory = Directory(out)
+    directory.refuse_former_layout()
     found = {
         name: stored.outcome for name in EXPERIMENTS if (stored := directory.load(name)) is not None
     }
@@ -344,6 +211,7 @@ def run_experiment(name: str, out: str | os.PathLike[str], **options: Any) -> Ex
     return run_experiments([name], out, **options).results[0]
 
 
+# The options of the command, each a keyword: a record of them would only rename them.
 @shows_progress("experiments")
 def run_experiments(
     names: Sequence[str],
@@ -395,7 +263,9 @@ def run_experiments(
         DirectoryError: the directory holds something else, is in use, or cannot be written.
         Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
-    chosen = [EXPERIMENTS[choice("experiment", name, EXPERIMENTS)] for name in dict.fromkeys(names)]
+    requested = [
+        EXPERIMENTS[choice("experiment", name, EXPERIMENTS)] for name in dict.fromkeys(names)
+    ]
     if repeats is None:
         repeats = cases.QUICK_REPEATS if quick else cases.REPEATS
     policy = None if controller is None else ReplacementPolicy.of(os.fspath(controller))
@@ -403,45 +273,57 @@ def run_experiments(
     # Values set for all worlds also apply to the bodies.
     several = {} if bodies is None else draw(bodies, seed)
     several = {name: of for name, of in several.items() if name not in settings.values}
-    for each in chosen:
-        if policy is not None and not each.walks:
-            walking = ", ".join(name for name, other in EXPERIMENTS.items() if other.walks)
-            raise ParameterError(
-                f"controller does not apply to {each.name}, where nothing walks: allowed is {walking}."
-            )
-        for name in settings.values:
-            if name not in each.settable:
-                raise ParameterError(
-                    f"{name} cannot be set for {each.name}, whose cases decide it or do not use it."
-                )
+    _check_values(requested, settings)
     resolve_engine(engine)
     directory = Directory(out)
-    with RunDirectory(out, "experiments") as held, resumable(directory.out):
+    with (
+        RunDirectory(out, "experiments") as held,
+        resumable(directory.out),
+        contextlib.ExitStack() as stack,
+    ):
+        directory.refuse_former_layout()
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
-        code = Simulation(resolve_engine(engine)).stamp()
-        call = _Call(
-            Written(held), directory, settings, code, several, again, video and not quick, watch
-        )
+        computer = Simulation(resolve_engine(engine))
+        call = _Call(Written(held), directory, settings, several, again, video and not quick, watch)
         # All are looked up before anything runs, so that an error costs no simulation.
-        kept = {each.name: None if again else call.kept(each) for each in chosen}
-        holds_rows = any((directory.out / "results").glob("*.parquet"))
-        held.take_code(code, holds_rows=holds_rows, accept=again or accept_new_code)
+        stored = {chosen.name: None if again else call.stored(chosen) for chosen in requested}
+        holds_rows = any(directory.out.glob("*/results/*.parquet"))
+        code, accept = computer.stamp(), again or accept_new_code
+        held.take_code(code, holds_rows=holds_rows, accept=accept)
         if policy is not None:
             held.write(policy.file, policy.content)
-        if several or None in kept.values():
-            held.note_session(session(experiments=list(kept)))
-        parts = [part for each in chosen for part in call.missing(each, kept[each.name])]
-        stored, left, results = (
-            call.simulated(parts, workers or LocalWorkers()),
-            {part.label for part in parts},
+        if several or None in stored.values():
+            held.note_session(session(experiments=list(stored)))
+        works = [
+            work for chosen in requested for work in call.works(chosen, stored[chosen.name], stack)
+        ]
+        finished, left, results = (
+            finish(works, computer, workers or LocalWorkers(), accept),
+            list(works),
             [],
         )
-        for each in chosen:
-            while any(part.name == each.name and part.label in left for part in parts):
-                left.remove(next(stored))
-            results.append(call.finish(each, kept[each.name]))
-        return ExperimentsResult(directory.out, tuple(results), directory.report(call.written))
+        for chosen in requested:
+            while any(work.job.label.partition(",")[0] == chosen.name for work in left):
+                left.remove(next(finished))
+            results.append(call.result(chosen, stored[chosen.name], code))
+        report = directory.report(call.written, EXPERIMENTS)
+        return ExperimentsResult(directory.out, tuple(results), report)
+
+
+def _check_values(requested: Sequence[Experiment], settings: Settings) -> None:
+    """Refuse a controller or values that do not apply to an experiment."""
+    for chosen in requested:
+        if settings.controller is not None and not chosen.walks:
+            walking = ", ".join(name for name, other in EXPERIMENTS.items() if other.walks)
+            raise ParameterError(
+                f"controller does not apply to {chosen.name}, where nothing walks: allowed is {walking}."
+            )
+        for name in settings.values:
+            if name not in chosen.settable:
+                raise ParameterError(
+                    f"{name} cannot be set for {chosen.name}, whose cases decide it or do not use it."
+                )
 
 
 # --- simulation: a worker's task is an experiment with its own body, or with a batch of identified ones
@@ -463,53 +345,28 @@ def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
-    """A task: all worlds of an experiment, or those of some identified bodies.
-
-    Attributes:
-        name: of the experiment.
-        run: simulates it; settings: its settings, except for the engine.
-        bodies: number of all bodies of a profile; 0 for the experiment's own. begin: the first of these.
-    """
-
-    name: str
-    run: Callable[[Settings], CaseRuns]
-    settings: Settings
-    bodies: int = 0
-    begin: int = 0
-
-    @property
-    def worlds(self) -> int:
-        """Its share of the work of all parts of a label."""
-        return max(self.settings.body_count, 1)
-
-    @property
-    def label(self) -> str:
-        """Description of the task."""
-        return f"{self.name}, {self.bodies} bodies" if self.bodies else self.name
-
-
-@dataclasses.dataclass(frozen=True)
 class Simulation:
-    """Simulates one part after the other; a `nermo_mjx.runs.workers.Computer`."""
+    """Simulates one part after the other; a `nermo_mjx.runs.work.RowComputer`."""
 
     engine: str
 
     def warm(self) -> None:
         """Each experiment makes its own simulator."""
 
-    def stamp(self) -> CodeStamp:
+    def stamp(self, structure: int = 0) -> CodeStamp:
         """Stamp of the code, the model and the engine that simulate here."""
         return stamp(load_robot().fingerprint, self.engine)
 
     def __call__(
-        self, part: Part, progress: Callable[[float], None] | None = None
+        self,
+        task: tuple[Callable[[Settings], CaseRuns], Settings],
+        /,
+        progress: Callable[[float], None] | None = None,
     ) -> tuple[CaseRuns, float]:
         """The result of a part, and its duration [s]."""
         begun = time.monotonic()
-        outcome = part.run(
-            part.settings.but(engine=self.engine, progress=progress or (lambda share: None))
-        )
+        run, settings = task
+        outcome = run(settings.but(engine=self.engine, progress=progress or (lambda share: None)))
         return outcome, time.monotonic() - begun
 
 
@@ -520,13 +377,12 @@ class _Call:
     written: Written
     directory: Directory
     settings: Settings
-    code: CodeStamp
     bodies: Mapping[str, np.ndarray]
     again: bool
     video: bool
     watch: Watch
 
-    def kept(self, chosen: Experiment) -> Stored | None:
+    def stored(self, chosen: Experiment) -> Stored | None:
         """The directory's results of an experiment, if they match the request; raises otherwise."""
         stored = self.directory.load(chosen.name)
         if stored is not None and (
@@ -538,34 +394,56 @@ class _Call:
             )
         return stored
 
-    def missing(self, chosen: Experiment, kept: Stored | None) -> list[Part]:
-        """The parts of an experiment to simulate: itself, identified bodies, both or neither.
-
-        Each body runs once in the profiles in which the figures are judged, in batches.
-        """
-        parts = [Part(chosen.name, chosen.run, self.settings)] if kept is None else []
+    def works(
+        self, chosen: Experiment, stored: Stored | None, stack: contextlib.ExitStack
+    ) -> Iterator[Work]:
+        """The rows of an experiment to simulate: its own, those of identified bodies, both or neither."""
+        record = session() | {"settings": self.settings.as_dict()}
+        if stored is None:
+            yield self._work(chosen, [self.settings], record, stack)
+        if self.again:
+            for path in part_files(self.directory.folder(chosen.name, bodies=True)):
+                path.unlink()
         if not self.bodies:
-            return parts
-        held = self.directory.load(chosen.name, bodies=True)
-        if (
-            held is not None
-            and held.about["drawn"] == self.drawn
-            and not (parts and self._outdated(held))
-        ):
-            return parts
+            return
+        record |= {"bodies": len(next(iter(self.bodies.values()))), "drawn": self.drawn}
+        several = self.directory.load(chosen.name, bodies=True)
+        if several is None or several.about["drawn"] != self.drawn:
+            yield self._work(chosen, self._body_parts(chosen), record, stack)
+
+    def _body_parts(self, chosen: Experiment) -> list[Settings]:
+        """Each body runs once in the profiles in which the figures are judged, in batches."""
         judged = {figure.profile for figure in chosen.figures}
-        profiles = [name for name in self.settings.profiles if name in judged] or list(
-            self.settings.profiles
-        )
-        count = self.settings.but(bodies=self.bodies).body_count
-        for profile in profiles:
-            for k in range(0, count, AT_ONCE):
-                some = {name: of[k : k + AT_ONCE] for name, of in self.bodies.items()}
-                once = self.settings.but(
-                    profiles=[profile], repeats=1, seed=self.settings.seed + k, bodies=some
-                )
-                parts.append(Part(chosen.name, chosen.run, once, count, k))
-        return parts
+        profiles = [name for name in self.settings.profiles if name in judged]
+        return [
+            self.settings.but(
+                profiles=[profile],
+                repeats=1,
+                seed=self.settings.seed + first,
+                bodies={
+                    name: values[first : first + AT_ONCE] for name, values in self.bodies.items()
+                },
+            )
+            for profile in profiles or self.settings.profiles
+            for first in range(0, len(next(iter(self.bodies.values()))), AT_ONCE)
+        ]
+
+    def _work(
+        self,
+        chosen: Experiment,
+        parts: Sequence[Settings],
+        record: Mapping[str, Any],
+        stack: contextlib.ExitStack,
+    ) -> Work:
+        rows = ExperimentRows(chosen, parts, self.directory, self.written, record)
+        held = stack.enter_context(RunDirectory(rows.folder, "experiment"))
+        rows.write_record()
+        work = Work(rows, held.out, rows.size, watch=self.watch, held=held)
+        if self.again or not len(work.unfinished):  # replaced, or without their recordings
+            for part in (*work.runs.parts, *work.runs.others):
+                part.path.unlink()
+            work.runs.survey()
+        return work
 
     @property
     def drawn(self) -> str:
@@ -574,102 +452,17 @@ class _Call:
         content = dict.fromkeys(sorted(PROFILES), values)
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
-    def _outdated(self, bodies: Stored | None) -> bool:
-        """Whether there are bodies that do not match the current simulation."""
-        return self.again or bodies is None or bodies.about["settings"] != self.settings.as_dict()
-
-    def simulated(self, parts: Sequence[Part], workers: Workers) -> Iterator[str]:
-        """Simulate parts as workers become free; yields the label of each result once it is stored.
-
-        A result in several parts is stored when the last of them has arrived.
-        """
-        sessions: dict[str, dict[str, Any]] = {}
-        came: dict[str, dict[int, tuple[CaseRuns, float]]] = collections.defaultdict(dict)
-        fresh = set()  # experiments whose bodies finished first
-
-        def tasks() -> Iterator[tuple[int, Part]]:
-            for key, part in enumerate(parts):
-                sessions.setdefault(part.label, session())
-                yield key, part
-
-        def tell(key: int, share: float) -> None:
-            label = parts[key].label
-            total = sum(part.worlds for part in parts if part.label == label)
-            done = sum(parts[k].worlds for k in came[label]) + share * parts[key].worlds * (
-                key not in came[label]
-            )
-            self._tell(label, done / total)
-
-        try:
-            if parts:
-                workers.begin(Simulation(self.code.engine))
-            for key, found in workers.results(tasks(), tell) if parts else ():
-                part = parts[key]
-                several = came[part.label]
-                several[key] = found
-                tell(key, 1.0)  # remote workers do not report progress
-                if len(several) < sum(each.label == part.label for each in parts):
-                    continue
-                seconds = sum(seconds for _, seconds in several.values())
-                made = {"engine": self.code.engine, "code": self.code.id, "wall_seconds": seconds}
-                about = sessions[part.label] | {"settings": self.settings.as_dict(), **made}
-                if part.bodies:
-                    about |= {"bodies": part.bodies, "drawn": self.drawn}
-                    batches = [(several[k][0].columns, parts[k].begin) for k in sorted(several)]
-                    columns = {
-                        name: np.concatenate([of[name] for of, _ in batches])
-                        for name in batches[0][0]
-                    }
-                    # Each batch is numbered from the position of its first body.
-                    columns[BODY] = np.concatenate([of[BODY] + begin for of, begin in batches])
-                    outcome = dataclasses.replace(
-                        several[min(several)][0], columns=columns, recordings={}
-                    )
-                    self.directory.save(outcome, about, self.written, bodies=True)
-                    fresh.add(part.name)
-                else:
-                    if part.name not in fresh and self._outdated(
-                        self.directory.load(part.name, bodies=True)
-                    ):
-                        self.written.clear(self.directory.path(part.name, bodies=True))
-                    self.directory.save(found[0], about, self.written)
-                yield part.label
-        except TaskFailed as failed:
-            error = failed.error
-            text = f"{parts[failed.key].name} failed: {error} What was done before is kept in {self.directory.out}."
-            if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(
-                error, ParameterError
-            ):
-                if type(error).__module__.startswith("nermo_mjx"):
-                    raise JobFailed(text) from error
-                error.add_note(text)
-            raise error from None
-
-    def finish(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
+    def result(self, chosen: Experiment, kept: Stored | None, code: CodeStamp) -> ExperimentResult:
         """Everything derived from new or stored results."""
-        from nermo_mjx.experiments.plots import figures_of_experiment
-        from nermo_mjx.plotting.files import write_figures
-
-        written, out, stored = (
-            self.written,
-            self.directory.out,
-            kept or self.directory.load(chosen.name),
-        )
-        assert stored is not None, "it was read back when it was saved"
+        written, out, name = self.written, self.directory.out, chosen.name
+        stored = kept or self.directory.load(name)
+        if stored is None:
+            raise DirectoryError(
+                f"{self.directory.folder(name)} was written but cannot be read back: run the same command again."
+            )
         if kept is not None:
-            made = codes_of(out).get(kept.about.get("code", ""))
-            unlike = "" if made is None else made.unlike(self.code)
-            other = (
-                " by code that is not known"
-                if made is None
-                else f" by other code ({unlike})"
-                if unlike
-                else ""
-            )
-            self.watch.warn(
-                f"{chosen.name}: kept as run on {local_time(kept.about['started'])}{other}; --again reruns it."
-            )
-        several = self.directory.load(chosen.name, bodies=True)
+            self._warn_of_code(name, kept, code)
+        several = self.directory.load(name, bodies=True)
         lines = published_lines(
             stored.outcome, several.outcome if several else None, chosen.figures
         )
@@ -677,32 +470,55 @@ class _Call:
             "controller"
         ):  # reasons were found for the published controller
             lines = [dataclasses.replace(line, reason="") for line in lines]
-        former = (self.directory.entry(chosen.name) if kept is not None else None) or {}
+        former = (self.directory.entry(name) if kept is not None else None) or {}
         # The files derived from the results are added once they exist.
         entry = entry_of(chosen.title, stored.outcome, stored.about, lines) | {
             "table": written.name(stored.table),
             "recordings": [written.name(path) for path in stored.recordings],
             "bodies": several.about["bodies"] if several else None,
             "finished": False,
-            **{name: former.get(name, []) for name in ("plots", "videos", "notes")},
+            **{key: former.get(key, []) for key in ("plots", "videos", "notes")},
         }
         self._publish(chosen, entry)
-        self._tell(f"{chosen.name}, plots", 0.0)
-        plots = write_figures(
-            figures_of_experiment(stored.outcome, lines), out / "plots", written.write
-        )
+        plots = self._plots(chosen, stored.outcome, lines)
         entry["plots"] = [written.name(plot) for plot in plots]
-        old = [name for name in written.known if name.startswith(f"plots/{chosen.name}-")]
-        written.remove([name for name in old if name not in entry["plots"]])
+        old = [file for file in written.known if file.startswith(f"plots/{name}-")]
+        written.remove([file for file in old if file not in entry["plots"]])
         entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"])
         self._publish(chosen, entry | {"finished": True})
         if written.aside:
-            self.watch.warn(f"{chosen.name}: {written.sentence()}")
+            self.watch.warn(f"{name}: {written.sentence()}")
             written.aside.clear()
-        videos = tuple(out / video["file"] for video in entry["videos"])
-        files = (stored.table, tuple(plots), stored.recordings, videos)
-        result = (chosen.name, out, stored.outcome, tuple(lines), *files)
-        return ExperimentResult(*result, kept is not None, tuple(entry["notes"]))
+        return ExperimentResult(
+            name=name,
+            out=out,
+            outcome=stored.outcome,
+            lines=tuple(lines),
+            table=stored.table,
+            plots=tuple(plots),
+            recordings=stored.recordings,
+            videos=tuple(out / video["file"] for video in entry["videos"]),
+            kept=kept is not None,
+            notes=tuple(entry["notes"]),
+        )
+
+    def _warn_of_code(self, name: str, kept: Stored, code: CodeStamp) -> None:
+        """Say that results are kept, and of which code they are, if of another."""
+        made = codes_of(self.directory.out).get(kept.about["code"])
+        unlike = "" if made is None else made.unlike(code)
+        other = f" by other code ({unlike})" if unlike else ""
+        other = " by code that is not known" if made is None else other
+        self.watch.warn(
+            f"{name}: kept as run on {local_time(kept.about['started'])}{other}; --again reruns it."
+        )
+
+    def _plots(self, chosen: Experiment, outcome: CaseRuns, lines: Sequence[Line]) -> list[Path]:
+        from nermo_mjx.experiments.plots import figures_of_experiment
+        from nermo_mjx.plotting.files import write_figures
+
+        self._tell(f"{chosen.name}, plots", 0.0)
+        figures = figures_of_experiment(outcome, lines)
+        return write_figures(figures, self.directory.out / "plots", self.written.write)
 
     def _tell(self, what: str, share: float) -> None:
         self.watch.progress(Progress(share, what=what))
@@ -710,7 +526,7 @@ class _Call:
     def _publish(self, chosen: Experiment, entry: dict[str, Any]) -> None:
         """Store an experiment's entry, and the report of the whole directory."""
         self.directory.write_entry(chosen.name, entry)
-        self.directory.report(self.written)
+        self.directory.report(self.written, EXPERIMENTS)
 
     def _videos(
         self, chosen: Experiment, outcome: CaseRuns, made: list[dict[str, Any]]

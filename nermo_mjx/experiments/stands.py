@@ -183,6 +183,11 @@ def _measured(
     )
 
 
+def world_count(cases: Sequence[Mapping[str, Any]]) -> Callable[[Settings], int]:
+    """How many worlds an experiment of these cases has."""
+    return lambda settings: max(settings.body_count, 1) * len(cases) * len(settings.profiles)
+
+
 # --- the body alone
 
 _LATERAL: Final = tuple(f"spine_joint_{i}" for i in range(1, 5))

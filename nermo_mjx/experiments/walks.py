@@ -347,6 +347,14 @@ def turn_cases(quick: bool = False) -> tuple[Case, ...]:
     return (*left, *right, *built)
 
 
+def walked_turns(settings: Settings) -> list[Case]:
+    """The cases that are walked: without full lock, if the controller needs a path."""
+    locks = settings.controller is None or not settings.controller.needs_path
+    return [
+        case for case in turn_cases(settings.quick) if locks or case.labels["radius"] != FULL_LOCK
+    ]
+
+
 def walk_turns(settings: Settings) -> CaseRuns:
     """Turn in all cases: the quarter circles in one batch, full lock in another, whose pilot holds its command.
 
@@ -354,12 +362,13 @@ def walk_turns(settings: Settings) -> CaseRuns:
     """
     parts: list[dict[str, np.ndarray]] = []
     recordings: dict[str, Recording] = {}
-    locks = settings.controller is None or not settings.controller.needs_path
+    walked = walked_turns(settings)
+    locks = any(case.labels["radius"] == FULL_LOCK for case in walked)
     before = 0.0
     for pilot, share in (("arc", 0.8), ("open_loop", 0.2)) if locks else (("arc", 1.0),):
         chosen = [
             case
-            for case in turn_cases(settings.quick)
+            for case in walked
             if (case.labels["radius"] == FULL_LOCK) == (pilot == "open_loop")
             and set(case.profiles) & set(settings.profiles)
         ]

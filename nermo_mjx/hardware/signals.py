@@ -143,11 +143,9 @@ def in_frame_of(twin: Channel, channel: Channel) -> Channel:
         for points in (channel.values[is_finite], twin_values[is_finite], twin.values)
     )
     axes = min(channel_points.shape[1], twin_values.shape[1])
-    channel_centred, twin_centred, all_points = (
-        channel_points - channel_points.mean(axis=0),
-        twin_values - twin_values.mean(axis=0),
-        all_points - twin_values.mean(axis=0),
-    )
+    channel_centred = channel_points - channel_points.mean(axis=0)
+    twin_centred = twin_values - twin_values.mean(axis=0)
+    all_points = all_points - twin_values.mean(axis=0)
     if channel.quantity == "position":
         turn = np.vdot(
             twin_centred[:, 0] + 1j * twin_centred[:, 1],
@@ -213,36 +211,8 @@ def findings_of(log: Log) -> tuple[str, ...]:
     lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
     findings = [*log.findings]
     for angle, command in pairs:
-        (lag, correlation), name = lags[angle.of], angle.of.replace("_", " ")
-        if abs(correlation) < _MIN_CORRELATION:
-            findings.append(f"{name} does not follow its command ({correlation:.2f}).")
-            continue
-        if correlation < 0.0:
-            findings.append(f"{name} seems mirrored ({correlation:.2f}).")
-        command_values = values_at(command, angle.times - lag)
-        is_finite = np.isfinite(command_values)
-        gain, offset = (
-            np.polyfit(command_values[is_finite], angle.values[is_finite], 1)[0],
-            (angle.values - command_values)[is_finite].mean(),
-        )
-        if not _GAIN_RANGE[0] < abs(gain) < _GAIN_RANGE[1]:
-            findings.append(
-                f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
-            )
-        elif correlation > 0.0 and abs(offset) > _LARGEST_OFFSET:
-            findings.append(
-                f"{name} stands {offset:.2g} {angle.unit} off its command: one of the two has another zero."
-            )
-        others = [servo_lag for servo, (servo_lag, _) in lags.items() if servo != angle.of]
-        if lag < -max(angle.interval, command.interval):
-            findings.append(
-                f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
-            )
-        elif len(others) > 1 and lag - max(others) > max(_LAG_MARGIN_SECONDS, np.ptp(others)):
-            largest_lag = f"{1e3 * max(others):.0f} ms at most"
-            findings.append(
-                f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {largest_lag}."
-            )
+        others = [lag for servo, (lag, _) in lags.items() if servo != angle.of]
+        findings += _servo_findings(angle, command, *lags[angle.of], others)
     findings += _drifts(log, pairs)
     angle_only, unled = (
         [servo for servo in a if servo not in b]
@@ -270,6 +240,39 @@ def findings_of(log: Log) -> tuple[str, ...]:
     return tuple(findings)
 
 
+def _servo_findings(
+    angle: Channel, command: Channel, lag: float, correlation: float, others: Sequence[float]
+) -> Iterator[str]:
+    """What looks wrong with the angle of a servo, compared with its command.
+
+    Args:
+        angle: Angle of the servo.
+        command: Command of the servo.
+        lag: Lag of the angle behind the command [s].
+        correlation: Correlation of both at this lag.
+        others: Lags of the other servos [s].
+    """
+    name = angle.of.replace("_", " ")
+    if abs(correlation) < _MIN_CORRELATION:
+        yield f"{name} does not follow its command ({correlation:.2f})."
+        return
+    if correlation < 0.0:
+        yield f"{name} seems mirrored ({correlation:.2f})."
+    command_values = values_at(command, angle.times - lag)
+    is_finite = np.isfinite(command_values)
+    gain = np.polyfit(command_values[is_finite], angle.values[is_finite], 1)[0]
+    offset = (angle.values - command_values)[is_finite].mean()
+    if not _GAIN_RANGE[0] < abs(gain) < _GAIN_RANGE[1]:
+        yield f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
+    elif correlation > 0.0 and abs(offset) > _LARGEST_OFFSET:
+        yield f"{name} stands {offset:.2g} {angle.unit} off its command: one of the two has another zero."
+    if lag < -max(angle.interval, command.interval):
+        yield f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
+    elif len(others) > 1 and lag - max(others) > max(_LAG_MARGIN_SECONDS, np.ptp(others)):
+        largest_lag = f"{1e3 * max(others):.0f} ms at most"
+        yield f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {largest_lag}."
+
+
 def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]:
     """Clocks that run away from another one: angles behind their commands, and the change of a yaw behind a gyro."""
     yaw, gyro = log.channel("yaw"), log.channel("gyro")
@@ -294,10 +297,8 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
             dataclasses.replace(channel, times=channel.times[p], values=channel.values[p])
             for p in parts
         ]
-        lags, middle = (
-            np.array([lag_of(pair_channel, command_channel) for pair_channel in pieces]).T[0],
-            [pair_channel.times.mean() for pair_channel in pieces],
-        )
+        lags = np.array([lag_of(pair_channel, command_channel) for pair_channel in pieces]).T[0]
+        middle = [pair_channel.times.mean() for pair_channel in pieces]
         (slope, _), (variance, *_) = np.polyfit(middle, lags, 1, cov=True)
         change = abs(slope) * np.ptp(channel.times)
         if change > _DRIFT_SECONDS and abs(slope) > _DRIFT_DEVIATIONS * np.sqrt(variance[0]):

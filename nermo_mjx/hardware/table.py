@@ -394,10 +394,8 @@ def channels_of(
         if channel.servo not in robot.servos and channel.missing is None:
             whose, remedy = f"the robot {robot.config.robot!r}", "take 'nermo_41'"
             if channel.servo == "tail":
-                whose, remedy = (
-                    f"the robot with tail {robot.config.tail!r}",
-                    "take the articulated tail",
-                )
+                whose = f"the robot with tail {robot.config.tail!r}"
+                remedy = "take the articulated tail"
             raise ParameterError(
                 f"{channel.servo} is no servo of {whose}: {remedy}, leave the servo out, or give it what is 'missing'."
             )

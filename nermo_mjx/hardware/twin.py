@@ -91,11 +91,11 @@ def command_table(
         )
     table = np.zeros((math.ceil(log.duration / dt) + 1, len(servos)))
     ticks = dt * np.arange(len(table)) + 1e-9
-    for of, channel in commands.items():
-        place = servos.index(
-            choice(f"{log.file}: the servo of channel {channel.name!r}", of, servos)
+    for servo, channel in commands.items():
+        column = servos.index(
+            choice(f"{log.file}: the servo of channel {channel.name!r}", servo, servos)
         )
-        table[:, place] = channel.values[
+        table[:, column] = channel.values[
             np.maximum(np.searchsorted(channel.times, ticks, "right") - 1, 0)
         ]
     return table
@@ -123,15 +123,15 @@ def replay_log(
     """
     setup = setup or Setup()
     servos, dt = setup.load().servos, setup.timestep
-    table, before = command_table(log, servos, dt), round(SETTLING_SECONDS / dt)
+    table, settling_ticks = command_table(log, servos, dt), round(SETTLING_SECONDS / dt)
     commands = LoggedCommands(
-        np.concatenate([np.repeat(table[:1], before, axis=0), table]), servos, dt
+        np.concatenate([np.repeat(table[:1], settling_ticks, axis=0), table]), servos, dt
     )
-    run = Run(duration=len(commands.table) * dt, warmup=before * dt)
+    run = Run(duration=len(commands.table) * dt, warmup=settling_ticks * dt)
     simulator = Simulator(dataclasses.replace(setup, controller=commands), engine)
-    made = simulator.run(values or {}, run, record=True, progress=progress).recording()
-    made = made.between((before + 1) * dt, made.time[-1])
-    return dataclasses.replace(made, time=made.time - before * dt)
+    recording = simulator.run(values or {}, run, record=True, progress=progress).recording()
+    recording = recording.between((settling_ticks + 1) * dt, recording.time[-1])
+    return dataclasses.replace(recording, time=recording.time - settling_ticks * dt)
 
 
 def twin_signals(recording: Recording, robot: Robot) -> Log:
@@ -140,19 +140,20 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     A sample stands for the tick before it: its commands act since the tick's begin, and its sensors were read before
     the last step.
     """
-    sensors, made = (
-        {name: np.asarray(values) for name, values in recording.sensors.items()},
-        list[Channel](),
-    )
+    sensors = {name: np.asarray(values) for name, values in recording.sensors.items()}
+    channels = list[Channel]()
     times = recording.time - robot.model.opt.timestep
     begin = recording.time - (np.median(np.diff(recording.time)) if len(times) > 1 else 0.0)
 
     def add(
-        quantity: str, unit: str, columns: Mapping[str, np.ndarray], at: np.ndarray = times
+        quantity: str,
+        unit: str,
+        columns: Mapping[str, np.ndarray],
+        sample_times: np.ndarray = times,
     ) -> None:
-        made.extend(
-            Channel(f"{quantity} {of}", quantity, of, at, values, unit)
-            for of, values in columns.items()
+        channels.extend(
+            Channel(f"{quantity} {element}", quantity, element, sample_times, values, unit)
+            for element, values in columns.items()
         )
 
     def each(names: tuple[str, ...], values: np.ndarray) -> dict[str, np.ndarray]:
@@ -161,8 +162,8 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     add("command", "rad", each(robot.servos, recording.ctrl), begin)
     for last in ("angle", "velocity", "torque"):
         add(last, READINGS[f"servo_{last}"].unit, each(robot.servos, sensors[f"servo_{last}"]))
-    for name, of in (("gyro", "imu"), ("accelerometer", "imu"), ("position", "torso")):
-        add(name, READINGS[name].unit, {of: sensors[name]})
+    for name, element in (("gyro", "imu"), ("accelerometer", "imu"), ("position", "torso")):
+        add(name, READINGS[name].unit, {element: sensors[name]})
     add(
         "yaw",
         "rad",
@@ -170,19 +171,19 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     )
     add("force", "N", each(LIMBS, sensors["foot_force"]))
     add("contact", "switch", each(LIMBS, (sensors["foot_force"] > _SWITCH_NEWTONS).astype(float)))
-    return Log(tuple(made), "the twin")
+    return Log(tuple(channels), "the twin")
 
 
 def beside(log: Log, twin: Log) -> Log:
     """What a twin measures of a log's channels, as the log has it: in the frame of its track."""
-    found = []
+    pairs = []
     for channel in log.channels:
         if channel.quantity == "command":
             continue
-        other = twin.of_quantity(channel.quantity).get(channel.of)
-        if other is not None:
-            found.append(dataclasses.replace(in_frame_of(other, channel), name=channel.name))
-    return Log(tuple(found), twin.file)
+        twin_channel = twin.of_quantity(channel.quantity).get(channel.of)
+        if twin_channel is not None:
+            pairs.append(dataclasses.replace(in_frame_of(twin_channel, channel), name=channel.name))
+    return Log(tuple(pairs), twin.file)
 
 
 def with_log(recording: Recording, log: Log, robot: Robot) -> tuple[Recording, list[Difference]]:
@@ -191,16 +192,23 @@ def with_log(recording: Recording, log: Log, robot: Robot) -> tuple[Recording, l
     Each axis of a channel is the sensor `log.NAME`, (T, 2): measured at the recording's times (NaN in gaps), simulated.
     """
     twin = beside(log, twin_signals(recording, robot))
-    found, sensors = channel_differences(log, twin), dict(recording.sensors)
+    differences, sensors = channel_differences(log, twin), dict(recording.sensors)
     for channel in log.channels:
-        if (other := twin.of_quantity(channel.quantity).get(channel.of)) is not None:
-            for (name, one), (_, two) in zip(axes_of(channel), axes_of(other), strict=False):
+        if (twin_channel := twin.of_quantity(channel.quantity).get(channel.of)) is not None:
+            for (name, axis_values), (_, two) in zip(
+                axes_of(channel), axes_of(twin_channel), strict=False
+            ):
                 sensors[LOG_PREFIX + name] = np.stack(
-                    [values_at(each, recording.time) for each in (one, two)], axis=-1
+                    [
+                        values_at(axis_channel, recording.time)
+                        for axis_channel in (axis_values, two)
+                    ],
+                    axis=-1,
                 )
-    about, shown = (
-        {each.name: dataclasses.asdict(each) for each in found},
-        [each.name for each in twin.channels],
-    )
-    metadata = {**recording.metadata, "log": {"file": log.file, "shown": shown, "channels": about}}
-    return dataclasses.replace(recording, sensors=sensors, metadata=metadata), found
+    descriptions = {difference.name: dataclasses.asdict(difference) for difference in differences}
+    channel_names = [channel.name for channel in twin.channels]
+    metadata = {
+        **recording.metadata,
+        "log": {"file": log.file, "shown": channel_names, "channels": descriptions},
+    }
+    return dataclasses.replace(recording, sensors=sensors, metadata=metadata), differences

@@ -234,10 +234,8 @@ def _support(stance: TruthPerLimb) -> tuple[Array, Array, Array, Array]:
     diagonally opposite: with three feet, only one diagonal supports.
     """
     fronts, rears = stance[..., :2], stance[..., 2:]
-    n_front, n_rear = (
-        jnp.sum(fronts, axis=-1, keepdims=True),
-        jnp.sum(rears, axis=-1, keepdims=True),
-    )
+    n_front = jnp.sum(fronts, axis=-1, keepdims=True)
+    n_rear = jnp.sum(rears, axis=-1, keepdims=True)
     front_foot = jnp.where(n_front == 1, fronts, rears[..., ::-1] & (n_front == 2))
     rear_foot = jnp.where(n_rear == 1, rears, fronts[..., ::-1] & (n_rear == 2))
     zeros = jnp.zeros_like(fronts)

@@ -76,10 +76,8 @@ def bracketed_root(
     """
     low, high = jnp.broadcast_arrays(low, high)
     value = jax.eval_shape(residual, low)
-    shape, dtype = (
-        jnp.broadcast_shapes(low.shape, value.shape),
-        jnp.promote_types(low.dtype, value.dtype),
-    )
+    shape = jnp.broadcast_shapes(low.shape, value.shape)
+    dtype = jnp.promote_types(low.dtype, value.dtype)
     low, high = (
         jax.lax.stop_gradient(jnp.broadcast_to(end.astype(dtype), shape)) for end in (low, high)
     )

@@ -99,6 +99,14 @@ class PPO(Spec):
 
         return iterate
 
+    def _adapted(self, rate: Array, kl: Array) -> Array:
+        """The learning rate, lowered where the policy changes twice as much as desired, raised at half as much."""
+        if self.kl is None:
+            return rate
+        slower, faster = kl > 2.0 * self.kl, kl < 0.5 * self.kl
+        rate = jnp.where(slower, rate / _RATE_FACTOR, jnp.where(faster, rate * _RATE_FACTOR, rate))
+        return jnp.clip(rate, _SMALLEST_RATE, _LARGEST_RATE)
+
     def _updated(
         self, observed: int, learned: Learned, experience: Experience
     ) -> tuple[Learned, dict[str, Array]]:
@@ -107,7 +115,7 @@ class PPO(Spec):
             statistics.normalized(values) for values in (experience.seen, experience.then)
         )
         value, next_value = (
-            apply(learned.critic, each)[..., 0] for each in (observations, next_observations)
+            apply(learned.critic, values)[..., 0] for values in (observations, next_observations)
         )
         gain = advantages(
             experience.reward,
@@ -120,7 +128,7 @@ class PPO(Spec):
         )
         old = learned.actor.log_density(observations[..., :observed], experience.action)
         rows = jax.tree.map(
-            lambda each: each.reshape(-1, *each.shape[2:]),
+            lambda values: values.reshape(-1, *values.shape[2:]),
             (observations, experience.action, old, gain, value + gain),
         )
         count = len(rows[0])
@@ -157,15 +165,8 @@ class PPO(Spec):
         (actor, critic, optimizers), numbers = jax.lax.scan(step, previous, parts)
         # The change by all steps of an iteration. Within one it grows from zero: a rate that followed it there would
         # first be raised with every step, and then be too high.
-        kl, rate = numbers["kl"][-self.minibatches :].mean(), learned.rate
-        if (
-            self.kl is not None
-        ):  # lowered where the policy changes twice as much as aimed at, raised at half as much
-            slower, faster = kl > 2.0 * self.kl, kl < 0.5 * self.kl
-            rate = jnp.where(
-                slower, rate / _RATE_FACTOR, jnp.where(faster, rate * _RATE_FACTOR, rate)
-            )
-            rate = jnp.clip(rate, _SMALLEST_RATE, _LARGEST_RATE)
+        kl = numbers["kl"][-self.minibatches :].mean()
+        rate = self._adapted(learned.rate, kl)
         statistics_of_update = {
             "kl": kl,
             "value_loss": numbers["value_loss"].mean(),

@@ -299,12 +299,10 @@ class Environment:
             raise ParameterError(f"engine is {engine!r}: an environment runs on c or mjx.")
         if not (isinstance(worlds, int) and worlds >= 1):
             raise ParameterError(f"worlds is {worlds!r}: allowed is a whole number from 1 on.")
-        self.setup, self.task, self.worlds, self.seed = (
-            setup or Setup(),
-            task or Task(),
-            worlds,
-            seed,
-        )
+        self.setup = setup or Setup()
+        self.task = task or Task()
+        self.worlds = worlds
+        self.seed = seed
         self.task.check(self.setup)
         self.robot = self.setup.load()
         self.controller = Acting(self.setup.make_controller(), self.task.action)
@@ -321,19 +319,13 @@ class Environment:
         shared = self.loop, self.episodes, worlds, staggered
         self._worlds: Any = CWorlds(*shared, threads) if name == "c" else MjxWorlds(*shared)
         self.pure = name == "mjx"
-        self.observation_names, self.privileged_names = (
-            self.loop.observation_names,
-            self.loop.privileged_names,
-        )
+        self.observation_names = self.loop.observation_names
+        self.privileged_names = self.loop.privileged_names
         self.action_names = self.task.action.names
-        self.observation_size, self.privileged_size = (
-            len(self.observation_names),
-            len(self.privileged_names),
-        )
-        self.action_size, self.step_seconds = (
-            len(self.action_names),
-            self.controller.dt * self.task.decimation,
-        )
+        self.observation_size = len(self.observation_names)
+        self.privileged_size = len(self.privileged_names)
+        self.action_size = len(self.action_names)
+        self.step_seconds = self.controller.dt * self.task.decimation
 
     def reset(self, key: Any = None, steps: Any = 0.0) -> State:
         """Begin an episode in every world.
@@ -458,11 +450,9 @@ class Mixture:
             for part in self.parts
         ]
         first_part = self.parts[0]
-        self.pure, self.observation_size, self.action_size = (
-            first_part.pure,
-            first_part.observation_size,
-            first_part.action_size,
-        )
+        self.pure = first_part.pure
+        self.observation_size = first_part.observation_size
+        self.action_size = first_part.action_size
         self.step_seconds, self.privileged_size = (
             first_part.step_seconds,
             len(self.privileged_names),
@@ -507,8 +497,8 @@ class Mixture:
         for name in ("privileged", "final_privileged"):
             fields[name] = [self.told(i, values) for i, values in enumerate(fields[name])]
         joined_fields = {
-            name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each)
-            for name, each in fields.items()
+            name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *values)
+            for name, values in fields.items()
         }
         return State(**joined_fields, engine=tuple(states))
 

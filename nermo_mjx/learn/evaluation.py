@@ -30,7 +30,7 @@ from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
-from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.simulator import default_precision
 from nermo_mjx.runs.rows import Columns
 
@@ -130,7 +130,9 @@ class PolicyEvaluator:
             values = {"start.x": 0.0} | _known(simulator.setup, {**task.set, **bodies})
             values = {name: np.broadcast_to(value, draws.number) for name, value in values.items()}
             share = (
-                None if progress is None else lambda share, i=i: progress((i + share) / len(cases))
+                None
+                if progress is None
+                else lambda fraction, i=i: progress((i + fraction) / len(cases))
             )
             policy_parameters = (
                 walk_setup.make_controller().parameters if walker == POLICY else None
@@ -240,11 +242,9 @@ def played_task(
         acting = RandomPolicy(**vars(acting)) if policy == RANDOM_POLICY else acting
     else:
         acting = load_policy(policy, code_place(training.task.observe))
-    commands, is_delayed, noisy = (
-        acting.observer.commands,
-        bool(acting.observer.delayed),
-        acting.observer.noisy,
-    )
+    commands = acting.observer.commands
+    is_delayed = bool(acting.observer.delayed)
+    noisy = acting.observer.noisy
     declared = {f"command.{name}" for name in commands} | (
         {"sensing.delay"} if is_delayed else set()
     )

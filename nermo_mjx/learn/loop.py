@@ -25,9 +25,9 @@ from nermo_mjx.learn.task import TERMS, EpisodeParameters, Moment, Outcome, Task
 from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout.custom_metrics import at_rest, numbers_at_rest
 from nermo_mjx.rollout.loop import ClosedLoop, LoopState
 from nermo_mjx.rollout.metrics import MetricState
-from nermo_mjx.rollout.own_metrics import at_rest, numbers_at_rest
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 
 
@@ -198,16 +198,7 @@ class EpisodeLoop:
             failed=failed,
             arrived=status == _code(Outcome.arrived),
         )
-        has_begun = state.loop.tick > 0
-        values = {term.name: jnp.where(has_begun, term.of(moment), 0.0) for term in self.terms}
-        # A world that diverged gives none; it is restarted.
-        values = {
-            name: jnp.where(now.lost & (name != "failed"), 0.0, value)
-            for name, value in values.items()
-        }
-        reward = sum(
-            (weight * values[term.name] for term, weight in self.terms.items()), jnp.zeros(())
-        )
+        reward, values = self._reward(moment, state.loop.tick > 0)
         control, geometry = params.loop.control, geometry_of(params.loop.control.control)
         path = self.controller.path(control, state.loop.control, sensors.position)
         informed = self.observer.informed(
@@ -245,6 +236,17 @@ class EpisodeLoop:
                 "unsolved": jnp.zeros(()),  # the engine knows
             },
         )
+
+    def _reward(self, moment: Moment, begun: Truth) -> tuple[Scalar, dict[str, Scalar]]:
+        """The reward of a control step, and the values of its terms; zero before the first step."""
+        values = {term.name: jnp.where(begun, term.of(moment), 0.0) for term in self.terms}
+        # A world that diverged gives none; it is restarted.
+        values = {
+            name: jnp.where(moment.now.lost & (name != "failed"), 0.0, value)
+            for name, value in values.items()
+        }
+        weighted = (weight * values[term.name] for term, weight in self.terms.items())
+        return sum(weighted, jnp.zeros(())), values
 
     def _ground(self, params: EpisodeParameters) -> Ground:
         return functools.partial(self.robot.terrain.height, shape=params.loop.terrain)

@@ -89,7 +89,7 @@ def current(sensors: Sensors) -> Float[Array, " k"]:
 
 
 def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> Float[Array, " 12"]:
-    """Heights of the ground at `SCAN_POINTS` over that beneath the torso, at most 0.05 up or down [m].
+    """Heights of the ground at `SCANNED` over that beneath the torso, at most 0.05 up or down [m].
 
     The grid turns with the torso's `yaw` [rad], by default that of its attitude, and stays level, as the term of this
     name does in Isaac Lab and mjlab, which count down from the robot instead. Obstacles are no ground.

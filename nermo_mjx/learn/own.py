@@ -18,7 +18,7 @@ import numpy as np
 from nermo_mjx.control.protocol import Ground, function_place, load_object, named_object, user_code
 from nermo_mjx.learn.observing import POLICY_INPUTS, SENSED_READINGS, Sensed
 from nermo_mjx.robot import ParameterError, RobotConfig, Sensors
-from nermo_mjx.rollout.own_metrics import at_rest, described, numbers_at_rest
+from nermo_mjx.rollout.custom_metrics import at_rest, described, numbers_at_rest
 from nermo_mjx.runtime import start_jax
 
 #: Draws what an episode is given: (key, control steps of the training so far) -> values by parameters' names.

@@ -170,6 +170,7 @@ class TrainingResult:
 
 
 @shows_progress("training", "steps")
+# Many parameters because it is a public job, whose options are named.
 def run_training(
     spec: Training | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -238,16 +239,7 @@ def run_training(
         summary = _summary(training, learned, curves, policy, table)
         summary["complete"] = _ended(training, learned, curves, choice)
         directory.held.write(SUMMARY_FILE, to_json(summary))
-        plots: list[Path] = []
-        if (
-            training.plots
-        ):  # imported at the end: Matplotlib takes as long as the first control steps
-            from nermo_mjx.learn.plots import figures_of_training
-            from nermo_mjx.plotting.files import write_figures
-
-            plots = write_figures(
-                figures_of_training(training, curves, table), directory.out / "plots"
-            )
+        plots = _write_plots(directory.out, training, curves, table) if training.plots else []
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
             directory.out,
@@ -259,6 +251,15 @@ def run_training(
             len(curves) - begun,
             plots,
         )
+
+
+def _write_plots(out: Path, training: Training, curves: Curves, table: Any) -> list[Path]:
+    """Draw the figures of a training, from its history and the table of its evaluation; the files."""
+    # Matplotlib takes as long to import as the first control steps.
+    from nermo_mjx.learn.plots import figures_of_training
+    from nermo_mjx.plotting.files import write_figures
+
+    return write_figures(figures_of_training(training, curves, table), out / "plots")
 
 
 def training_engine(engine: str) -> str:
@@ -303,10 +304,8 @@ class _Learning:
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
             so_far = {} if self._robot is None else {"steps": float(learned.steps)}
-            state, scores = (
-                reset(learned.random(RESET_KEY), **so_far),
-                EpisodeScores.none(training.worlds),
-            )
+            state = reset(learned.random(RESET_KEY), **so_far)
+            scores = EpisodeScores.none(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
@@ -390,10 +389,8 @@ def _evaluated(
     directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch
 ) -> pa.Table:
     """The evaluation of this policy, which is made once."""
-    cached, training = (
-        parquet_table(content_of(directory.out / EVALUATION_FILE) or b""),
-        directory.training,
-    )
+    cached = parquet_table(content_of(directory.out / EVALUATION_FILE) or b"")
+    training = directory.training
     policy_key = f"{training.digest()} {training.evaluation} {training.run} {policy.about['trained']['steps']}"
     if (
         cached is not None

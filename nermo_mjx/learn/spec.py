@@ -29,7 +29,7 @@ from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.own_metrics import source_of
+from nermo_mjx.rollout.custom_metrics import source_of
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.specs.controllers import (
     code_beside,
@@ -320,11 +320,8 @@ class Training(WalkSpec, Described):
             for scene in self.evaluation.scenes
         ] or pairs_here
         if (physics := self.evaluation.physics) is not None:
-            step = PRESETS[physics].timestep
-            pairs = [
-                (dataclasses.replace(setup, physics=physics, timestep=step), task)
-                for setup, task in pairs
-            ]  # type: ignore[arg-type]
+            changes: dict[str, Any] = {"physics": physics, "timestep": PRESETS[physics].timestep}
+            pairs = [(dataclasses.replace(setup, **changes), task) for setup, task in pairs]
         return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:
@@ -435,6 +432,28 @@ def _read(doc: Document) -> Training:
             "is a custom controller: a policy file can only store a published one; "
             "learn in Python, by nermo_mjx.learn.Environment.",
         )
+    task = _read_task(doc, file, walk)
+    scenes = _read_scenes(doc, file, setup, task)
+    with _refusals(doc, "evaluate", "scenes"):
+        for scene in file.evaluate.scenes:
+            dataclasses.replace(setup, scene=scene)
+    names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "until", "plots")
+    same = {name: getattr(file, name) for name in names}
+    training = Training(**walk, task=task, scenes=scenes, evaluation=file.evaluate, **same)
+    with _refusals(doc):
+        training.check_division()
+    if file.until is not None and not file.validation:
+        doc.fail(
+            ("until",),
+            "stands without 'validation', the number of walks that decide: add one, such as 60.",
+        )
+    _check_evaluation(doc, file.evaluate, training)
+    return training
+
+
+def _read_task(doc: Document, file: TrainingFile, walk: Mapping[str, Any]) -> Task:
+    """The task of the file, checked in the scene of the walk."""
+    setup = walk["setup"]
     fixed = {
         **walk["fixed"],
         **{
@@ -464,6 +483,13 @@ def _read(doc: Document) -> Training:
         task.check(setup)
     with _refusals(doc, "task"):
         _try_out(setup, task)
+    return task
+
+
+def _read_scenes(
+    doc: Document, file: TrainingFile, setup: Setup, task: Task
+) -> tuple[SceneTask, ...]:
+    """The scenes of the file, if there are several, checked one by one and together."""
     if file.scenes and "scene" in doc.data:
         doc.fail(("scene",), "stands beside 'scenes': leave one of them out.")
     with _refusals(doc, "scenes"):
@@ -478,21 +504,13 @@ def _read(doc: Document) -> Training:
     if scenes:
         with _refusals(doc):
             check_alike({name: loop for name, loop in loops.items() if loop is not None})
-    with _refusals(doc, "evaluate", "scenes"):
-        for scene in file.evaluate.scenes:
-            dataclasses.replace(setup, scene=scene)
-    names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "until", "plots")
-    same = {name: getattr(file, name) for name in names}
-    training = Training(**walk, task=task, scenes=scenes, evaluation=file.evaluate, **same)
-    with _refusals(doc):
-        training.check_division()
-    if file.until is not None and not file.validation:
-        doc.fail(
-            ("until",),
-            "stands without 'validation', the number of walks that decide: add one, such as 60.",
-        )
+    return scenes
+
+
+def _check_evaluation(doc: Document, evaluation: EvaluationSpec, training: Training) -> None:
+    """Refuse values and ranges of an evaluation that its scenes lack, or with which the policy is not trained."""
     pairs = training.evaluated()
-    late, tasks = "sensing.delay", [each.task for each in scenes] or [task]
+    late, tasks = "sensing.delay", [each.task for each in training.scenes] or [training.task]
     taught = {name for each in tasks for name in (*each.set, *each.randomize)}
     if CODE_EXECUTION.get() or not any(each.has_own for each in tasks):
         taught |= {name for each in tasks for name in each.sampled}
@@ -506,7 +524,7 @@ def _read(doc: Document) -> Training:
     longest = max(
         max(each.set.get(late, 0.0), *each.randomize.get(late, (0.0, 0.0))) for each in tasks
     )
-    for section, given in (("set", file.evaluate.set), ("randomize", file.evaluate.randomize)):
+    for section, given in (("set", evaluation.set), ("randomize", evaluation.randomize)):
         for name, value in given.items():
             if name in POLICY_PARAMETERS and name not in taught:
                 doc.fail(
@@ -520,7 +538,7 @@ def _read(doc: Document) -> Training:
                 doc.fail(("evaluate", section, name), sentence)
             if any(name in getattr(task, section) for _, task in pairs):
                 continue
-            if section == "randomize" and name in file.evaluate.set:
+            if section == "randomize" and name in evaluation.set:
                 doc.fail(("evaluate", section, name), "stands under set, too: leave one out.")
             doc.fail(
                 ("evaluate", section, name),
@@ -529,7 +547,6 @@ def _read(doc: Document) -> Training:
     with _refusals(doc, "evaluate"):
         for setup, task in pairs:
             task.check(setup)
-    return training
 
 
 def _evaluated(setup: Setup, task: Task, evaluation: EvaluationSpec) -> Task:

@@ -46,9 +46,9 @@ from nermo_mjx.robot.quantity import (
     replace_quantities,
 )
 from nermo_mjx.robot.terrains import terrain_values
+from nermo_mjx.rollout.custom_metrics import described
 from nermo_mjx.rollout.loop import PUSH_SECONDS, LoopParameters, Pushes, loop_parameters
 from nermo_mjx.rollout.metrics import Ending, MetricState
-from nermo_mjx.rollout.own_metrics import described
 from nermo_mjx.rollout.run import StartPose
 from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth

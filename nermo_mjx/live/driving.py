@@ -108,10 +108,8 @@ class Driving:
         engine, self._controller = self.simulator.engine, self.simulator.controller
         assert isinstance(engine, CEngine)
         self._engine = engine
-        self.dt, self.steps_per_tick = (
-            float(self._controller.dt),
-            self.simulator.loop.steps_per_tick,
-        )
+        self.dt = float(self._controller.dt)
+        self.steps_per_tick = self.simulator.loop.steps_per_tick
         self.parameters = dict(quantities(self._controller.parameters))
         endless = jax.tree.map(
             np.full_like, self.batch.params.window, Window(begin=0.0, end=1e6, distance=1e6)
@@ -163,10 +161,8 @@ class Driving:
             0.0, spine=self.setup.spine, head=self.setup.head, tail_motion=self.setup.tail_motion
         )
         # Parameters as commanded, those of modes that do not act among them, and the modes that do.
-        self._commanded, self.modes = (
-            _numbers(self._params.control),
-            {f: set(m) for f, m in start.modes.items()},
-        )
+        self._commanded = _numbers(self._params.control)
+        self.modes = {f: set(m) for f, m in start.modes.items()}
         self.control = self._aim = self._acting(self._commanded, self.modes)
         self._base = np.array([*_numbers(self._aim).values()])
         # Commands that have not ended: tick at which each began, how long it takes [s], by how much values change.

@@ -503,10 +503,8 @@ class LiveDrive:
         ):
             switch = message.switch(driving.time)
             driving.command(switch)
-            self._gait, self._steering = (
-                switch.gait or self._gait,
-                switch.steering or self._steering,
-            )
+            self._gait = switch.gait or self._gait
+            self._steering = switch.steering or self._steering
         if message.push is not None:
             driving.push(message.push.body, message.push.force, message.push.seconds)
         self.paused = self.paused if message.pause is None else message.pause
@@ -542,9 +540,9 @@ class LiveDrive:
             try:
                 self.files.append(self.driving.recording().save(path))
             except RecordingError as error:
-                saved, message = (
-                    False,
-                    "lost" if journal is None else f"in {journal.path}, for `nermo-mjx replay`",
+                saved = False
+                message = (
+                    "lost" if journal is None else f"in {journal.path}, for `nermo-mjx replay`"
                 )
                 self.failure = f"{str(error).rstrip('.')}; what was driven is {message}."
         if journal is not None:

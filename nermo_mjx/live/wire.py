@@ -133,12 +133,10 @@ class Measured:
         self.robot, self.channels, self.watchdog, self.clock = robot, channels, watchdog, clock
         at_rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
         self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
-        self.counts, self.arrived, self.since, self._stamp = (
-            {"taken": 0},
-            -math.inf,
-            -math.inf,
-            -math.inf,
-        )
+        self.counts = {"taken": 0}
+        self.arrived = -math.inf
+        self.since = -math.inf
+        self._stamp = -math.inf
         self._places, self.needed = robot.sensors(np.arange(len(self.sensordata))), set[str]()
         self.log: LinkLog | None = None
 
@@ -172,10 +170,8 @@ class Measured:
             _numbers(message.get(f"servo_pos_{part}"), 0, size)
             for part, size in (("leg", len(self.channels.servos) - remaining), ("aux", remaining))
         )
-        contact, imu = (
-            _numbers(message.get("contact_sensors"), 0, 4),
-            _numbers(message.get("imu_sensor"), 0, 16),
-        )
+        contact = _numbers(message.get("contact_sensors"), 0, 4)
+        imu = _numbers(message.get("imu_sensor"), 0, 16)
         if (contact < 0.0).any():
             raise ValueError("out of range")
         readings: dict[str, np.ndarray] = {"foot_force": contact} if len(contact) else {}
@@ -289,10 +285,8 @@ class LinkLog(Appended):
         """See `Appended`."""
         super().__init__(path)
         self.about, self._begun, self._offset = path.with_suffix(".yaml"), clock(), math.inf
-        self._robot, self._servos = (
-            robot,
-            {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos},
-        )
+        self._robot = robot
+        self._servos = {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos}
         axes = {name: list(reading_names(name)) for name in _LOGGED_VECTORS}
         channel_specs: dict[str, dict[str, Any]] = {}
         for mapped_channel in (channel for channel in channels if channel.servo in robot.servos):
@@ -494,11 +488,9 @@ class RobotDriving(Driving):
 
     def connect(self, measured: Measured, publish: Callable[[Any], None]) -> None:
         """Drive the robot that has been measured from now on; `publish` sends it a message."""
-        self.measured, self.driven, self._publish = (
-            measured,
-            Driven(messages=measured.counts),
-            publish,
-        )
+        self.measured = measured
+        self.driven = Driven(messages=measured.counts)
+        self._publish = publish
         self._low, self._high = (
             np.array([getattr(channel, end) for channel in measured.channels])
             for end in ("low", "high")
@@ -657,10 +649,8 @@ class Way:
 
     def put(self, now: float, message: Any) -> None:
         """A message sets out."""
-        due, lost = (
-            now + self._delay * self._random.uniform(0.5, 1.5),
-            self._random.random() < self._loss,
-        )
+        due = now + self._delay * self._random.uniform(0.5, 1.5)
+        lost = self._random.random() < self._loss
         self.messages, self.lost = self.messages + 1, self.lost + lost
         if not lost:
             heapq.heappush(self._under_way, (due, self.messages, message))
@@ -703,10 +693,8 @@ class SimulatedRobot:
         batch, self.robot = simulator.prepare(values, Run(duration=1.0)), simulator.robot
         self._channels = channels_of(channels, self.robot)
         assert isinstance(simulator.engine, CEngine)
-        self._body, self.dt = (
-            CBodies(simulator.engine, batch.qpos, batch.fields, 1),
-            float(simulator.controller.dt),
-        )
+        self._body = CBodies(simulator.engine, batch.qpos, batch.fields, 1)
+        self.dt = float(simulator.controller.dt)
         self._reach = float(batch.params.servo.top_speed[0]) * self.dt
         self._readings = np.repeat(
             self._body.sensordata[:, None], simulator.loop.steps_per_tick, axis=1
@@ -729,10 +717,8 @@ class SimulatedRobot:
             self._inward.put(*self._received.get())
         for message in self._inward.arrived(now):
             try:
-                self._target, self._heard = (
-                    _commanded(message, self._channels, self.robot, self._target),
-                    now,
-                )
+                self._target = _commanded(message, self._channels, self.robot, self._target)
+                self._heard = now
                 self._counts["taken"] += 1
             except ValueError as error:
                 self._counts[str(error)] += 1

@@ -35,7 +35,7 @@ def objective_metrics(metrics: Mapping[str, Metric] = METRICS) -> dict[str, Metr
     >>> "speed" in objective_metrics(), "fell" in objective_metrics()
     (True, False)
     """
-    aims = {name: about for name, about in metrics.items() if name not in _NO_AIM}
+    aims = {name: declaration for name, declaration in metrics.items() if name not in _NO_AIM}
     return aims | {TRAJECTORY_ERROR: TRAJECTORY_METRIC}
 
 
@@ -49,8 +49,8 @@ class _Metrics(Choice):
     def check(self, value: Any) -> str:
         return Choice(tuple(objective_metrics(FILE_METRICS.get()))).check(value)
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
-        return {"anyOf": [super().schema(own), {"type": "string"}]}
+    def schema(self, base: JsonSchema) -> JsonSchema:
+        return {"anyOf": [super().schema(base), {"type": "string"}]}
 
 
 _Metric = Annotated[str, _Metrics(tuple(OBJECTIVE_METRICS))]
@@ -135,15 +135,15 @@ class Objective:
         return total
 
 
-def read_objective(doc: Document, given: Sequence[ObjectiveTerm] | None) -> Objective:
+def read_objective(doc: Document, terms: Sequence[ObjectiveTerm] | None) -> Objective:
     """The weighted terms of a file; raises `SpecError`."""
-    if not given:
+    if not terms:
         doc.fail(("objective",), f"is missing or empty: expected {TERMS}.")
-    known = [(term.aim, term.metric) for term in given]
-    for i, (aim, metric) in enumerate(known):
-        if (aim, metric) in known[:i]:
+    term_keys = [(term.aim, term.metric) for term in terms]
+    for i, (aim, metric) in enumerate(term_keys):
+        if (aim, metric) in term_keys[:i]:
             doc.fail(("objective", i), f"is '{aim}: {metric}' again: give it once, with a weight.")
-    return Objective(tuple(given))
+    return Objective(tuple(terms))
 
 
 # ---

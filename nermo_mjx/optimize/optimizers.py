@@ -77,9 +77,9 @@ def controlled_adam(rate: float = RATE) -> optax.GradientTransformationExtraArgs
     direction = optax.scale_by_adam(*_MEMORY)
 
     def init(u: Array) -> ControlledAdam:
-        most = jnp.asarray(jnp.inf, u.dtype)
+        lowest_value = jnp.asarray(jnp.inf, u.dtype)
         return ControlledAdam(
-            direction.init(u), jnp.asarray(rate, u.dtype), most, u, jnp.zeros((), int)
+            direction.init(u), jnp.asarray(rate, u.dtype), lowest_value, u, jnp.zeros((), int)
         )
 
     def update(
@@ -158,13 +158,13 @@ class Optimizer:
             k: _schedule(k, value) if isinstance(value, Mapping) else value
             for k, value in self.options.items()
         }
-        chosen = _call("optimizer", self.name, make, values)
-        chosen = (
-            chosen
+        optimizer = _call("optimizer", self.name, make, values)
+        optimizer = (
+            optimizer
             if self.clip is None
-            else optax.chain(optax.clip_by_global_norm(self.clip), chosen)
+            else optax.chain(optax.clip_by_global_norm(self.clip), optimizer)
         )
-        return optax.with_extra_args_support(chosen)
+        return optax.with_extra_args_support(optimizer)
 
     def written(self) -> dict[str, Any]:
         """As written in a tuning file."""
@@ -175,32 +175,34 @@ class Optimizer:
 
 def optimizers() -> dict[str, Callable[..., optax.GradientTransformation]]:
     """`controlled_adam`, and the optimizers of optax that have a learning rate, by name."""
-    known = {
-        name: each
-        for name, each in _functions()
-        if "learning_rate" in inspect.signature(each).parameters
+    names = {
+        name: function
+        for name, function in _functions()
+        if "learning_rate" in inspect.signature(function).parameters
     }
-    return {CONTROLLED: controlled_adam, **known}
+    return {CONTROLLED: controlled_adam, **names}
 
 
 def schedules() -> dict[str, Callable[..., optax.Schedule]]:
     """The schedules of optax, by name."""
-    return {name: each for name, each in _functions() if name.endswith(("_schedule", "_decay"))}
+    return {
+        name: function for name, function in _functions() if name.endswith(("_schedule", "_decay"))
+    }
 
 
 def _functions() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Public functions of optax, whole transformations only."""
     for name in dir(optax):
-        each = getattr(optax, name)
-        if isinstance(each, (types.FunctionType, functools.partial)) and not name.startswith(
+        function = getattr(optax, name)
+        if isinstance(function, (types.FunctionType, functools.partial)) and not name.startswith(
             ("_", "scale_by_")
         ):
-            yield name, each
+            yield name, function
 
 
-def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
+def _schedule(key: str, fields: Mapping[str, Any]) -> optax.Schedule:
     """The schedule of {name: NAME, option: value, ...} or {NAME: {option: value}}; NAME may lack its ending."""
-    field, values = f"optimizer.{key}", dict(written)
+    field, values = f"optimizer.{key}", dict(fields)
     if "name" in values:
         name = str(values.pop("name"))
     elif len(values) == 1 and isinstance(next(iter(values.values())), Mapping):
@@ -208,19 +210,22 @@ def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
     else:
         example = "{name: cosine_decay_schedule, init_value: 0.1, decay_steps: 40}"
         raise ParameterError(
-            f"{field} is {describe(written)}: expected a number, or a schedule such as {example}."
+            f"{field} is {describe(fields)}: expected a number, or a schedule such as {example}."
         )
-    known = schedules()
-    full = next((name + ending for ending in _SCHEDULE_ENDINGS if name + ending in known), None)
+    schedule_functions = schedules()
+    full = next(
+        (name + ending for ending in _SCHEDULE_ENDINGS if name + ending in schedule_functions), None
+    )
     if full is None:
         raise ParameterError(
-            f"{field} is the schedule {name!r}: allowed are {', '.join(known)}{did_you_mean(name, known)}"
+            f"{field} is the schedule {name!r}: allowed are {', '.join(schedule_functions)}"
+            f"{did_you_mean(name, schedule_functions)}"
         )
     # {10: 0.5}: steps are whole numbers, though every key of a file is a text.
     for option, value in values.items():
         if isinstance(value, Mapping):
             values[option] = {int(step): scale for step, scale in value.items()}
-    schedule = _call(field, full, known[full], values)
+    schedule = _call(field, full, schedule_functions[full], values)
     with jax.ensure_compile_time_eval():  # a program that is traced builds its optimizer, too
         first = np.asarray(schedule(jnp.zeros((), int)))
     if first.shape != () or not np.isfinite(first):
@@ -232,9 +237,9 @@ def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, 
     """`make(**values)`; what it does not know, lacks or cannot use is a sentence about `field`."""
     parameters = inspect.signature(make).parameters.values()
     options = {
-        each.name: each
-        for each in parameters
-        if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)
+        parameter.name: parameter
+        for parameter in parameters
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
     }
     for option in values:
         if option not in options:
@@ -242,8 +247,8 @@ def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, 
             raise ParameterError(
                 f"{field}.{option} is not an option of {name}; allowed are {allowed}"
             )
-    for option, about in options.items():
-        if about.default is about.empty and option not in values:
+    for option, option_parameter in options.items():
+        if option_parameter.default is option_parameter.empty and option not in values:
             raise ParameterError(f"{field} is {name} without {option}: it has no default there.")
     try:
         return make(**values)
@@ -256,31 +261,35 @@ def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, 
 @functools.lru_cache
 def _try_out(optimizer: Optimizer) -> None:
     """Two updates of two starts with two parameters: what fails here would fail after the first simulation."""
-    named = f"optimizer.name is {optimizer.name!r}"
+    subject = f"optimizer.name is {optimizer.name!r}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        chosen = optimizer.build()
+        transformation = optimizer.build()
         point = jnp.array([[0.5, -0.3], [0.1, 0.2]])
 
         def updated(state: Any) -> Any:
-            return jax.vmap(lambda *given: chosen.update(*given[:3], value=given[3]))(
-                jnp.ones_like(point), state, point, point.sum(axis=1)
-            )
+            return jax.vmap(
+                lambda *arguments: transformation.update(*arguments[:3], value=arguments[3])
+            )(jnp.ones_like(point), state, point, point.sum(axis=1))
 
         try:
-            before = jax.eval_shape(jax.vmap(chosen.init), point)
-            step, after = jax.jit(lambda: updated(updated(jax.vmap(chosen.init)(point))[1]))()
+            initial_shapes = jax.eval_shape(jax.vmap(transformation.init), point)
+            step, final_state = jax.jit(
+                lambda: updated(updated(jax.vmap(transformation.init)(point))[1])
+            )()
         except Exception as error:
             raise ParameterError(
-                f"{named}, which does not work from gradients alone: {_line(error)}."
+                f"{subject}, which does not work from gradients alone: {_line(error)}."
             ) from None
-    if any(jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(after)):
+    if any(
+        jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(final_state)
+    ):
         raise ParameterError(
-            f"{named}, which draws random numbers of its own, and a checkpoint cannot hold them."
+            f"{subject}, which draws random numbers of its own, and a checkpoint cannot hold them."
         )
-    if not np.isfinite(step).all() or before != jax.eval_shape(lambda: after):
+    if not np.isfinite(step).all() or initial_shapes != jax.eval_shape(lambda: final_state):
         raise ParameterError(
-            f"{named}, whose steps with these options are {step[0]}: expected finite numbers."
+            f"{subject}, whose steps with these options are {step[0]}: expected finite numbers."
         )
 
 

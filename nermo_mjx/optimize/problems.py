@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Evaluation, Problem
-from nermo_mjx.optimize.spec import Differences, Tuning
+from nermo_mjx.optimize.tuning_spec import Differences, Tuning
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Simulator
@@ -48,13 +48,14 @@ class WalkProblem:
         Raises:
             ParameterError: the tuning's recording cannot be compared with its walk.
         """
-        self.tuning, self.names, self.reference, self._given = (
-            tuning,
-            tuning.names,
-            reference,
-            simulator,
+        self.tuning = tuning
+        self.names = tuning.names
+        self.reference = reference
+        self._given = simulator
+        lowest, method = (
+            {parameter.name: parameter.low for parameter in tuning.tuned},
+            tuning.method,
         )
-        lowest, method = {each.name: each.low for each in tuning.tuned}, tuning.method
         self.simulated_seconds = tuning.seconds(lowest)
         self.gradient_cost = method.gradient_cost(len(self.names))
         self.rollout = Rollout(
@@ -97,15 +98,16 @@ class WalkProblem:
                 if len(parts) == 1
                 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
             )
-        at = np.asarray(points, float)
-        (n, p), central = at.shape, method.scheme == "central"
+        point_array = np.asarray(points, float)
+        (n, p), central = point_array.shape, method.scheme == "central"
         low, high = (
-            np.array([getattr(each, end) for each in self.tuning.tuned]) for end in ("low", "high")
+            np.array([getattr(parameter, end) for parameter in self.tuning.tuned])
+            for end in ("low", "high")
         )
-        periodic = np.array([each.periodic for each in self.tuning.tuned])
+        periodic = np.array([parameter.periodic for parameter in self.tuning.tuned])
         # Each point and its neighbours (n, worlds, p), and where they are along each parameter, unwrapped.
         steps = np.diag(method.step * (high - low))
-        worlds = at[:, None] + np.concatenate(
+        worlds = point_array[:, None] + np.concatenate(
             [np.zeros((1, p)), steps, *([-steps] if central else [])]
         )
         if not central:
@@ -210,9 +212,9 @@ def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
     qpos = np.stack(
         [np.interp(time, recording.time, column) for column in recording.qpos.T], axis=-1
     )
-    place = np.arange(qpos.shape[1]) - rollout.robot.joints.root
-    least = np.where((place >= 0) & (place < 3), *_LEAST_SPREAD)
-    return Reference(qpos, 1.0 / np.maximum(qpos.std(axis=0), least) ** 2)
+    column_offset = np.arange(qpos.shape[1]) - rollout.robot.joints.root
+    smallest_spread = np.where((column_offset >= 0) & (column_offset < 3), *_LEAST_SPREAD)
+    return Reference(qpos, 1.0 / np.maximum(qpos.std(axis=0), smallest_spread) ** 2)
 
 
 # ---
@@ -268,15 +270,17 @@ class SharedProblem:
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
         """See `objective.Problem.evaluate`; raises what the problem raises, or `WorkersLost`."""
-        given = np.asarray(points)
-        size = math.ceil(self._starts / self._parts) * (len(given) // self._starts)
-        shares = math.ceil(len(given) / size)
+        point_array = np.asarray(points)
+        size = math.ceil(self._starts / self._parts) * (len(point_array) // self._starts)
+        shares = math.ceil(len(point_array) / size)
         # The last share is filled up with points from the beginning.
-        filled = np.resize(given, (shares * size, given.shape[1])).reshape(shares, size, -1)
+        filled = np.resize(point_array, (shares * size, point_array.shape[1])).reshape(
+            shares, size, -1
+        )
         try:
             tasks = ((k, (share, gradient)) for k, share in enumerate(filled))
-            found = dict(self._workers.results(tasks, lambda key, share: None))
+            results_by_task = dict(self._workers.results(tasks, lambda key, share: None))
         except TaskFailed as failed:
             raise failed.error from None
-        parts = [found[k] for k in range(shares)]
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(given)], *parts)
+        parts = [results_by_task[k] for k in range(shares)]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(point_array)], *parts)

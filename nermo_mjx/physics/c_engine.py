@@ -23,7 +23,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.physics.engine import Loop, PackedLoop, Trace
-from nermo_mjx.physics.servo_play import SERVO_PLAY, Play, played, servo_addresses
+from nermo_mjx.physics.servo_play import SERVO_PLAY, Play, ServosWithPlay
 from nermo_mjx.physics.variation import vary
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.runtime import processor_device, start_jax, thread_count
@@ -201,7 +201,10 @@ class CBodies:
         self.steps = engine.loop.steps_per_tick
         self.batch = Batch(engine.model, self.worlds, nthread=threads)
         self.models = vary(self.batch, engine.model, fields)
-        self.servos = _Servos(engine.model, fields[SERVO_PLAY]) if SERVO_PLAY in fields else None
+        self.servos = None
+        if SERVO_PLAY in fields:
+            play = Play.unpacked(np.array(fields[SERVO_PLAY]))
+            self.servos = ServosWithPlay(engine.model, play, self.worlds)
         self.qpos, self.qvel, self.ctrl = (
             self.batch.bind(name) for name in ("qpos", "qvel", "ctrl")
         )
@@ -235,7 +238,7 @@ class CBodies:
             return list(error.ids)
         return []
 
-    def _play(self, servos: _Servos, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
+    def _play(self, servos: ServosWithPlay, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
         """The steps of a tick one by one, each with the controls of servos with play."""
         target, diverged = self.ctrl.copy(), []
         for step in range(self.steps):
@@ -301,29 +304,6 @@ class _Block(CBodies):
         if force.size:
             self.batch.bind("xfrc_applied")[:, self.engine.model.body("torso").id, :2] = force
         self.move(self._sensordata[: self.worlds])
-
-
-class _Servos:
-    """Servos with play in a block of worlds, and the places of their motors in it (n, n_servos) [rad]."""
-
-    def __init__(self, model: mujoco.MjModel, play: np.ndarray) -> None:
-        self.play = np.array(play)
-        self._qpos, self._dofs = servo_addresses(model)
-        self._timestep = float(model.opt.timestep)
-        self.motor = np.zeros((len(play), model.nu))
-
-    def controls(self, target: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Controls for the next step (n, n_servos); moves the motors."""
-        control, self.motor = played(
-            Play.unpacked(self.play),
-            self.motor,
-            target,
-            qpos[:, self._qpos],
-            qvel[:, self._dofs],
-            self._timestep,
-            np,
-        )
-        return control
 
 
 def _spans(worlds: int, threads: int) -> list[np.ndarray]:
@@ -416,7 +396,9 @@ def _restarted(
     block.models = vary(batch, block.engine.model, fields, block.models, ids)
     block.qpos[ids] = qpos
     if block.servos is not None:
-        block.servos.play[ids], block.servos.motor[ids] = fields[SERVO_PLAY], 0.0
+        for leaf, values in zip(block.servos.play, Play.unpacked(fields[SERVO_PLAY]), strict=True):
+            leaf[ids] = values
+        block.servos.motor[ids] = 0.0
     batch.forward(ids)
     at_rest = np.array(batch.bind("sensordata"))[ids]
     packed = np.asarray(block.loop.pack(jax.tree.map(lambda leaf: leaf[lanes], params)))

@@ -178,10 +178,8 @@ class GeometryFields:
         quat = jnp.asarray(self.model.body_iquat, float)
         for body, fixed in self._turning.items():
             pair, turned, angle = _principal(tensors[body], fixed)
-            moments, quat = (
-                moments.at[body, pair].set(turned),
-                quat.at[body].set(_turned(quat[body], fixed, angle)),
-            )
+            moments = moments.at[body, pair].set(turned)
+            quat = quat.at[body].set(_turned(quat[body], fixed, angle))
         return {"body_inertia": moments} | ({"body_iquat": quat} if self._turning else {})
 
     def _limits(

@@ -345,31 +345,58 @@ class Trajectory:
         data.ctrl[:] = control
 
     def _implicit(
-        self, data: mujoco.MjData, state: np.ndarray, control: np.ndarray, after: np.ndarray
+        self, data: mujoco.MjData, state: np.ndarray, control: np.ndarray, next_state: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, bool] | None:
         """Derivatives of a step by the implicit function theorem; None if the inverse dynamics does not return it."""
         m = self._inverse
         nv, na, h = m.nv, m.na, float(m.opt.timestep)
         self._set(m, data, state, control)
-        v, v_next = (self._parts(each).qvel for each in (state, after))
+        v, v_next = (self._parts(state_vector).qvel for state_vector in (state, next_state))
         data.qacc[:] = (v_next - v) / h
         mujoco.mj_inverse(m, data)
         acceleration = data.qacc.copy()
-        most = max(
-            np.abs(each).max(initial=0.0)
-            for each in (data.qfrc_inverse, data.qfrc_constraint, data.qfrc_bias)
+        largest = max(
+            np.abs(state_vector).max(initial=0.0)
+            for state_vector in (data.qfrc_inverse, data.qfrc_constraint, data.qfrc_bias)
         )
         mujoco.mj_fwdActuation(m, data)
         if (
             np.abs(data.qfrc_inverse - data.qfrc_actuator).max(initial=0.0)
-            > LARGEST_RESIDUAL_SHARE * most
+            > LARGEST_RESIDUAL_SHARE * largest
         ):
             return None
+        sides, kink = self._inverse_changes(data, max(1.0, np.abs(acceleration).max(initial=0.0)))
+        force_q, force_v, force_a = (0.5 * (up + down).T for up, down in zip(*sides, strict=True))
+        data.qacc[:] = acceleration
+        (force_act, act_act), (force_u, act_u) = self._actuation_slopes(data)
+        try:
+            v_by = -h * np.linalg.solve(
+                force_a, np.concatenate([force_q, force_v, force_act, force_u], axis=1)
+            )
+        except np.linalg.LinAlgError:
+            return None
+        v_by[:, nv : 2 * nv] += np.eye(nv)
+        nx = 2 * nv + na
+        q_q, q_v = self._integrated(v_next, h)
+        q_by = q_v @ v_by
+        q_by[:, :nv] += q_q
+        act_by = np.concatenate([np.zeros((na, 2 * nv)), act_act, act_u], axis=1)
+        slopes = np.concatenate([q_by, v_by, act_by])
+        return slopes[:, :nx], slopes[:, nx:], kink
+
+    def _inverse_changes(
+        self, data: mujoco.MjData, fast: float
+    ) -> tuple[list[list[np.ndarray]], bool]:
+        """One-sided derivatives of the inverse dynamics on both sides, and whether they differ.
+
+        Args:
+            data: Data at the state, with the inverse dynamics computed.
+            fast: Factor by which the width for accelerations is larger.
+        """
+        m, kink, sides = self._inverse, False, list[list[np.ndarray]]()
         # The force is linear in accelerations, but for changes of rows: beside large ones a small width only rounds.
-        fast = max(1.0, np.abs(acceleration).max(initial=0.0))
-        sides: list[list[np.ndarray]] = []
         for width in HALF_WIDTHS:
-            sides = [[np.zeros((nv, nv)) for _ in range(3)] for _ in "+-"]
+            sides = [[np.zeros((m.nv, m.nv)) for _ in range(3)] for _ in "+-"]
             for side, by in zip((1.0, -1.0), sides, strict=True):
                 mujoco.mjd_inverseFD(
                     m, data, side * width, True, by[0], by[1], None, None, None, None, None
@@ -380,8 +407,11 @@ class Trajectory:
             kink = any(_apart(up, down) for up, down in zip(*sides, strict=True))
             if not kink:
                 break
-        force_q, force_v, force_a = (0.5 * (up + down).T for up, down in zip(*sides, strict=True))
-        data.qacc[:] = acceleration
+        return sides, kink
+
+    def _actuation_slopes(self, data: mujoco.MjData) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Derivatives of force and next activations with respect to activations, and to controls."""
+        m, nv, na = self._inverse, self._inverse.nv, self._inverse.na
 
         def force() -> tuple[np.ndarray, np.ndarray]:
             """The inverse dynamics' force, which is zero along the motion, and the activations after the step."""
@@ -400,32 +430,18 @@ class Trajectory:
         ):
             force_by, next_by = np.zeros((nv, len(values))), np.zeros((na, len(values)))
             for i in range(len(values)):
-                at, width = values[i], ACTUATION_WIDTH * max(1.0, abs(values[i]))
-                above = at if low[i] < at <= high[i] < at + width else at + width
-                below = at if at - width < low[i] <= at < high[i] else at - width
+                value, width = values[i], ACTUATION_WIDTH * max(1.0, abs(values[i]))
+                above = value if low[i] < value <= high[i] < value + width else value + width
+                below = value if value - width < low[i] <= value < high[i] else value - width
                 values[i] = above
                 upper = force()
                 values[i] = below
                 lower = force()
-                values[i] = at
+                values[i] = value
                 force_by[:, i] = (upper[0] - lower[0]) / (above - below)
                 next_by[:, i] = (upper[1] - lower[1]) / (above - below)
             columns.append((force_by, next_by))
-        (force_act, act_act), (force_u, act_u) = columns
-        try:
-            v_by = -h * np.linalg.solve(
-                force_a, np.concatenate([force_q, force_v, force_act, force_u], axis=1)
-            )
-        except np.linalg.LinAlgError:
-            return None
-        v_by[:, nv : 2 * nv] += np.eye(nv)
-        nx = 2 * nv + na
-        q_q, q_v = self._integrated(v_next, h)
-        q_by = q_v @ v_by
-        q_by[:, :nv] += q_q
-        act_by = np.concatenate([np.zeros((na, 2 * nv)), act_act, act_u], axis=1)
-        whole = np.concatenate([q_by, v_by, act_by])
-        return whole[:, :nx], whole[:, nx:], kink
+        return columns
 
     def _integrated(self, velocity: Any, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives (nv, nv) of the positions after a step by those before and by the new velocities."""
@@ -469,10 +485,8 @@ class Trajectory:
             if kind in (FREE_JOINT_TYPE, BALL_JOINT_TYPE):
                 w, x, y, z = np.moveaxis(qpos[..., address + plain : address + plain + 4], -1, 0)
                 product = np.stack([-x, -y, -z, w, -z, y, z, w, -x, -y, x, w], axis=-1)
-                rows, dofs = (
-                    slice(address + plain, address + plain + 4),
-                    slice(dof + plain, dof + plain + 3),
-                )
+                rows = slice(address + plain, address + plain + 4)
+                dofs = slice(dof + plain, dof + plain + 3)
                 matrix[..., rows, dofs] = 0.5 * product.reshape(*product.shape[:-1], 4, 3)
         return matrix
 

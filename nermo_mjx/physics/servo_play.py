@@ -101,3 +101,20 @@ def servo_addresses(model: Any) -> tuple[np.ndarray, np.ndarray]:
     """Addresses in `qpos` and `qvel` of the joints that servos turn, in the order of `ctrl`."""
     joints = np.asarray(model.actuator_trnid)[:, 0]
     return np.asarray(model.jnt_qposadr)[joints], np.asarray(model.jnt_dofadr)[joints]
+
+
+class ServosWithPlay:
+    """The servos of n worlds on the CPU, and the angles of their motors in their play (n, n_servos) [rad]."""
+
+    def __init__(self, model: Any, play: Play, worlds: int) -> None:
+        self.play, self._timestep = play, float(model.opt.timestep)
+        self._qpos, self._dofs = servo_addresses(model)
+        self.motor = np.zeros((worlds, model.nu))
+
+    def controls(self, target: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Controls for the next step (n, n_servos); moves the motors."""
+        angle, velocity = qpos[:, self._qpos], qvel[:, self._dofs]
+        control, self.motor = played(
+            self.play, self.motor, target, angle, velocity, self._timestep, np
+        )
+        return control

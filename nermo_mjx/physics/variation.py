@@ -29,7 +29,7 @@ from nermo_mjx.robot import LIMBS, ModelParameters, Robot
 from nermo_mjx.robot.equipment import chain_of, contact_kinds, is_spine_joint, pair_of
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.masses import is_front, mass_values
-from nermo_mjx.robot.model_parameters import Build, gravity_vector, is_shaped
+from nermo_mjx.robot.model_parameters import Build, Contact, gravity_vector, is_shaped
 from nermo_mjx.robot.parameters import LEGS
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.scene import scene_geoms
@@ -175,7 +175,39 @@ class Variation:
         share = jnp.where(self._spine_servo, p.servo.spine_torque, 1.0)
         force = (p.servo.stall_torque * share)[:, None] * jnp.array([-1.0, 1.0])
 
-        contact, pairs = p.contact, self._pairs
+        mass = jnp.asarray(model.body_mass, float)
+        front = model.body_mass[self._front].sum()
+        rear = model.body_mass[1:][~self._front[1:]].sum()
+        scale = jnp.where(self._front, p.mass.front / front, p.mass.rear / rear)
+        geometry = tuple(name for name in lengths if name not in TILTS)
+        placed = self._geometry(geometry)(p.geometry) if geometry else {}
+        inertia = placed.pop("body_inertia", jnp.asarray(model.body_inertia, float))
+        reach = placed.pop("tendon_range", jnp.asarray(model.tendon_range, float))
+        return (
+            placed
+            | self._contacts(p.contact)
+            | self._joints(p)
+            | self._strings(p.build, reach)
+            | {
+                "actuator_gainprm": gain,
+                "actuator_biasprm": bias,
+                "actuator_forcerange": force,
+                **(self._tilted(p.build, placed) if set(lengths) & set(TILTS) else {}),
+                "body_mass": mass * scale,
+                "body_inertia": inertia * scale[:, None],
+                "opt.gravity": gravity_vector(
+                    p.ground.gravity, p.ground.slope, p.ground.direction, jnp
+                ),
+                SERVO_PLAY: Play.of(p.servo).packed,
+                "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED_RANGE_RAD)
+                * jnp.array([-1.0, 1.0]),
+                **self._shaped(p.terrain, placed),
+            }
+        )
+
+    def _contacts(self, contact: Contact) -> dict[str, Float[Array, ...]]:
+        """Fields of the contact pairs."""
+        model, pairs = self.model, self._pairs
         friction = jnp.asarray(model.pair_friction, float)
         for kind, value in (
             ("sole", contact.friction),
@@ -197,11 +229,13 @@ class Variation:
             .at[soles, 2]
             .set(contact.width)
         )
+        return {"pair_friction": friction, "pair_solref": solref, "pair_solimp": solimp}
 
-        stiffness, damping = (
-            jnp.asarray(model.jnt_stiffness, float),
-            jnp.asarray(model.dof_damping, float),
-        )
+    def _joints(self, p: ModelParameters) -> dict[str, Float[Array, ...]]:
+        """Fields of springs and dampers."""
+        model = self.model
+        stiffness = jnp.asarray(model.jnt_stiffness, float)
+        damping = jnp.asarray(model.dof_damping, float)
         for name, ids in self._springs.items():
             stiffness = stiffness.at[ids].set(self._hinges * getattr(p.stiffness, name))
         for name, ids in self._dampers.items():
@@ -212,47 +246,19 @@ class Variation:
             stiffness = stiffness.at[ids].multiply(
                 1.0 + side * p.build.asymmetry, unique_indices=True
             )
+        return {"jnt_stiffness": stiffness, "dof_damping": damping}
 
-        mass = jnp.asarray(model.body_mass, float)
-        front, rear = (
-            model.body_mass[self._front].sum(),
-            model.body_mass[1:][~self._front[1:]].sum(),
-        )
-        scale = jnp.where(self._front, p.mass.front / front, p.mass.rear / rear)
-        geometry = tuple(name for name in lengths if name not in TILTS)
-        placed = self._geometry(geometry)(p.geometry) if geometry else {}
-        inertia = placed.pop("body_inertia", jnp.asarray(model.body_inertia, float))
-        reach = placed.pop("tendon_range", jnp.asarray(model.tendon_range, float))
+    def _strings(self, build: Build, reach: Float[Array, ...]) -> dict[str, Float[Array, ...]]:
+        """Fields of the tendons, whose published range is `reach`."""
+        model = self.model
         held = jnp.asarray(model.tendon_solref_lim, float)
         for pair, ids in self._tendons.items():
-            reach = reach.at[ids, 1].add(p.build.slack(pair))
-            softer = jnp.sqrt(getattr(p.build, f"{pair}_softness"))
+            reach = reach.at[ids, 1].add(build.slack(pair))
+            softer = jnp.sqrt(getattr(build, f"{pair}_softness"))
             held = held.at[ids, 0].multiply(softer, unique_indices=True)
         legs = np.concatenate([self._tendons[pair] for pair in LEGS])
-        taut = jnp.asarray(model.tendon_solimp_lim, float).at[legs, 0].set(p.build.tendon_impedance)
-        return placed | {
-            "actuator_gainprm": gain,
-            "actuator_biasprm": bias,
-            "actuator_forcerange": force,
-            "pair_friction": friction,
-            "pair_solref": solref,
-            "pair_solimp": solimp,
-            "jnt_stiffness": stiffness,
-            "dof_damping": damping,
-            "tendon_range": reach,
-            "tendon_solref_lim": held,
-            **(self._tilted(p.build, placed) if set(lengths) & set(TILTS) else {}),
-            "tendon_solimp_lim": taut,
-            "body_mass": mass * scale,
-            "body_inertia": inertia * scale[:, None],
-            "opt.gravity": gravity_vector(
-                p.ground.gravity, p.ground.slope, p.ground.direction, jnp
-            ),
-            SERVO_PLAY: Play.of(p.servo).packed,
-            "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED_RANGE_RAD)
-            * jnp.array([-1.0, 1.0]),
-            **self._shaped(p.terrain, placed),
-        }
+        taut = jnp.asarray(model.tendon_solimp_lim, float).at[legs, 0].set(build.tendon_impedance)
+        return {"tendon_range": reach, "tendon_solref_lim": held, "tendon_solimp_lim": taut}
 
     def _tilted(self, build: Build, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
         """Fields of the legs, turned about the axes of their hips with their pulleys and all that leads tendons."""

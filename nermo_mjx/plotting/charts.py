@@ -48,6 +48,9 @@ from nermo_mjx.plotting.style import (
     SMALL_POINTS,
 )
 
+#: Width of most figures [in].
+WIDTH: Final = 7.2
+
 # ---
 # Scales and grids.
 
@@ -114,6 +117,15 @@ def horizontal_grid(ax: Axes) -> None:
     low, high = ax.get_ylim()
     if low < 0 < high:
         ax.axhline(0, color=MUTED_INK, lw=0.8, zorder=1)
+
+
+def star(
+    ax: Axes, x: Any, y: Any, size: float = 150, lw: float | None = None, zorder: float = 8
+) -> None:
+    """Draw a star at the best point."""
+    ax.scatter(
+        x, y, s=size, marker="*", fc=BEST_COLOUR, ec="white", lw=lw, zorder=zorder, clip_on=False
+    )
 
 
 # ---
@@ -341,12 +353,9 @@ def heat_maps(
             cell_means(x.values[mask], y.values[mask], filled[mask], xs, ys) for _, mask in panels
         ]
         colours, fill, edge = GAIN_COLOUR_MAP, "white", INK
-        # Symmetric around 0; losses beyond 25 % and three times the best gain are cut off.
-        good = values[np.isfinite(values)]
-        low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
-        far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
-        scale, extend = Normalize(-far, far), "min" if low < -far else "neither"
+        scale, extend = _gain_scale(values)
     figure, axes = panelled(len(panels), 2.5 if len(panels) > 1 else 4.4)
+    mesh = cell_edges(xs, x.log), cell_edges(ys, y.log)
     prices = [cost(z.side, grid) for grid in marked]
     lowest = min(
         (float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan
@@ -355,66 +364,17 @@ def heat_maps(
     for ax, (name, _), grid, candidates, price in zip(
         axes, panels, grids, marked, prices, strict=False
     ):
-        ax.add_patch(
-            matplotlib.patches.Rectangle(
-                (0, 0),
-                1,
-                1,
-                transform=ax.transAxes,
-                fc=MISSING_COLOUR,
-                ec="white",
-                hatch="////",
-                lw=0,
-                zorder=0,
-            )
-        )
-        ax.pcolormesh(
-            cell_edges(xs, x.log),
-            cell_edges(ys, y.log),
-            np.ma.masked_invalid(grid.T),
-            norm=scale,
-            cmap=colours,
-        )
+        hatch(ax)
+        ax.pcolormesh(*mesh, np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
         set_scales(ax, x, y)
         ax.set_title(name)
         if np.isfinite(candidates).any():
             i, j = np.unravel_index(int(np.nanargmin(price)), grid.shape)
-            star = price[i, j] == lowest
-            best = float(candidates[i, j]) if star else best
-            ax.scatter(
-                xs[i],
-                ys[j],
-                s=190 if star else 34,
-                marker="*" if star else "o",
-                fc=BEST_COLOUR if star else fill,
-                ec="white" if star else edge,
-                lw=1.3,
-                zorder=5,
-                clip_on=False,
-            )
+            is_best = price[i, j] == lowest
+            best = float(candidates[i, j]) if is_best else best
+            star(ax, xs[i], ys[j], 190, 1.3, 5) if is_best else _ring(ax, xs[i], ys[j], fill, edge)
             if gain is not None:
-                is_left, offset = (
-                    bool(i >= len(xs) / 2),
-                    11 if star else 8,
-                )  # of the mark, in points
-                look: dict[str, Any] = {
-                    "fontsize": 8.5,
-                    "fontweight": "bold",
-                    "color": INK,
-                    "zorder": 6,
-                }
-                look |= {
-                    "va": "center",
-                    "ha": "right" if is_left else "left",
-                    "textcoords": "offset points",
-                }
-                look["bbox"] = {"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0}
-                ax.annotate(
-                    signed(candidates[i, j]),
-                    (xs[i], ys[j]),
-                    (-offset if is_left else offset, 0),
-                    **look,
-                )
+                _annotate_gain(ax, xs[i], ys[j], candidates[i, j], bool(i >= len(xs) / 2), is_best)
     columns = axes[0].get_gridspec().ncols  # type: ignore[union-attr]
     for panel_index, ax in enumerate(axes):  # labels at the outside of the panels only
         bottom, is_left = panel_index + columns >= len(axes), panel_index % columns == 0
@@ -429,6 +389,54 @@ def heat_maps(
         figure,
         title,
         f"{note}star: {word}, {z.shown(best) if gain is None else signed(best)}{ring}",
+    )
+
+
+def hatch(ax: Axes) -> None:
+    """Hatch the axes grey, which shows where nothing is drawn over it."""
+    ax.add_patch(
+        matplotlib.patches.Rectangle(
+            (0, 0),
+            1,
+            1,
+            transform=ax.transAxes,
+            fc=MISSING_COLOUR,
+            ec="white",
+            hatch="////",
+            lw=0,
+            zorder=0,
+        )
+    )
+
+
+def _gain_scale(values: np.ndarray) -> tuple[Normalize, str]:
+    """The colour scale of gains, symmetric around 0; losses beyond 25 % and three times the best gain are cut off."""
+    good = values[np.isfinite(values)]
+    low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
+    far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
+    return Normalize(-far, far), "min" if low < -far else "neither"
+
+
+def _ring(ax: Axes, x: float, y: float, fill: str, edge: str) -> None:
+    """Draw a ring at the best point of a panel."""
+    ax.scatter(x, y, s=34, marker="o", fc=fill, ec=edge, lw=1.3, zorder=5, clip_on=False)
+
+
+def _annotate_gain(ax: Axes, x: float, y: float, gain: float, left: bool, is_best: bool) -> None:
+    """Write the gain of a marked point on its left or right."""
+    distance = 11 if is_best else 8  # from the mark, in points
+    ax.annotate(
+        signed(gain),
+        (x, y),
+        (-distance if left else distance, 0),
+        fontsize=8.5,
+        fontweight="bold",
+        color=INK,
+        zorder=6,
+        va="center",
+        ha="right" if left else "left",
+        textcoords="offset points",
+        bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0},
     )
 
 
@@ -650,7 +658,7 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool)
         [_mean(z.values[groups.of == group_index]) for group_index in range(count)]
     ).T
     best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
-    figure = blank(7.2, 1.3 + 0.3 * count)
+    figure = blank(WIDTH, 1.3 + 0.3 * count)
     ax = figure.subplots()
     for group_index in range(count):
         colour = BEST_COLOUR if group_index == best else SERIES[0]
@@ -870,7 +878,6 @@ def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
 
 #: Points of the front that are named.
 NAMED_POINTS: Final = 5
-_WIDTH_INCHES: Final = 7.2
 
 
 def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -923,7 +930,7 @@ def trade_off(
     )
     lines.append(f"{note}orange: nothing is better in both ({directions})")
     text = "\n".join(lines) + density_note(len(x.values))
-    figure = blank(_WIDTH_INCHES, 4.4 + 0.15 * len(note_lines(text, _WIDTH_INCHES)))
+    figure = blank(WIDTH, 4.4 + 0.15 * len(note_lines(text, WIDTH)))
     ax = figure.subplots()
     cloud(ax, x, y, size=5 if len(x.values) > 2000 else 12)
     if "nearest zero" not in sides:

@@ -169,10 +169,8 @@ def assemble_leg(
 ) -> mujoco.MjSpec:
     """One leg on a test stand: its hip axis is fixed at the world's origin, without gravity or ground."""
     choice("limb", limb, LIMBS)
-    config, parameters = (
-        RobotConfig(routing=routing, hinges=hinges),
-        parameters or ModelParameters(),
-    )
+    config = RobotConfig(routing=routing, hinges=hinges)
+    parameters = parameters or ModelParameters()
     spec = _stand(f"{limb}_leg_stand")
     _attach_leg(spec, parameters, spec.worldbody, limb, config)
     _pose(spec, config)

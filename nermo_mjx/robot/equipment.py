@@ -163,11 +163,9 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1
     Args:
         hinges: of each compliant joint; in series they have these values together.
     """
-    stiffness, damping, brake = (
-        parameters.stiffness,
-        parameters.damping,
-        float(parameters.servo.brake),
-    )
+    stiffness = parameters.stiffness
+    damping = parameters.damping
+    brake = float(parameters.servo.brake)
     for joint in spec.joints:
         kind = chain_of(joint.name).rstrip("_0123456789").rsplit("_", 1)[-1]
         if joint.name.startswith("tail_joint"):

@@ -233,12 +233,10 @@ def _torso(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     """The cameras in front of the lenses; a camera's own axes are right, up and back."""
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
-        c, s, level, rise = (
-            np.cos(EYE_GEOMETRY.outward),
-            side * np.sin(EYE_GEOMETRY.outward),
-            np.cos(EYE_GEOMETRY.up),
-            np.sin(EYE_GEOMETRY.up),
-        )
+        c = np.cos(EYE_GEOMETRY.outward)
+        s = side * np.sin(EYE_GEOMETRY.outward)
+        level = np.cos(EYE_GEOMETRY.up)
+        rise = np.sin(EYE_GEOMETRY.up)
         ahead = np.array([s * level, -c * level, rise])
         up = np.array([-s * rise, c * rise, level])
         camera, quat = spec.camera(name), np.zeros(4)

@@ -365,6 +365,7 @@ def _ids(model: mujoco.MjModel, geoms: tuple[str, ...]) -> tuple[int, ...]:
     return tuple(sorted(model.geom(name).id for name in geoms))
 
 
+# Many parameters because they are the fields of `RobotConfig`.
 def load_robot(
     robot: RobotName | RobotConfig = "nermo_lite",
     scene: Scene = "flat",

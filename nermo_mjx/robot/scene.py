@@ -527,11 +527,9 @@ def _box_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array:
     top, base = jnp.full((), jnp.inf), jnp.full((), -jnp.inf)
     for i in range(3):
         # Points of the line are (dx, dy, h); their coordinate along the axis is offset + slope h.
-        offset, slope, half = (
-            rotation[..., 0, i] * dx + rotation[..., 1, i] * dy,
-            rotation[..., 2, i],
-            size[..., i],
-        )
+        offset = rotation[..., 0, i] * dx + rotation[..., 1, i] * dy
+        slope = rotation[..., 2, i]
+        half = size[..., i]
         flat = jnp.abs(slope) < _PARALLEL_TOLERANCE
         safe, side = jnp.where(flat, 1.0, slope), jnp.where(slope < 0.0, -half, half)
         clearance = jnp.where(jnp.abs(offset) <= half, jnp.inf, -jnp.inf)
@@ -574,11 +572,9 @@ class _Surface(NamedTuple):
 def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    position, turn, size = (
-        model.geom_pos[geom].copy(),
-        rotation.reshape(3, 3),
-        model.geom_size[geom].copy(),
-    )
+    position = model.geom_pos[geom].copy()
+    turn = rotation.reshape(3, 3)
+    size = model.geom_size[geom].copy()
     name, kind = model.geom(geom).name, mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE):
         capsule = kind == mujoco.mjtGeom.mjGEOM_CAPSULE
@@ -607,14 +603,17 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
             )
 
         return _Surface(plane, float(position[2]))
-    field = model.geom_dataid[geom]
     if turn[2, 2] < 1.0 - 1e-6:
         raise ParameterError(f"scene has the ground {name!r}, an hfield that is not level.")
-    rows, columns, start = (
-        model.hfield_nrow[field],
-        model.hfield_ncol[field],
-        model.hfield_adr[field],
-    )
+    return _hills(model, geom, position, turn)
+
+
+def _hills(model: mujoco.MjModel, geom: int, position: np.ndarray, turn: np.ndarray) -> _Surface:
+    """The surface of a height field, at its position and rotation."""
+    name, field = model.geom(geom).name, model.geom_dataid[geom]
+    rows = model.hfield_nrow[field]
+    columns = model.hfield_ncol[field]
+    start = model.hfield_adr[field]
     data = np.array(model.hfield_data[start : start + rows * columns].reshape(rows, columns), float)
     extent, of_waves = model.hfield_size[field].copy(), name in geom_names("rough")
 
@@ -624,10 +623,10 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
             return field_share(column.astype(float), row.astype(float), jnp)
         return jnp.asarray(data, float)[row, column]
 
-    def hills(x: Array, y: Array, highest: ArrayLike = extent[2], offset: Any = None) -> Array:
+    def hills(x: Array, y: Array, highest: ArrayLike = extent[2], moved: Any = None) -> Array:
         """On the triangles into which MuJoCo divides each cell, for a field of this height and place."""
-        if offset is not None:
-            x, y = x - offset[0] + position[0], y - offset[1] + position[1]
+        if moved is not None:
+            x, y = x - moved[0] + position[0], y - moved[1] + position[1]
         dx, dy = x - position[0], y - position[1]
         u = (turn[0, 0] * dx + turn[1, 0] * dy) / extent[0]
         v = (turn[0, 1] * dx + turn[1, 1] * dy) / extent[1]
@@ -635,12 +634,10 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
         i = jnp.clip(jnp.floor(row), 0, rows - 2).astype(int)
         j = jnp.clip(jnp.floor(column), 0, columns - 2).astype(int)
         s, t = column - j, row - i
-        origin, right, up, opposite = (
-            share(i, j),
-            share(i, j + 1),
-            share(i + 1, j),
-            share(i + 1, j + 1),
-        )
+        origin = share(i, j)
+        right = share(i, j + 1)
+        up = share(i + 1, j)
+        opposite = share(i + 1, j + 1)
         lower = origin + s * (right - origin) + t * (opposite - right)
         upper = origin + t * (up - origin) + s * (opposite - up)
         inside = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0)

@@ -264,10 +264,8 @@ def _waves() -> tuple[np.ndarray, ...]:
     """
     number, golden = np.arange(16), 0.5 * (np.sqrt(5.0) - 1.0)
     length = 0.1 * 5.0 ** (number / 15.0)
-    direction, phase = (
-        2.0 * np.pi * ((golden * number) % 1.0),
-        2.0 * np.pi * ((golden * number**2) % 1.0),
-    )
+    direction = 2.0 * np.pi * ((golden * number) % 1.0)
+    phase = 2.0 * np.pi * ((golden * number**2) % 1.0)
     number_of_waves = 2.0 * np.pi / length
     return number_of_waves * np.cos(direction), number_of_waves * np.sin(direction), phase, length
 

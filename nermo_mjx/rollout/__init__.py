@@ -1,6 +1,7 @@
 """Controller x physics x metrics in one loop: from named parameters to named metrics."""
 
-from nermo_mjx.rollout.own_metrics import METRICS, Metric, metric
+from nermo_mjx.rollout.custom_metrics import metric
+from nermo_mjx.rollout.metric_table import METRICS, Metric
 from nermo_mjx.rollout.run import Run
 from nermo_mjx.rollout.saving import Saving, Series
 from nermo_mjx.rollout.setup import Setup, all_metrics, all_parameters

@@ -32,9 +32,9 @@ from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, Quantity, choice, of_type
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import checked_loop, loop_parameters
-from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import Run, StartPose
 from nermo_mjx.rollout.setup import Setup, Window, all_metrics, all_parameters, with_own
@@ -217,10 +217,10 @@ class Rollout:
             names: to differentiate by.
             width: half-width of the differences, as a share of each parameter's scale.
         """
-        given = {**self.setup.body, **self.setup.numbers(values)}
-        self._check(given, None)
+        parameters = {**self.setup.body, **self.setup.numbers(values)}
+        self._check(parameters, None)
         return self._differences.slopes(
-            {name: float(value) for name, value in given.items()}, tuple(names), width
+            {name: float(value) for name, value in parameters.items()}, tuple(names), width
         )
 
     def gradient_spread(
@@ -231,8 +231,8 @@ class Rollout:
         wide, narrow = (self.slopes(values, names, width) for width in (WIDTH, 0.1 * WIDTH))
         larger = {name: np.maximum(np.abs(wide[name]), np.abs(narrow[name])) for name in wide}
         return {
-            name: np.abs(wide[name] - narrow[name]) / np.where(most > 0, most, 1.0)
-            for name, most in larger.items()
+            name: np.abs(wide[name] - narrow[name]) / np.where(largest > 0, largest, 1.0)
+            for name, largest in larger.items()
         }
 
     def _walk(
@@ -244,13 +244,13 @@ class Rollout:
         *,
         path: bool,
     ) -> tuple[dict[str, Scalar], Path]:
-        given = {**self.setup.body, **self.setup.numbers(values)}
-        self._check(given, policy)
-        if self._chosen(given, qpos, qvel, policy) == "mjx":
-            return self._traced(given, qpos, qvel, policy)
-        ticks = self._ticks(given, policy) if path else None
+        parameters = {**self.setup.body, **self.setup.numbers(values)}
+        self._check(parameters, policy)
+        if self._chosen(parameters, qpos, qvel, policy) == "mjx":
+            return self._traced(parameters, qpos, qvel, policy)
+        ticks = self._ticks(parameters, policy) if path else None
         return self._differences.walk(
-            given, None if qpos is None else np.asarray(qpos, float), policy, ticks
+            parameters, None if qpos is None else np.asarray(qpos, float), policy, ticks
         )
 
     def _chosen(self, values: Mapping[str, Any], qpos: Any, qvel: Any, policy: Any) -> str:
@@ -290,10 +290,10 @@ class Rollout:
                 raise ParameterError(
                     f"{name} has shape {shape}: a rollout is one world; use jax.vmap for a batch."
                 )
-        known = {name: value for name, value in values.items() if not _traced(value)}
+        constants = {name: value for name, value in values.items() if not _traced(value)}
         self.setup.world(values)  # unknown names
-        checked = self.setup.world(known, None if _traced(policy) else policy)
-        self.setup.check(checked, jointly=len(known) == len(values) and not _traced(policy))
+        checked = self.setup.world(constants, None if _traced(policy) else policy)
+        self.setup.check(checked, jointly=len(constants) == len(values) and not _traced(policy))
 
     @full_precision
     def _traced(
@@ -357,15 +357,15 @@ class Rollout:
             return float(self.length.duration)
         traced = [name for name in self.setup.timing if _traced(values.get(name))]
         # Traced values become NaN, and so does a rate that depends on them.
-        known = {
+        constants = {
             name: values[name] for name in self.setup.timing if name in values
         } | dict.fromkeys(traced, math.nan)
         if traced == ["frequency"] and self.slowest is not None:
-            known["frequency"] = self.slowest
-        given = jax.tree.map(
+            constants["frequency"] = self.slowest
+        params = jax.tree.map(
             lambda leaf: np.full(jnp.shape(leaf), np.nan) if _traced(leaf) else leaf, policy
         )
-        rate = float(self.setup.cycle_rate(known, given))
+        rate = float(self.setup.cycle_rate(constants, params))
         if (
             math.isnan(rate)
             and self.slowest is not None
@@ -422,16 +422,16 @@ class WalkDifferences:
         simulate = functools.partial(self._simulate, tuple(traced), fixed, qpos, policy, ticks)
         if not traced:
             with jax.ensure_compile_time_eval():
-                found = simulate(np.zeros((1, 0)))
-                return self._arranged([jnp.asarray(each[0], float) for each in found])
+                results = simulate(np.zeros((1, 0)))
+                return self._arranged([jnp.asarray(result[0], float) for result in results])
         # JAX keeps what it has compiled for a function, if it is the same one.
         key = (tuple(traced), tuple(fixed.items()), ticks, jax.dtypes.canonicalize_dtype(float))
         if qpos is not None or policy is not None or key not in self._made:
             self._made[key] = self._differentiable(simulate, tuple(traced), ticks)
         return self._arranged(self._made[key](*traced.values()))
 
-    def _arranged(self, found: Sequence[Any]) -> tuple[dict[str, Scalar], Path]:
-        return dict(zip(self.metrics, found[0], strict=True)), Path(*found[1:])
+    def _arranged(self, results: Sequence[Any]) -> tuple[dict[str, Scalar], Path]:
+        return dict(zip(self.metrics, results[0], strict=True)), Path(*results[1:])
 
     def _differentiable(
         self,
@@ -443,47 +443,56 @@ class WalkDifferences:
         model, real = self._simulator_model, jnp.zeros(()).dtype
         ticks = ticks or 0
         shapes = [(len(self.metrics),), (ticks, model.nq), (ticks, model.nv), (ticks, model.nu)]
-        one = [jax.ShapeDtypeStruct(shape, real) for shape in shapes]
+        shapes_of_walk = [jax.ShapeDtypeStruct(shape, real) for shape in shapes]
 
-        def values(*at: Any) -> list[np.ndarray]:
-            lead, points = _rows(at)
-            return [each.reshape(*lead, *each.shape[1:]).astype(real) for each in simulate(points)]
+        def values(*arguments: Any) -> list[np.ndarray]:
+            lead, points = _rows(arguments)
+            return [
+                result.reshape(*lead, *result.shape[1:]).astype(real) for result in simulate(points)
+            ]
 
-        def slopes(moved: tuple[int, ...], *at: Any) -> tuple[list[np.ndarray], list[np.ndarray]]:
-            lead, points = _rows(at)
-            found, derivative = self._slopes(simulate, names, points, moved, WIDTH, warn=True)
+        def slopes(
+            varied: tuple[int, ...], *arguments: Any
+        ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+            lead, points = _rows(arguments)
+            results, derivative = self._slopes(simulate, names, points, varied, WIDTH, warn=True)
             shaped = (
-                [each.reshape(*lead, *each.shape[1:]).astype(real) for each in part]
-                for part in (found, derivative)
+                [result.reshape(*lead, *result.shape[1:]).astype(real) for result in part]
+                for part in (results, derivative)
             )
             return next(shaped), next(shaped)
 
         @jax.custom_jvp
-        def walk(*at: Array) -> tuple[list[Array], ...]:
-            metrics, *path = first_order_callback(values, one, _FIRST_ONLY, *at)
+        def walk(*arguments: Array) -> tuple[list[Array], ...]:
+            metrics, *path = first_order_callback(values, shapes_of_walk, _FIRST_ONLY, *arguments)
             return [metrics[i] for i in range(len(self.metrics))], *path
 
-        def rule(at: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
-            moved = tuple(
+        def rule(primals: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+            varied = tuple(
                 i for i, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)
             )
-            columns = [jax.ShapeDtypeStruct((*each.shape, len(moved)), real) for each in one]
-            own = functools.partial(slopes, moved)
-            found, derivative = first_order_callback(own, (one, columns), _FIRST_ONLY, *at)
+            columns = [
+                jax.ShapeDtypeStruct((*result.shape, len(varied)), real)
+                for result in shapes_of_walk
+            ]
+            slopes_of_varied = functools.partial(slopes, varied)
+            results, derivative = first_order_callback(
+                slopes_of_varied, (shapes_of_walk, columns), _FIRST_ONLY, *primals
+            )
 
             def along(columns: Array) -> Array:
                 """Linear in the tangents, so that JAX transposes it; a sum, which all transformations round alike."""
                 return sum(
-                    (columns[..., k] * tangents[i] for k, i in enumerate(moved)),
+                    (columns[..., k] * tangents[i] for k, i in enumerate(varied)),
                     jnp.zeros(columns.shape[:-1]),
                 )
 
             # Each metric by itself: one without a derivative must not make those of others NaN.
-            metrics, *path = found
+            metrics, *path = results
             slope, *path_slopes = derivative
-            each = range(len(self.metrics))
-            return ([metrics[i] for i in each], *path), (
-                [along(slope[i]) for i in each],
+            result = range(len(self.metrics))
+            return ([metrics[i] for i in result], *path), (
+                [along(slope[i]) for i in result],
                 *map(along, path_slopes),
             )
 
@@ -529,64 +538,66 @@ class WalkDifferences:
         simulate: Callable[[np.ndarray], list[np.ndarray]],
         names: tuple[str, ...],
         points: np.ndarray,
-        moved: tuple[int, ...],
+        varied: tuple[int, ...],
         width: float,
         warn: bool = False,
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """What `simulate` gives at n points (n, p), and its derivatives to the moved ones of the parameters."""
-        about = [self._about[names[i]] for i in moved]
-        chosen = points[:, list(moved)]
-        scale = np.array([_scale(each) for each in about])
-        above = np.minimum(chosen + width * scale, [each.high for each in about])
-        below = np.maximum(chosen - width * scale, [each.low for each in about])
-        worlds = np.repeat(points[:, None], 1 + 2 * len(moved), axis=1)
-        for k, i in enumerate(moved):
-            worlds[:, 1 + k, i], worlds[:, 1 + len(moved) + k, i] = above[:, k], below[:, k]
-        found = [
-            each.reshape(*worlds.shape[:2], *each.shape[1:])
-            for each in simulate(worlds.reshape(-1, len(names)))
+        declarations = [self._about[names[i]] for i in varied]
+        varied_points = points[:, list(varied)]
+        scale = np.array([_scale(declaration) for declaration in declarations])
+        above = np.minimum(
+            varied_points + width * scale, [outputs.high for outputs in declarations]
+        )
+        below = np.maximum(varied_points - width * scale, [outputs.low for outputs in declarations])
+        worlds = np.repeat(points[:, None], 1 + 2 * len(varied), axis=1)
+        for k, i in enumerate(varied):
+            worlds[:, 1 + k, i], worlds[:, 1 + len(varied) + k, i] = above[:, k], below[:, k]
+        differences = [
+            outputs.reshape(*worlds.shape[:2], *outputs.shape[1:])
+            for outputs in simulate(worlds.reshape(-1, len(names)))
         ]
         values, derivatives = [], []
-        for each in found:
-            at, up, down = np.split(np.moveaxis(each, 1, -1), [1, 1 + len(moved)], axis=-1)
-            run = (above - below).reshape(len(points), *[1] * (each.ndim - 2), len(moved))
-            values.append(at[..., 0])
+        for outputs in differences:
+            centre, up, down = np.split(np.moveaxis(outputs, 1, -1), [1, 1 + len(varied)], axis=-1)
+            run = (above - below).reshape(len(points), *[1] * (outputs.ndim - 2), len(varied))
+            values.append(centre[..., 0])
             derivatives.append((up - down) / run)
-            if warn and each.ndim == 3:  # the metrics
+            if warn and outputs.ndim == 3:  # the metrics
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    right, left = (
-                        (up - at) / (above - chosen)[:, None],
-                        (at - down) / (chosen - below)[:, None],
-                    )
-                    larger = np.maximum(np.abs(right), np.abs(left))
-                    noise = NOISE * (1.0 + np.abs(at)) / (0.5 * run)
-                    kink = np.abs(right - left) > np.maximum(KINK * larger, noise)
-                self._tell(names, points, moved, kink & np.isfinite(larger), right, left)
+                    right = (up - centre) / (above - varied_points)[:, None]
+                    left_slope = (centre - down) / (varied_points - below)[:, None]
+                    larger = np.maximum(np.abs(right), np.abs(left_slope))
+                    noise = NOISE * (1.0 + np.abs(centre)) / (0.5 * run)
+                    kink = np.abs(right - left_slope) > np.maximum(KINK * larger, noise)
+                self._tell(names, points, varied, kink & np.isfinite(larger), right, left_slope)
         return values, derivatives
 
     def _tell(
         self,
         names: tuple[str, ...],
         points: np.ndarray,
-        moved: tuple[int, ...],
+        varied: tuple[int, ...],
         kink: np.ndarray,
         right: np.ndarray,
-        left: np.ndarray,
+        left_slope: np.ndarray,
     ) -> None:
         """Warn of kinks (n, m, p), once for each set of metrics."""
         metrics = tuple(
             name
-            for name, one in zip(self.metrics, np.any(kink, axis=(0, 2)).tolist(), strict=True)
-            if one
+            for name, has_kink in zip(self.metrics, np.any(kink, axis=(0, 2)).tolist(), strict=True)
+            if has_kink
         )
         if not metrics or metrics in self._told:
             return
         self._told.add(metrics)
         n, m, k = np.argwhere(kink)[0]
-        where = ", ".join(f"{name} {value:g}" for name, value in zip(names, points[n], strict=True))
+        position = ", ".join(
+            f"{name} {value:g}" for name, value in zip(names, points[n], strict=True)
+        )
         warnings.warn(
-            f"{', '.join(metrics)} has a kink within the width of the differences at {where}: the slope of "
-            f"{self.metrics[m]} by {names[moved[k]]} is {left[n, m, k]:g} on one side and {right[n, m, k]:g} on the "
+            f"{', '.join(metrics)} has a kink within the width of the differences at {position}: the slope of "
+            f"{self.metrics[m]} by {names[varied[k]]} is {left_slope[n, m, k]:g} on one side and {right[n, m, k]:g} on the "
             "other; its derivative is their mean.",
             stacklevel=2,
         )
@@ -602,12 +613,14 @@ class WalkDifferences:
         return dict(zip(self.metrics, slopes[0], strict=True))
 
 
-def _rows(at: Sequence[Any]) -> tuple[tuple[int, ...], np.ndarray]:
+def _rows(arguments: Sequence[Any]) -> tuple[tuple[int, ...], np.ndarray]:
     """Leading axes of p arrays of one shape, and their values as rows (n, p)."""
-    stacked = np.stack([np.asarray(each, float) for each in at], axis=-1)
+    stacked = np.stack([np.asarray(argument, float) for argument in arguments], axis=-1)
     return stacked.shape[:-1], stacked.reshape(-1, stacked.shape[-1])
 
 
-def _scale(about: Quantity) -> float:
+def _scale(declaration: Quantity) -> float:
     """How large a parameter is: its default's size, or its range where that is zero, but at most 1."""
-    return abs(float(np.asarray(about.default))) or min(about.high - about.low, 1.0)
+    return abs(float(np.asarray(declaration.default))) or min(
+        declaration.high - declaration.low, 1.0
+    )

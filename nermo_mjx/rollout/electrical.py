@@ -72,7 +72,7 @@ GROUPS: Final = {
 AT_LIMIT: Final = 0.9999
 
 
-def spent(before: Driven, now: Driven, servo: Servo) -> dict[str, Array]:
+def spent(previous: Driven, now: Driven, servo: Servo) -> dict[str, Array]:
     """Means over a tick: net power of the servos [W], what a damper of 1 N m s/rad takes of hips and of all others (2,)
     and of each compliant joint (m,) [W], and the shares of `GROUPS` at their torque limit (5,).
 
@@ -80,15 +80,15 @@ def spent(before: Driven, now: Driven, servo: Servo) -> dict[str, Array]:
     forces is the change of energy. The tick is that of the readings, one step earlier.
 
     Args:
-        before: in the step before, without leading axes.
+        previous: in the step before, without leading axes.
         now: with a leading axis (steps,).
         servo: parameters.
     """
     torque, velocity, joints = now
-    driven, moved, bent = (
-        jnp.vstack([old, each[:-1]]) for old, each in zip(before, now, strict=True)
+    driven, motion, bent = (
+        jnp.vstack([old, column[:-1]]) for old, column in zip(previous, now, strict=True)
     )
-    mean = 0.5 * (moved + velocity)
+    mean = 0.5 * (motion + velocity)
     damped = (mean * velocity).mean(axis=0)
     limit = servo.stall_torque * jnp.ones(torque.shape[-1]).at[jnp.array(GROUPS["spine"])].set(
         servo.spine_torque
@@ -139,8 +139,8 @@ def power_sums(
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
     heat = NOMINAL_VOLTAGE * per_torque / servo.torque_limit * torque**2
     power = heat + jnp.maximum(1.0, servo.back_emf * per_torque) * torque * velocity
-    each = jnp.ones_like(torque), jnp.abs(torque), jnp.maximum(power, 0.0)
-    return {name: values.sum(axis=-1).mean() for name, values in zip(DRAWN, each, strict=True)}
+    terms = jnp.ones_like(torque), jnp.abs(torque), jnp.maximum(power, 0.0)
+    return {name: values.sum(axis=-1).mean() for name, values in zip(DRAWN, terms, strict=True)}
 
 
 def electrical_result(

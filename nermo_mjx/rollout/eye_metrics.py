@@ -90,12 +90,16 @@ def _tilt_servo(sensors: Sensors) -> int | None:
 def head_rate(sensors: Sensors) -> Spatial:
     """Angular velocity of the head in its own frame [rad/s]: the gyro's, the neck's, and that of the tilt."""
     half = 0.5 * sensors.servo_angle[..., _NECK]
-    none = jnp.zeros_like(half)
-    seen = turned_back(jnp.stack([jnp.cos(half), none, none, jnp.sin(half)], axis=-1), sensors.gyro)
-    panned = seen + jnp.stack([none, none, sensors.servo_velocity[..., _NECK]], axis=-1)
+    zeros = jnp.zeros_like(half)
+    torso_rate = turned_back(
+        jnp.stack([jnp.cos(half), zeros, zeros, jnp.sin(half)], axis=-1), sensors.gyro
+    )
+    panned = torso_rate + jnp.stack([zeros, zeros, sensors.servo_velocity[..., _NECK]], axis=-1)
     tilt = _tilt_servo(sensors)
     if tilt is None:
         return panned
     half = 0.5 * sensors.servo_angle[..., tilt]
-    seen = turned_back(jnp.stack([jnp.cos(half), jnp.sin(half), none, none], axis=-1), panned)
-    return seen + jnp.stack([sensors.servo_velocity[..., tilt], none, none], axis=-1)
+    torso_rate = turned_back(
+        jnp.stack([jnp.cos(half), jnp.sin(half), zeros, zeros], axis=-1), panned
+    )
+    return torso_rate + jnp.stack([sensors.servo_velocity[..., tilt], zeros, zeros], axis=-1)

@@ -28,7 +28,7 @@ from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout import metrics, transitions
-from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics, described
+from nermo_mjx.rollout.custom_metrics import OwnMetric, check_metrics, described
 from nermo_mjx.rollout.setup import Setup, Start, Window, WorldParameters
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
@@ -142,9 +142,11 @@ class ClosedLoop:
     def init(self, params: LoopParameters, sensordata: Float[Array, " n"]) -> LoopState:
         """See `Loop.init`."""
         sensors = self.robot.sensors(sensordata)
-        own = self.control_at(params, 0.0)
-        control = canonical(self._seeing(params).init(own, sensors, params.start.phase))
-        servo = self.controller.initial_servo(own, params.start.phase).vector(self.robot.servos)
+        control_params = self.control_at(params, 0.0)
+        control = canonical(self._seeing(params).init(control_params, sensors, params.start.phase))
+        servo = self.controller.initial_servo(control_params, params.start.phase).vector(
+            self.robot.servos
+        )
         servo = self._within_range(params, servo)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
         return LoopState(
@@ -161,17 +163,17 @@ class ClosedLoop:
     ) -> tuple[LoopState, Float[Array, " ctrl"]]:
         """See `Loop.step`. Metrics get the tick that has just ended, the controller its last reading."""
         measured = self.measure(params, state, sensordata)
-        controller, own = self._seeing(params), self.control_at(params, state.time)
+        controller, control_params = self._seeing(params), self.control_at(params, state.time)
         control, servo = controller.update(
-            own, state.control, self.last_reading(measured, sensordata)
+            control_params, state.control, self.last_reading(measured, sensordata)
         )
         reach = params.servo.top_speed * controller.dt
-        asked = servo.vector(self.robot.servos)
-        target = self._within_range(params, asked)
+        commanded = servo.vector(self.robot.servos)
+        target = self._within_range(params, commanded)
         ctrl = state.ctrl + jnp.clip(target - state.ctrl, -reach, reach)
         tick = state.tick + 1
-        clamped = jnp.any(jnp.abs(asked - target) > ROUNDING).astype(ctrl.dtype)
-        after = LoopState(
+        clamped = jnp.any(jnp.abs(commanded - target) > ROUNDING).astype(ctrl.dtype)
+        next_state = LoopState(
             tick,
             tick * controller.dt,
             with_dtypes_of(state.control, control),
@@ -183,7 +185,7 @@ class ClosedLoop:
             ctrl = jnp.concatenate(
                 [ctrl, params.push.at(state.tick, controller.dt).astype(ctrl.dtype)]
             )
-        return with_dtypes_of(state, after), ctrl
+        return with_dtypes_of(state, next_state), ctrl
 
     def control_at(self, params: LoopParameters, time: Scalar | float) -> Any:
         """The controller's parameters at a time [s]."""
@@ -199,42 +201,40 @@ class ClosedLoop:
         self, params: LoopParameters, angles: Float[Array, " n_servos"]
     ) -> Float[Array, " n_servos"]:
         low, high = jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype)
-        more = params.servo.knee_range * np.array(
+        knee_margin = params.servo.knee_range * np.array(
             [name.endswith("_knee") for name in self.robot.servos]
         )
-        return jnp.clip(angles, low - more, high + more)
+        return jnp.clip(angles, low - knee_margin, high + knee_margin)
 
     def measure(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
     ) -> metrics.MetricState:
         """The metrics updated with the tick that has just ended."""
         sensors = self.robot.sensors(sensordata)
-        controller, own = self.controller, self.control_at(params, state.time)
+        controller, control_params = self.controller, self.control_at(params, state.time)
         path, stance = None, None
         position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
         if isinstance(controller, FollowsPath):
-            path = controller.path(own, state.control, position)
+            path = controller.path(control_params, state.control, position)
         if isinstance(controller, PlansContact):
             stance = controller.stance(state.control)
-        within = None
+        is_in_range = None
         if params.schedule is not None:
-            within = transitions.span(params.schedule, controller.cycle_rate(params.control))
-        return metrics.update(
-            params.window,
-            state.metrics,
-            sensors,
-            state.time,
-            controller.dt,
-            controller.cycle_rate(own),
-            path,
-            stance,
-            self.robot.terrain.height(position[0], position[1], params.terrain),
-            self.own,
-            params.servo_brake,
-            params.servo,
-            state.clamped,
-            within,
+            is_in_range = transitions.span(params.schedule, controller.cycle_rate(params.control))
+        tick = metrics.Tick(
+            sensors=sensors,
+            time=state.time,
+            dt=controller.dt,
+            cycle_rate=controller.cycle_rate(control_params),
+            path=path,
+            stance=stance,
+            ground=self.robot.terrain.height(position[0], position[1], params.terrain),
+            brake=params.servo_brake,
+            servo=params.servo,
+            clamped=state.clamped,
+            transition=is_in_range,
         )
+        return metrics.update(params.window, state.metrics, tick, self.own)
 
     def last_reading(
         self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]
@@ -264,21 +264,28 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     phase = jax.ShapeDtypeStruct((), jnp.zeros(()).dtype)
     params = controller.parameters
 
-    def traced(name: str, *given: Any, settle: Callable[[Any], Any] = lambda made: made) -> Any:
+    def traced(
+        name: str, *arguments: Any, settle: Callable[[Any], Any] = lambda traced_value: traced_value
+    ) -> Any:
         with user_code(f"{named_place(controller, name)}, which fails"):
-            return jax.eval_shape(lambda *args: settle(getattr(controller, name)(*args)), *given)
+            return jax.eval_shape(
+                lambda *args: settle(getattr(controller, name)(*args)), *arguments
+            )
 
     def refuse(name: str, why: str) -> NoReturn:
         raise ParameterError(f"{named_place(controller, name)}, which {why}.")
 
     first = traced("init", params, readings, phase, settle=canonical)
     servo, rate = traced("initial_servo", params, phase), traced("cycle_rate", params)
-    made = traced("update", params, first, readings)
-    if not isinstance(made, tuple) or len(made) != 2:
-        refuse("update", f"gives {described(made)}: expected two, the next state and ServoAngles")
-    after, now = made
-    forms = [str(jax.tree.structure(state)) for state in (first, after)]
-    shapes = [[leaf.shape for leaf in jax.tree.leaves(state)] for state in (first, after)]
+    traced_value = traced("update", params, first, readings)
+    if not isinstance(traced_value, tuple) or len(traced_value) != 2:
+        refuse(
+            "update",
+            f"gives {described(traced_value)}: expected two, the next state and ServoAngles",
+        )
+    next_state, now = traced_value
+    forms = [str(jax.tree.structure(state)) for state in (first, next_state)]
+    shapes = [[leaf.shape for leaf in jax.tree.leaves(state)] for state in (first, next_state)]
     if forms[0] != forms[1] or shapes[0] != shapes[1]:
         refuse(
             "update",
@@ -286,7 +293,7 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
             f"{forms[0]} with shapes {shapes[0]}",
         )
     for (path, old), new in zip(
-        jax.tree_util.tree_leaves_with_path(first), jax.tree.leaves(after), strict=True
+        jax.tree_util.tree_leaves_with_path(first), jax.tree.leaves(next_state), strict=True
     ):
         if old.dtype != new.dtype and not np.can_cast(new.dtype, old.dtype, "same_kind"):
             refuse(
@@ -302,10 +309,10 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
                 f"gives {described(angles)}: expected ServoAngles with four hips and four knees",
             )
         for part in dataclasses.fields(angles):
-            given, wanted = getattr(angles, part.name), (4,) if part.name in ("hip", "knee") else ()
-            if getattr(given, "shape", None) != wanted or np.dtype(given.dtype).kind not in "fi":
-                what = f"gives ServoAngles whose {part.name} is {described(given)}"
-                refuse(name, f"{what}: expected real numbers of shape {wanted}")
+            angle, shape = getattr(angles, part.name), (4,) if part.name in ("hip", "knee") else ()
+            if getattr(angle, "shape", None) != shape or np.dtype(angle.dtype).kind not in "fi":
+                message = f"gives ServoAngles whose {part.name} is {described(angle)}"
+                refuse(name, f"{message}: expected real numbers of shape {shape}")
     if getattr(rate, "shape", None) != ():
         refuse(
             "cycle_rate",
@@ -314,9 +321,8 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     stance = traced("stance", first) if isinstance(controller, PlansContact) else jnp.ones(4, bool)
     if getattr(stance, "shape", None) != (4,):
         refuse("stance", f"gives {described(stance)}: expected the planned contact of four limbs")
-    if not type(controller).__module__.startswith(
-        "nermo_mjx."
-    ):  # a policy of ours takes seconds to compile
+    # A policy of this package takes seconds to compile.
+    if not type(controller).__module__.startswith("nermo_mjx."):
         _check_at_rest(robot, controller)
 
 
@@ -337,8 +343,8 @@ def _check_at_rest(robot: Robot, controller: ControllerLike) -> None:
     with jax.ensure_compile_time_eval():
         reading = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
     with user_code("controller fails"):
-        made = jax.jit(start)(controller.parameters, reading)
-    for name, several in made.items():
+        initial = jax.jit(start)(controller.parameters, reading)
+    for name, several in initial.items():
         for leaf in jax.tree.leaves(several):
             if jnp.issubdtype(leaf.dtype, jnp.floating) and not np.isfinite(leaf).all():
                 raise ParameterError(

@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,7 +35,8 @@ from nermo_mjx.rollout import (
     stride_metrics,
     transitions,
 )
-from nermo_mjx.rollout.own_metrics import ANGLES, METRICS, PAIRS, OwnMetric
+from nermo_mjx.rollout.custom_metrics import OwnMetric
+from nermo_mjx.rollout.metric_table import ANGLES, METRICS, PAIRS
 from nermo_mjx.rollout.path_metrics import MeasuredPart, begins_in_run, measured_part, root
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.shapes import Array, Scalar, Truth
@@ -160,14 +161,14 @@ class MetricState:
     finished: Truth
 
 
-def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = False) -> MetricState:
+def init(
+    sensors: Sensors, custom: tuple[OwnMetric, ...] = (), switches: bool = False
+) -> MetricState:
     """Accumulators before the first tick, from the readings at rest, with those of custom metrics and of switches."""
     position, angles = sensors.position, attitude(sensors.orientation)
-    zero, three, four = (
-        jnp.zeros((), position.dtype),
-        jnp.zeros_like(position),
-        jnp.zeros_like(sensors.foot_force),
-    )
+    zero = jnp.zeros((), position.dtype)
+    three = jnp.zeros_like(position)
+    four = jnp.zeros_like(sensors.foot_force)
     readings = jnp.append(angles, zero)
     no = jnp.zeros((), bool)
     sums = dict.fromkeys(SUMS, zero) | dict.fromkeys(
@@ -198,8 +199,8 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         eyes=eye_metrics.init_eye(sensors),
         penetration=zero,
         driven=_driven(sensors),
-        own=reduction.init_own(runs, sensors) if (runs := per(own, "run")) else None,
-        strides=stride_metrics.init_strides(per(own, "stride"), sensors),
+        own=reduction.init_own(runs, sensors) if (runs := per(custom, "run")) else None,
+        strides=stride_metrics.init_strides(per(custom, "stride"), sensors),
         switching_roll=zero if switches else None,
         on_path=no,
         lost=no,
@@ -211,103 +212,198 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
     )
 
 
+class Tick(NamedTuple):
+    """A control tick, as the metrics measure it.
+
+    Attributes:
+        sensors: Readings of the physics steps of the tick, leading axis (steps,).
+        time: Time at the end of the tick [s]; 0 at the first one, whose readings are those at rest.
+        dt: Length of the tick [s].
+        cycle_rate: Gait cycles per simulated second, the bandwidth of the smoothed heading [rad/s].
+        path: Point of the pilot's path next to the torso, if the pilot follows a path.
+        stance: Feet in planned contact during the tick; all of them if nothing is planned.
+        ground: Height of the ground beneath the torso [m].
+        brake: Brake of the servos by their back-EMF (`Servo.brake`); None for servos without.
+        servo: Parameters of the servos.
+        clamped: 1 if the controller asked a servo for an angle beyond its range, else 0.
+        transition: Times at which the transition begins and ends [s], with a schedule.
+    """
+
+    sensors: Sensors
+    time: Scalar
+    dt: float
+    cycle_rate: Any
+    path: PathPoint | None = None
+    stance: Bool[Array, " 4"] | None = None
+    ground: Any = 0.0
+    brake: Any = None
+    servo: Servo = ModelParameters().servo
+    clamped: Any = 0.0
+    transition: tuple[Scalar, Scalar] | None = None
+
+
 def update(
-    window: Window,
-    state: MetricState,
-    sensors: Sensors,
-    time: Scalar,
-    dt: float,
-    cycle_rate: Any,
-    path: PathPoint | None = None,
-    stance: Bool[Array, " 4"] | None = None,
-    ground: Any = 0.0,
-    own: tuple[OwnMetric, ...] = (),
-    brake: Any = None,
-    servo: Servo | None = None,
-    clamped: Any = 0.0,
-    transition: tuple[Scalar, Scalar] | None = None,
+    window: Window, state: MetricState, tick: Tick, custom: tuple[OwnMetric, ...] = ()
 ) -> MetricState:
     """Add one control tick.
 
     Args:
-        window: when to measure.
-        state: accumulators so far.
-        sensors: readings of the tick's physics steps, leading axis (steps,).
-        time: at the end of the tick [s]; 0 at the first call, whose readings are those at rest.
-        dt: length of the tick [s].
-        cycle_rate: gait cycles per simulated second, the bandwidth of the smoothed heading [rad/s].
-        path: point of the pilot's path beside the torso, if it follows one.
-        stance: feet in planned contact during the tick; all of them if nothing is planned.
-        ground: height of the ground beneath the torso [m].
-        own: custom metrics, the same as for `init`.
-        brake: of the servos by their back-EMF (`Servo.brake`); None for servos without.
-        servo: parameters of the servos; the defaults if None.
-        clamped: 1 if a servo was asked for an angle beyond its range, else 0.
-        transition: when it begins and ends [s], with a schedule.
+        window: Time in which metrics are measured.
+        state: Accumulators so far.
+        tick: Tick to add.
+        custom: Custom metrics, the same as for `init`.
     """
+    is_lost, tick = _without_invalid(state, tick)
+    sensors, time, dt, rate, path = tick.sensors, tick.time, tick.dt, tick.cycle_rate, tick.path
+    last = jax.tree.map(lambda leaf: leaf[-1], sensors)
+    failure = _failure(window, state, tick, last, is_lost)
+
+    angles = attitude(last.orientation)
+    turns = jnp.round((angles[2] - state.readings[2]) / (2 * jnp.pi))
+    angles = angles.at[2].add(-2 * jnp.pi * turns)
+    course, turning = _course(state, tick, angles[2], is_lost)
+    ahead = jnp.stack([jnp.sin(course), -jnp.cos(course)]) if path is None else path.tangent
+    step = jnp.where(is_lost, 0.0, (last.position - state.position)[:2] @ ahead)
+    travelled = state.travelled + step
+
+    goes_on, far_enough = (
+        ~(failure["fell"] | is_lost | state.finished),
+        travelled >= window.distance,
+    )
+    part = measured_part(window, state.time, state.path.cycles, time, dt, rate, goes_on, far_enough)
+    share = jnp.where(state.begun, part.weight / jnp.where(state.begun, part.elapsed, 1.0), 1.0)
+    deviation = angles - state.mean
+    mean = state.mean + share * deviation
+    error = jnp.zeros(()) if path is None else jnp.where(is_lost, 0.0, path.error)
+    readings = jnp.append(angles, error)
+    low, high = _extremes(state, readings, part)
+    loaded, slid = _contact(sensors)
+    integrals = _integrals(state, tick, part.weight, error, loaded, slid)
+    switching, roll = _switching(state, tick, part.weight, slid, loaded, step / dt, angles[0])
+    ends = _ends(state, last.position, angles[2], part)
+    displacement = (last.position - ends["origin"])[:2]
+    is_counted = ~is_lost & (time > 0.0)
+    return MetricState(
+        time=part.elapsed,
+        way=state.way + part.weight / dt * step,
+        travelled=travelled,
+        sums={name: state.sums[name] + value for name, value in (integrals | switching).items()},
+        mean=mean,
+        square=state.square + part.weight * deviation * (angles - mean),
+        readings=readings,
+        low=low,
+        high=high,
+        course=course,
+        turning=turning,
+        position=jnp.where(is_lost, state.position, last.position),
+        path=path_metrics.update_path(
+            state.path, displacement, error, part.weight, part.rest, part.cycle_ends
+        ),
+        eyes=eye_metrics.update_eye(state.eyes, last, part.weight, share),
+        driven=_driven(last),
+        own=None
+        if state.own is None
+        else reduction.update_own(per(custom, "run"), state.own, sensors, part, share, is_counted),
+        strides=stride_metrics.update_strides(
+            per(custom, "stride"), state.strides, sensors, loaded, step / dt, part, rate, is_counted
+        ),
+        switching_roll=roll,
+        on_path=jnp.asarray(path is not None),
+        lost=is_lost,
+        begun=state.begun | part.inside,
+        finished=state.finished | part.arrived,
+        **failure,
+        **ends,
+    )
+
+
+def _failure(
+    window: Window, state: MetricState, tick: Tick, last: Sensors, lost: Truth
+) -> dict[str, Any]:
+    """Falls, divergence and penetration so far, as fields of `MetricState`; `last` are the last readings."""
+    fallen = (uprightness(last.orientation) < FALLEN_COSINE) | (
+        last.position[2] - tick.ground < FALLEN_HEIGHT
+    )
+    ended = state.fell | state.diverged | state.finished
+    judged = ~ended & begins_in_run(window, tick.time, tick.dt)
+    deepest = jnp.maximum(state.penetration, -tick.sensors.contact_distance.min())
+    return {
+        "fell": state.fell | (judged & fallen & ~lost),
+        "diverged": state.diverged | (judged & lost),
+        "failure_time": jnp.where(judged & (fallen | lost), tick.time, state.failure_time),
+        "penetration": jnp.where(judged & ~lost, deepest, state.penetration),
+    }
+
+
+def _without_invalid(state: MetricState, tick: Tick) -> tuple[Truth, Tick]:
+    """Whether readings have become invalid, and the tick with zeros instead: no NaN reaches the accumulators."""
+    sensors = tick.sensors
     # If the accelerometer is non-finite, so are the velocities one step later; not reading it saves computing it.
     leaves = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
     lost = state.lost | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
-    # Invalid readings are replaced, so that no NaN reaches the accumulators.
-    sensors = jax.tree.map(lambda leaf: jnp.where(lost | ~jnp.isfinite(leaf), 0.0, leaf), sensors)
-    last = jax.tree.map(lambda leaf: leaf[-1], sensors)
+    valid = jax.tree.map(lambda leaf: jnp.where(lost | ~jnp.isfinite(leaf), 0.0, leaf), sensors)
+    return lost, tick._replace(sensors=valid)
 
-    fallen = (uprightness(last.orientation) < FALLEN_COSINE) | (
-        last.position[2] - ground < FALLEN_HEIGHT
-    )
-    judged = ~(state.fell | state.diverged | state.finished) & begins_in_run(window, time, dt)
-    fell, diverged = state.fell | (judged & fallen & ~lost), state.diverged | (judged & lost)
 
-    angles = attitude(last.orientation)
-    angles = angles.at[2].add(
-        -2 * jnp.pi * jnp.round((angles[2] - state.readings[2]) / (2 * jnp.pi))
-    )
+def _course(state: MetricState, tick: Tick, yaw: Scalar, lost: Truth) -> tuple[Scalar, Scalar]:
+    """Smoothed yaw [rad] and its rate [rad/s].
 
-    # Critically damped tracking of yaw and its rate: no lag in a steady turn, and little of the spine's sway remains.
-    expected = state.course + dt * state.turning
-    surprise = jnp.where(lost, 0.0, dt * cycle_rate * (angles[2] - expected))
-    course, turning = expected + 2.0 * surprise, state.turning + cycle_rate * surprise
-    ahead = jnp.stack([jnp.sin(course), -jnp.cos(course)]) if path is None else path.tangent
-    step = jnp.where(lost, 0.0, (last.position - state.position)[:2] @ ahead)
-    travelled = state.travelled + step
+    Critically damped tracking of both: no lag in a steady turn, and little of the spine's sway remains.
+    """
+    expected = state.course + tick.dt * state.turning
+    surprise = jnp.where(lost, 0.0, tick.dt * tick.cycle_rate * (yaw - expected))
+    return expected + 2.0 * surprise, state.turning + tick.cycle_rate * surprise
 
-    goes_on, far_enough = ~(fell | lost | state.finished), travelled >= window.distance
-    part = measured_part(
-        window, state.time, state.path.cycles, time, dt, cycle_rate, goes_on, far_enough
-    )
-    share = jnp.where(state.begun, part.weight / jnp.where(state.begun, part.elapsed, 1.0), 1.0)
-    deviation = angles - state.mean
-    mean = state.mean + share * deviation
 
-    origin = jnp.where(
-        state.begun, state.origin, _between(state.position, last.position, part.begin)
+def _ends(
+    state: MetricState, position: Float[Array, " 3"], yaw: Scalar, part: MeasuredPart
+) -> dict[str, Array]:
+    """Positions where measuring began and ended so far, and the yaw there, as fields of `MetricState`."""
+    first, final = (
+        _between(state.position, position, end_time) for end_time in (part.begin, part.end)
     )
-    begin, end = (_between(state.readings[2], angles[2], share) for share in (part.begin, part.end))
-    heading = jnp.stack(
-        [
-            jnp.where(state.begun, state.heading[0], begin),
-            jnp.where(part.inside, end, state.heading[1]),
-        ]
-    )
-    error = jnp.zeros(()) if path is None else jnp.where(lost, 0.0, path.error)
-    readings = jnp.append(angles, error)
-    low, high = _extremes(state, readings, part)
+    begin, end = (_between(state.readings[2], yaw, end_time) for end_time in (part.begin, part.end))
+    begin = jnp.where(state.begun, state.heading[0], begin)
+    return {
+        "origin": jnp.where(state.begun, state.origin, first),
+        "end": jnp.where(part.inside, final, state.end),
+        "heading": jnp.stack([begin, jnp.where(part.inside, end, state.heading[1])]),
+    }
 
-    torque = (
-        sensors.servo_torque
-        if brake is None
-        else sensors.servo_torque - brake * sensors.servo_velocity
-    )
+
+def _contact(sensors: Sensors) -> tuple[Float[Array, " 4"], Float[Array, " 4"]]:
+    """Fraction of the tick in which each foot is loaded, and its mean horizontal speed while loaded [m/s]."""
     contact = _share_loaded(sensors.foot_force)
-    loaded = contact.mean(axis=0)
-    swing = (
-        jnp.zeros_like(loaded)
-        if stance is None
-        else jnp.where(stance, 0.0, 1.0).astype(loaded.dtype)
-    )
     speed = jnp.sqrt(jnp.sum(sensors.foot_velocity[..., :2] ** 2, axis=-1) + 1e-12)
-    slid = (contact * speed).mean(axis=0)
+    return contact.mean(axis=0), (contact * speed).mean(axis=0)
+
+
+def _integrals(
+    state: MetricState,
+    tick: Tick,
+    weight: Scalar,
+    error: Scalar,
+    loaded: Float[Array, " 4"],
+    slid: Float[Array, " 4"],
+) -> dict[str, Array]:
+    """Integrals of `MetricState.sums` over the measured part of a tick.
+
+    Args:
+        state: Accumulators before the tick.
+        tick: Tick with valid readings.
+        weight: Length of the measured part [s].
+        error: Distance from the pilot's path [m].
+        loaded: Fraction of the tick in which each foot is loaded.
+        slid: Mean speed of each foot while loaded [m/s].
+    """
+    sensors, servo = tick.sensors, tick.servo
+    torque = sensors.servo_torque
+    if tick.brake is not None:
+        torque = torque - tick.brake * sensors.servo_velocity
+    swing = jnp.zeros_like(loaded)
+    if tick.stance is not None:
+        swing = jnp.where(tick.stance, 0.0, 1.0).astype(loaded.dtype)
     turning_head = eye_metrics.head_rate(sensors)
     # Angular speed of distant objects across the centre of the image [rad/s].
     image = jnp.sqrt(turning_head[..., 0] ** 2 + turning_head[..., 2] ** 2 + 1e-12)
@@ -318,70 +414,40 @@ def update(
         "swing": swing,
         "load": jnp.append(sensors.foot_force.mean(axis=0), sensors.tail_force.mean()),
         "tail_loaded": _share_loaded(sensors.tail_force).mean(),
-        "clamped": clamped,
+        "clamped": tick.clamped,
         "airborne": jnp.mean(sensors.contact_distance >= 0.0),
         "sunk": jnp.mean(sensors.contact_distance < -SUNK),
         "square_error": error**2,
         "image": (image**2).mean(),
-        **electrical.power_sums(torque, sensors.servo_velocity, servo or ModelParameters().servo),
-        **electrical.spent(state.driven, _driven(sensors), servo or ModelParameters().servo),
+        **electrical.power_sums(torque, sensors.servo_velocity, servo),
+        **electrical.spent(state.driven, _driven(sensors), servo),
     }
-    meant = ~lost & (time > 0.0)
-    measured = {name: part.weight * value for name, value in integrands.items()}
-    measured["swing_loaded"] = swing * measured["loaded"]
-    roll = state.switching_roll
-    if transition is not None and roll is not None:
-        feet = slid.sum(), loaded.sum()
-        measured |= transitions.integrals(transition, time, part.weight, *feet, step / dt)
-        roll = jnp.maximum(
-            roll, jnp.where(measured["switching_time"][1] > 0.0, jnp.abs(angles[0]), 0.0)
-        )
-    return MetricState(
-        time=part.elapsed,
-        way=state.way + part.weight / dt * step,
-        travelled=travelled,
-        sums={name: state.sums[name] + value for name, value in measured.items()},
-        mean=mean,
-        square=state.square + part.weight * deviation * (angles - mean),
-        readings=readings,
-        low=low,
-        high=high,
-        course=course,
-        turning=turning,
-        position=jnp.where(lost, state.position, last.position),
-        origin=origin,
-        end=jnp.where(part.inside, _between(state.position, last.position, part.end), state.end),
-        heading=heading,
-        path=path_metrics.update_path(
-            state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
-        ),
-        eyes=eye_metrics.update_eye(state.eyes, last, part.weight, share),
-        penetration=jnp.where(
-            judged & ~lost,
-            jnp.maximum(state.penetration, -sensors.contact_distance.min()),
-            state.penetration,
-        ),
-        driven=_driven(last),
-        own=None
-        if state.own is None
-        else reduction.update_own(per(own, "run"), state.own, sensors, part, share, meant),
-        strides=stride_metrics.update_strides(
-            per(own, "stride"), state.strides, sensors, loaded, step / dt, part, cycle_rate, meant
-        ),
-        switching_roll=roll,
-        on_path=jnp.asarray(path is not None),
-        lost=lost,
-        failure_time=jnp.where(judged & (fallen | lost), time, state.failure_time),
-        fell=fell,
-        diverged=diverged,
-        begun=state.begun | part.inside,
-        finished=state.finished | part.arrived,
+    integrals = {name: weight * value for name, value in integrands.items()}
+    return integrals | {"swing_loaded": swing * integrals["loaded"]}
+
+
+def _switching(
+    state: MetricState,
+    tick: Tick,
+    weight: Scalar,
+    slid: Float[Array, " 4"],
+    loaded: Float[Array, " 4"],
+    speed: Scalar,
+    roll: Scalar,
+) -> tuple[dict[str, Array], Scalar | None]:
+    """Integrals over a transition of a schedule, and the largest roll in it [rad]; without a schedule, none."""
+    if tick.transition is None or state.switching_roll is None:
+        return {}, state.switching_roll
+    measured = transitions.integrals(
+        tick.transition, tick.time, weight, slid.sum(), loaded.sum(), speed
     )
+    within = jnp.where(measured["switching_time"][1] > 0.0, jnp.abs(roll), 0.0)
+    return measured, jnp.maximum(state.switching_roll, within)
 
 
-def per(own: tuple[OwnMetric, ...], what: str) -> tuple[OwnMetric, ...]:
+def per(custom: tuple[OwnMetric, ...], period: str) -> tuple[OwnMetric, ...]:
     """The custom metrics of a `run`, or of a `stride`."""
-    return tuple(each for each in own if each.per == what)
+    return tuple(custom_metric for custom_metric in custom if custom_metric.per == period)
 
 
 def _extremes(state: MetricState, readings: Array, part: MeasuredPart) -> tuple[Array, Array]:
@@ -426,7 +492,7 @@ def result(
     mass: Scalar,
     gravity: Any = GRAVITY,
     supply: electrical.Supply | None = None,
-    own: tuple[OwnMetric, ...] = (),
+    custom: tuple[OwnMetric, ...] = (),
 ) -> dict[str, Scalar]:
     """The metrics of one world, named as in `METRICS`, and the custom ones. A metric that was never measured is NaN.
 
@@ -437,11 +503,33 @@ def result(
         mass: of the robot [kg].
         gravity: for the robot's weight [m/s^2].
         supply: servos and battery; the defaults if None.
-        own: custom metrics, the same as for `init`.
+        custom: custom metrics, the same as for `init`.
     """
-    begun, sums = state.begun, state.sums
-    time, moved = jnp.where(begun, state.time, 1.0), begun & (state.way > SHORTEST_WAY)
-    std = root(state.square / time)
+    has_begun, time = state.begun, jnp.where(state.begun, state.time, 1.0)
+    metrics = _walk_metrics(state, time) | _foot_metrics(state.sums, time)
+    metrics |= _energy_metrics(state, time, mass * gravity, supply)
+    if state.switching_roll is not None:
+        metrics |= transitions.transition_result(state.sums, state.switching_roll)
+    for name, value in metrics.items():
+        is_known = has_begun & state.on_path if name.startswith("cross_track") else has_begun
+        metrics[name] = jnp.where(is_known, value, jnp.nan)
+    metrics |= {
+        "duration": state.time,
+        "servo_work": state.sums["work"],
+        "fell": state.fell.astype(time.dtype),
+        "diverged": state.diverged.astype(time.dtype),
+        "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
+    }
+    metrics |= stride_metrics.stride_result(state.strides, per(custom, "stride"))
+    if state.own is not None:
+        metrics |= reduction.own_result(per(custom, "run"), state.own, has_begun, time)
+    names = (*METRICS, *transitions.TRANSITION, *(custom_metric.name for custom_metric in custom))
+    return {name: metrics[name] for name in names if name in metrics}
+
+
+def _walk_metrics(state: MetricState, time: Scalar) -> dict[str, Scalar]:
+    """Metrics of the torso, the path and the eyes; `time` is the measured time [s], never 0."""
+    sums, std = state.sums, root(state.square / time)
     metrics = {
         "speed": state.way / time,
         "distance": state.way,
@@ -452,41 +540,25 @@ def result(
         "cross_track_noise": path_metrics.noise(state.path),
         "turning_radius": path_metrics.radius(state.path),
         "turn_rate": (state.heading[1] - state.heading[0]) / time,
-        "slip": _share(sums["slid"].sum(), sums["loaded"].sum()),
-        "front_load_share": _share(sums["load"][PAIRS["front"]].sum(), sums["load"][:4].sum()),
-        "tail_time": sums["tail_loaded"] / time,
-        "tail_load_share": _share(sums["load"][4], sums["load"].sum()),
-        "cost_of_transport": jnp.where(
-            moved, sums["work"] / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan
-        ),
-    }
-    for i, angle in enumerate(ANGLES):
-        values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
-        metrics |= {f"{angle}_{name}": value for name, value in values.items()}
-    metrics |= eye_metrics.eye_result(state.eyes, time) | {
-        "picture_motion": root(sums["image"] / time)
-    }
-    metrics |= (
-        {}
-        if state.switching_roll is None
-        else transitions.transition_result(sums, state.switching_roll)
-    )
-    supply = supply or electrical.Supply.of(ModelParameters())
-    metrics |= electrical.electrical_result(sums, time, supply) | electrical.budget(
-        sums, time, supply
-    )
-    metrics |= {
-        "electrical_cost_of_transport": jnp.where(
-            moved,
-            metrics["electrical_power"]
-            * time
-            / (mass * gravity * jnp.where(moved, state.way, 1.0)),
-            jnp.nan,
-        ),
+        "picture_motion": root(sums["image"] / time),
         "servo_clamped": sums["clamped"] / time,
         "airborne_time": sums["airborne"] / time,
         "penetration": state.penetration,
         "sunk_time": sums["sunk"] / time,
+    }
+    for i, angle in enumerate(ANGLES):
+        values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
+        metrics |= {f"{angle}_{name}": value for name, value in values.items()}
+    return metrics | eye_metrics.eye_result(state.eyes, time)
+
+
+def _foot_metrics(sums: Mapping[str, Array], time: Scalar) -> dict[str, Scalar]:
+    """Metrics of the contacts of feet and tail; `time` is the measured time [s], never 0."""
+    metrics = {
+        "slip": _share(sums["slid"].sum(), sums["loaded"].sum()),
+        "front_load_share": _share(sums["load"][PAIRS["front"]].sum(), sums["load"][:4].sum()),
+        "tail_time": sums["tail_loaded"] / time,
+        "tail_load_share": _share(sums["load"][4], sums["load"].sum()),
     }
     for i, limb in enumerate(LIMBS):
         metrics |= {
@@ -499,19 +571,29 @@ def result(
             f"loaded_{name}": sums["loaded"][feet].mean() / time,
             f"swing_loaded_{name}": _share(sums["swing_loaded"][feet], sums["swing"][feet]).mean(),
         }
-    for name, value in metrics.items():
-        known = begun & state.on_path if name.startswith("cross_track") else begun
-        metrics[name] = jnp.where(known, value, jnp.nan)
-    metrics |= {
-        "duration": state.time,
-        "servo_work": sums["work"],
-        "fell": state.fell.astype(time.dtype),
-        "diverged": state.diverged.astype(time.dtype),
-        "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
+    return metrics
+
+
+def _energy_metrics(
+    state: MetricState, time: Scalar, weight: Scalar, supply: electrical.Supply | None
+) -> dict[str, Scalar]:
+    """Metrics of work, current and cost of transport.
+
+    Args:
+        state: Accumulators at the end.
+        time: Measured time [s], never 0.
+        weight: Weight of the robot [N].
+        supply: Servos and battery; the defaults if None.
+    """
+    sums, supply = state.sums, supply or electrical.Supply.of(ModelParameters())
+    metrics = electrical.electrical_result(sums, time, supply)
+    moved = state.begun & (state.way > SHORTEST_WAY)
+    way = jnp.where(moved, state.way, 1.0)
+    costs = {
+        "cost_of_transport": sums["work"],
+        "electrical_cost_of_transport": metrics["electrical_power"] * time,
     }
-    metrics |= stride_metrics.stride_result(state.strides, per(own, "stride"))
-    metrics |= (
-        {} if state.own is None else reduction.own_result(per(own, "run"), state.own, begun, time)
-    )
-    names = (*METRICS, *transitions.TRANSITION, *(each.name for each in own))
-    return {name: metrics[name] for name in names if name in metrics}
+    metrics |= {
+        name: jnp.where(moved, energy / (weight * way), jnp.nan) for name, energy in costs.items()
+    }
+    return metrics | electrical.budget(sums, time, supply)

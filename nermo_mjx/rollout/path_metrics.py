@@ -175,42 +175,40 @@ def init_path(position: Float[Array, " 3"]) -> PathState:
 
 def update_path(
     state: PathState,
-    place: Float[Array, " 2"],
+    position: Float[Array, " 2"],
     error: Scalar,
     weight: Scalar,
-    rest: Scalar,
+    rest_time: Scalar,
     cycle_ends: Truth,
 ) -> PathState:
     """Add one tick.
 
     Args:
-        place: position of the torso relative to where measuring began [m].
+        position: position of the torso relative to where measuring began [m].
         error: cross-track error [m].
         weight: length of the measured part of the tick [s].
-        rest: the part of it after the end of a gait cycle [s].
+        rest_time: the part of it after the end of a gait cycle [s].
         cycle_ends: whether a gait cycle ends in this tick.
     """
-    part = weight - rest
-    sum_error, sum_place, time = (
-        state.error + part * error,
-        state.place + part * place,
-        state.time + part,
-    )
+    part = weight - rest_time
+    sum_error = state.error + part * error
+    sum_place = state.place + part * position
+    time = state.time + part
     sum_square, per_time = state.square + part * error**2, 1.0 / jnp.maximum(time, 1e-9)
-    mean, ended = sum_place * per_time, cycle_ends.astype(time.dtype)
-    kept = 1.0 - ended
+    mean, is_cycle_end = sum_place * per_time, cycle_ends.astype(time.dtype)
+    is_open = 1.0 - is_cycle_end
     return PathState(
-        walked=jnp.maximum(state.walked, ended * jnp.abs(sum_error) * per_time),
-        swayed=state.swayed + ended * (sum_square - sum_error**2 * per_time),
-        cycled=state.cycled + ended * time,
-        square=kept * sum_square + rest * error**2,
-        error=kept * sum_error + rest * error,
-        place=kept * sum_place + rest * place,
-        time=kept * time + rest,
-        cycles=state.cycles + ended,
-        first=state.first + ended * mean,
-        second=state.second + ended * jnp.outer(mean, mean),
-        third=state.third + ended * (mean @ mean) * mean,
+        walked=jnp.maximum(state.walked, is_cycle_end * jnp.abs(sum_error) * per_time),
+        swayed=state.swayed + is_cycle_end * (sum_square - sum_error**2 * per_time),
+        cycled=state.cycled + is_cycle_end * time,
+        square=is_open * sum_square + rest_time * error**2,
+        error=is_open * sum_error + rest_time * error,
+        place=is_open * sum_place + rest_time * position,
+        time=is_open * time + rest_time,
+        cycles=state.cycles + is_cycle_end,
+        first=state.first + is_cycle_end * mean,
+        second=state.second + is_cycle_end * jnp.outer(mean, mean),
+        third=state.third + is_cycle_end * (mean @ mean) * mean,
     )
 
 

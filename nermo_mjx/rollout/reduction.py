@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from nermo_mjx.robot import Sensors
-from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import MeasuredPart, root
 from nermo_mjx.shapes import Array, Scalar, Truth
 
@@ -54,7 +54,7 @@ def update_own(
     sensors: Sensors,
     part: MeasuredPart,
     share: Scalar | Float[Array, " k"],
-    meant: Truth,
+    is_counted: Truth,
 ) -> OwnState:
     """Add one control tick.
 
@@ -64,29 +64,29 @@ def update_own(
         sensors: readings of the tick's physics steps, leading axis (steps,).
         part: the measured part of the tick.
         share: of this part in the time measured so far, of all or of each.
-        meant: whether the readings are those of a tick; others do not contribute to derivatives.
+        is_counted: whether the readings are those of a tick; others do not contribute to derivatives.
     """
     sensors = jax.tree.map(
-        lambda leaf: jnp.where(meant, leaf, jax.lax.stop_gradient(leaf)), sensors
+        lambda leaf: jnp.where(is_counted, leaf, jax.lax.stop_gradient(leaf)), sensors
     )
     values = jax.vmap(functools.partial(_values, metrics))(sensors)
     mean = values.mean(axis=0)
     deviation, spread = mean - state.mean, ((values - mean) ** 2).mean(axis=0)
-    after = state.mean + share * deviation
-    square = state.square + part.weight * (deviation * (mean - after) + spread)
+    next_mean = state.mean + share * deviation
+    square = state.square + part.weight * (deviation * (mean - next_mean) + spread)
 
-    way = jnp.concatenate([state.value[None], values])
-    places = jnp.arange(len(way)) / (len(way) - 1)
+    values_with_last = jnp.concatenate([state.value[None], values])
+    places = jnp.arange(len(values_with_last)) / (len(values_with_last) - 1)
     between = jax.vmap(
-        lambda column, at: jnp.interp(at, places, column), in_axes=(1, None), out_axes=1
+        lambda column, target: jnp.interp(target, places, column), in_axes=(1, None), out_axes=1
     )
-    ends = between(way, jnp.stack([jnp.maximum(part.begin, 0.0), part.end]))
+    ends = between(values_with_last, jnp.stack([jnp.maximum(part.begin, 0.0), part.end]))
     inner = ((places > part.begin) & (places < part.end))[:, None]
-    low = jnp.minimum(jnp.where(inner, way, jnp.inf).min(axis=0), ends.min(axis=0))
-    high = jnp.maximum(jnp.where(inner, way, -jnp.inf).max(axis=0), ends.max(axis=0))
+    low = jnp.minimum(jnp.where(inner, values_with_last, jnp.inf).min(axis=0), ends.min(axis=0))
+    high = jnp.maximum(jnp.where(inner, values_with_last, -jnp.inf).max(axis=0), ends.max(axis=0))
     measured = OwnState(
         values[-1],
-        after,
+        next_mean,
         square,
         jnp.minimum(state.low, low),
         jnp.maximum(state.high, high),
@@ -97,7 +97,10 @@ def update_own(
 
 
 def own_result(
-    metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: Scalar | Float[Array, " k"]
+    metrics: tuple[OwnMetric, ...],
+    state: OwnState,
+    has_begun: Truth,
+    time: Scalar | Float[Array, " k"],
 ) -> dict[str, Scalar]:
     """The metrics of one world by name; NaN if nothing was measured. `time` is the measured one [s], never 0; of all or
     of each."""
@@ -114,13 +117,16 @@ def own_result(
         "integral": state.mean * time,
     }
     return {
-        each.name: jnp.where(begun, reduced[each.reduce][i], jnp.nan)
-        for i, each in enumerate(metrics)
+        custom_metric.name: jnp.where(has_begun, reduced[custom_metric.reduce][i], jnp.nan)
+        for i, custom_metric in enumerate(metrics)
     }
 
 
 def _values(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> Float[Array, " k"]:
     """The functions' results for one reading."""
     return jnp.stack(
-        [jnp.asarray(each.function(sensors)).astype(jnp.zeros(()).dtype) for each in metrics]
+        [
+            jnp.asarray(custom_metric.function(sensors)).astype(jnp.zeros(()).dtype)
+            for custom_metric in metrics
+        ]
     )

@@ -14,9 +14,9 @@ from jaxtyping import Float
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
-from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
+from nermo_mjx.kinematics.leg import LegPose, forward_kinematics, four_legs
 from nermo_mjx.physics.lanes import Lanes
-from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Quantity, Robot
+from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Quantity, Robot, ServoAngles
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout.setup import Start
@@ -75,24 +75,24 @@ class Run:
             value, zero_ok = getattr(self, name), name.startswith("warmup")
             if value is None:
                 continue
-            given = np.asarray(value)
-            if given.dtype.kind == "U" and name in _UNITS:
+            duration = np.asarray(value)
+            if duration.dtype.kind == "U" and name in _UNITS:
                 value = Quantity(8.0, _UNITS[name], 0.0, LONGEST, "of a run").numbers(
                     f"run.{name}", value
                 )
-                given = np.asarray(value)
+                duration = np.asarray(value)
                 object.__setattr__(self, name, value)
-            if given.dtype.kind not in "iuf":
+            if duration.dtype.kind not in "iuf":
                 instead = {"cycles": "duration", "warmup_cycles": "warmup"}.get(name)
                 seconds = f"; seconds are run.{instead}" if isinstance(value, str) else ""
                 raise ParameterError(
                     f"run.{name} is {value!r}: expected a number, or an array of such{seconds}."
                 )
-            bad = ~((given <= LONGEST) & ((given > 0) | (zero_ok & (given == 0))))
+            bad = ~((duration <= LONGEST) & ((duration > 0) | (zero_ok & (duration == 0))))
             if bad.any():
                 range_ = f"{'[' if zero_ok else '('}0, {LONGEST:g}]"
                 raise ParameterError(
-                    f"run.{name} is {float(given[bad].flat[0])!r}: allowed is {range_}."
+                    f"run.{name} is {float(duration[bad].flat[0])!r}: allowed is {range_}."
                 )
         if self.duration is not None and (
             self.cycles is not None or self.warmup_cycles is not None
@@ -105,12 +105,12 @@ class Run:
                 "run.warmup is given without run.duration: with cycles, give run.warmup_cycles."
             )
         length, warmup = np.broadcast_arrays(*self._lengths())
-        late = warmup >= length
-        if late.any():
+        is_late = warmup >= length
+        if is_late.any():
             name = "warmup_cycles" if self.duration is None else "warmup"
             raise ParameterError(
-                f"run.{name} is {warmup[late].flat[0]:g}: allowed is less than the run's length, "
-                f"{length[late].flat[0]:g}."
+                f"run.{name} is {warmup[is_late].flat[0]:g}: allowed is less than the run's length, "
+                f"{length[is_late].flat[0]:g}."
             )
 
     def _lengths(self) -> tuple[Length, Length]:
@@ -178,19 +178,7 @@ class StartPose:
         """
         geometry = body.geometry if body else Geometry()
         servo = self.controller.initial_servo(control, start.phase)
-        legs = four_legs(geometry)
-        pairs = [limb.split("_")[0] for limb in LIMBS]
-        slack = jnp.stack([body.build.slack(pair) for pair in pairs]) if body else 0.0
-        eased = servo.knee + legs.servo_direction * (TAUT + slack) / legs.pulley_radius
-        pose = forward_kinematics(
-            legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing
-        )
-        if body:
-            tilt = jnp.stack([getattr(body.build, f"{pair}_tilt") for pair in pairs])
-            (y, z), cosine, sine = pose.foot.T, jnp.cos(tilt), jnp.sin(tilt)
-            pose = pose._replace(
-                foot=jnp.stack([cosine * y - sine * z, sine * y + cosine * z], axis=-1)
-            )
+        pose = self._legs(servo, geometry, body)
         bend = spine.joint_angle(servo.spine, geometry)
         lifted = (
             spine.joint_angle(servo.spine_vertical, geometry)
@@ -203,8 +191,8 @@ class StartPose:
         # The ground's height differs between feet; the foot that requires the greatest height determines the body's.
         x, y, z = jnp.moveaxis(feet_positions(bend, pose.foot, geometry, lifted), -1, 0)
         cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-        place = start.x + cosine * x - sine * y, start.y + sine * x + cosine * y
-        beneath = self.robot.terrain.height(*place, terrain)
+        position = start.x + cosine * x - sine * y, start.y + sine * x + cosine * y
+        beneath = self.robot.terrain.height(*position, terrain)
         # The vertical spine turns the legs by up to half a radian, the lateral one by a few hundredths.
         below = axis_height + pose.foot[:, 1] if lifted is None else z
         height = jnp.max(geometry.foot.radius - DEPTH - below + beneath)
@@ -236,6 +224,25 @@ class StartPose:
             .set(lifted / hinges)
             .at[pulley]
             .set(servo.spine_vertical)
+        )
+
+    def _legs(
+        self, servo: ServoAngles, geometry: Geometry, body: ModelParameters | None
+    ) -> LegPose:
+        """Poses of the four legs, with tendons as slack and legs as tilted as the body's."""
+        legs = four_legs(geometry)
+        pairs = [limb.split("_")[0] for limb in LIMBS]
+        slack = jnp.stack([body.build.slack(pair) for pair in pairs]) if body else 0.0
+        eased = servo.knee + legs.servo_direction * (TAUT + slack) / legs.pulley_radius
+        pose = forward_kinematics(
+            legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing
+        )
+        if body is None:
+            return pose
+        tilt = jnp.stack([getattr(body.build, f"{pair}_tilt") for pair in pairs])
+        (y, z), cosine, sine = pose.foot.T, jnp.cos(tilt), jnp.sin(tilt)
+        return pose._replace(
+            foot=jnp.stack([cosine * y - sine * z, sine * y + cosine * z], axis=-1)
         )
 
     def batch(

@@ -96,7 +96,7 @@ class Series:
 
     def take(self, worlds: slice) -> Series:
         """The series of some worlds."""
-        values = {name: each[worlds] for name, each in self.values.items()}
+        values = {name: column[worlds] for name, column in self.values.items()}
         return Series(self.time, values, self.count[worlds])
 
 
@@ -107,25 +107,23 @@ def all_signals(robot: Robot) -> tuple[Signal, ...]:
     >>> [each.name for each in all_signals(load_robot()) if each.source == "gyro"]
     ['gyro_x', 'gyro_y', 'gyro_z']
     """
-    model, found = robot.physical, []
+    model, signals = robot.physical, []
     for kind, (unit, doc) in _STATE.items():
-        place = 0
+        address = 0
         for i in range(model.njnt):
             joint = model.joint(i).name
             free = model.jnt_type[i] == mujoco.mjtJoint.mjJNT_FREE
-            for part, each in _ROOT[kind] if free else [("", unit)]:
-                found.append(
-                    Signal(f"{kind}_{joint}{part}", each, f"{doc} of {joint}", kind, place)
+            for part, part_unit in _ROOT[kind] if free else [("", unit)]:
+                signals.append(
+                    Signal(f"{kind}_{joint}{part}", part_unit, f"{doc} of {joint}", kind, address)
                 )
-                place += 1
+                address += 1
     for group in SAVED:
-        names, unit, doc = (
-            reading_names(group, robot.servos),
-            READINGS[group].unit,
-            READINGS[group].doc,
-        )
-        found += [Signal(name, unit, doc, group, i) for i, name in enumerate(names)]
-    return tuple(found)
+        names = reading_names(group, robot.servos)
+        unit = READINGS[group].unit
+        doc = READINGS[group].doc
+        signals += [Signal(name, unit, doc, group, i) for i, name in enumerate(names)]
+    return tuple(signals)
 
 
 def chosen_signals(robot: Robot, saving: Saving) -> tuple[Signal, ...]:
@@ -134,22 +132,22 @@ def chosen_signals(robot: Robot, saving: Saving) -> tuple[Signal, ...]:
     Raises:
         ParameterError: an unknown name; the message suggests the closest one.
     """
-    every, chosen = all_signals(robot), dict[str, Signal]()
+    every, selected = all_signals(robot), dict[str, Signal]()
     for name in saving.sensors:
         # Former versions said `ctrl` and `spine_ctrl`.
-        wanted = re.sub("(^|_)ctrl$", r"\1servo_command", name)
-        found = [each for each in every if wanted in each.names]
-        if not found:
-            groups = dict.fromkeys(each.source for each in every)
+        pattern = re.sub("(^|_)ctrl$", r"\1servo_command", name)
+        matches = [signal for signal in every if pattern in signal.names]
+        if not matches:
+            groups = dict.fromkeys(signal.source for signal in every)
             hint = did_you_mean(
-                name, dict.fromkeys(known for each in every for known in each.names)
+                name, dict.fromkeys(signal_name for signal in every for signal_name in signal.names)
             )
             raise ParameterError(
                 f"sensors has {name!r}: allowed are {', '.join(groups)}, or one sensor of a group, such as gyro_z or "
                 f"front_left_foot_force{hint}"
             )
-        chosen |= {each.name: each for each in found}
-    return tuple(chosen.values())
+        selected |= {signal.name: signal for signal in matches}
+    return tuple(selected.values())
 
 
 def ticks_between(saving: Saving, dt: float) -> int:
@@ -194,29 +192,32 @@ class Keeper:
         ticks = trace.qpos.shape[1]
         first = (-self._ticks - 1) % self._every
         self._ticks += ticks
-        kept = Trace(
+        stored = Trace(
             *(
                 getattr(trace, field.name)[:, first :: self._every]
                 for field in dataclasses.fields(Trace)
             )
         )
-        sensors = self._robot.sensors(np.asarray(kept.sensordata))
-        read = functools.cache(lambda source: _read(source, kept, sensors))
+        sensors = self._robot.sensors(np.asarray(stored.sensordata))
+        read_source = functools.cache(lambda source: _read(source, stored, sensors))
         self._parts.append(
-            [read(each.source)[..., each.place].astype(np.float32) for each in self.signals]
+            [
+                read_source(signal.source)[..., signal.place].astype(np.float32)
+                for signal in self.signals
+            ]
         )
 
     def series(self, ends: Float[np.ndarray, " n"]) -> Series:
         """The stored series, given the worlds' end times [s]."""
         columns = (np.concatenate(parts, axis=1) for parts in zip(*self._parts, strict=True))
-        values = dict(zip((each.name for each in self.signals), columns, strict=True))
+        values = dict(zip((signal.name for signal in self.signals), columns, strict=True))
         step = self._every * self._dt
         samples = self._ticks // self._every
         count = np.clip(np.floor(np.nan_to_num(ends) / step + 1e-3), 0, samples).astype(int)
         time = np.round(np.arange(1, samples + 1) * step, 9)
         longest = int(count.max(initial=0))
         return Series(
-            time[:longest], {name: each[:, :longest] for name, each in values.items()}, count
+            time[:longest], {name: signal[:, :longest] for name, signal in values.items()}, count
         )
 
 

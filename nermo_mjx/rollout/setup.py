@@ -66,7 +66,8 @@ from nermo_mjx.robot.quantity import (
 )
 from nermo_mjx.robot.scene import is_mjcf, load_scene
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
-from nermo_mjx.rollout.own_metrics import METRICS, Metric, OwnMetric, load_metrics
+from nermo_mjx.rollout.custom_metrics import OwnMetric, load_metrics
+from nermo_mjx.rollout.metric_table import METRICS, Metric
 from nermo_mjx.rollout.transitions import TRANSITION
 
 # ---
@@ -103,13 +104,13 @@ class WorldParameters:
     schedule: Schedule | None = None
 
 
-def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
+def bounded_by_step(declarations: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
     """The parameters whose range depends on the time step, with their remaining range."""
-    contact, kp, kv = (known[name] for name in ("contact.time_constant", "servo.kp", "servo.kv"))
-    stiffest, most_damped = (
-        highest_kp(timestep, float(kv.default)),
-        highest_kv(timestep, float(kp.default)),
-    )  # type: ignore[arg-type]
+    contact, kp, kv = (
+        declarations[name] for name in ("contact.time_constant", "servo.kp", "servo.kv")
+    )
+    stiffest = highest_kp(timestep, float(kv.default))  # type: ignore[arg-type]
+    most_damped = highest_kv(timestep, float(kp.default))  # type: ignore[arg-type]
     return {
         # MuJoCo silently lengthens time constants shorter than two time steps.
         "contact.time_constant": dataclasses.replace(contact, low=max(contact.low, 2 * timestep)),
@@ -175,31 +176,35 @@ def check_spine(spine: str, robot: str) -> None:
 
 def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> None:
     """Reject parameters of a controller, and custom metrics, whose names are taken."""
-    seen: dict[str, str] = {}
-    for own in metrics:
-        if own.name in METRICS or own.name in TAKEN or own.name in TRANSITION:
+    sources: dict[str, str] = {}
+    for custom_metric in metrics:
+        if (
+            custom_metric.name in METRICS
+            or custom_metric.name in TAKEN
+            or custom_metric.name in TRANSITION
+        ):
             whose = (
                 "a metric that every run has"
-                if own.name in METRICS
+                if custom_metric.name in METRICS
                 else "a column that every table has"
             )
             raise ParameterError(
-                f"metrics has {own.place}, but {own.name} is {whose}: give it another name."
+                f"metrics has {custom_metric.place}, but {custom_metric.name} is {whose}: give it another name."
             )
-        if own.name in seen:
+        if custom_metric.name in sources:
             raise ParameterError(
-                f"metrics has {own.place} and {seen[own.name]}: give one of them another name."
+                f"metrics has {custom_metric.place} and {sources[custom_metric.name]}: give one of them another name."
             )
-        seen[own.name] = own.place
+        sources[custom_metric.name] = custom_metric.place
     shared = ControlParameters(geometry=Geometry())
-    taken = {name for name, _ in quantities(WorldParameters)} - {
+    reserved = {name for name, _ in quantities(WorldParameters)} - {
         name for name, _ in quantities(shared)
     }
     names = [name for name, _ in quantities(controller.parameters)]
     for name in names:
         whose = (
             "one of the robot or its start"
-            if name in taken
+            if name in reserved
             else "a metric that every run has"
             if name in METRICS
             else "a column that tables have"
@@ -210,10 +215,10 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
             raise ParameterError(
                 f"controller has a parameter {name!r}, which is {whose}: give it another name."
             )
-    for own in metrics:
-        if own.name in taken or own.name in names:
+    for custom_metric in metrics:
+        if custom_metric.name in reserved or custom_metric.name in names:
             raise ParameterError(
-                f"metrics has {own.place}, but {own.name} is a parameter: give it another name."
+                f"metrics has {custom_metric.place}, but {custom_metric.name} is a parameter: give it another name."
             )
 
 
@@ -303,9 +308,9 @@ class Setup(RobotConfig):
         of_type(
             "metrics", self.metrics, (tuple, list, str, OwnMetric), "a metric, or a list of such"
         )
-        for name, chosen in robot_choices(self.profile).items():
+        for name, choice in robot_choices(self.profile).items():
             if isinstance(getattr(self, name), ProfileChoice):
-                object.__setattr__(self, name, chosen)
+                object.__setattr__(self, name, choice)
         object.__setattr__(self, "gait", GAIT_CODES.get(str(self.gait), self.gait))
         super().__post_init__()
         if isinstance(self.steering, ProfileChoice) and self._applies("steering"):
@@ -318,14 +323,14 @@ class Setup(RobotConfig):
             raise ParameterError(
                 f"tail_motion is {motion!r} and tail 'rigid': take the tail 'articulated'."
             )
-        given: Any = self.metrics
+        metrics: Any = self.metrics
         object.__setattr__(
-            self, "metrics", (given,) if isinstance(given, (str, OwnMetric)) else tuple(given)
+            self, "metrics", (metrics,) if isinstance(metrics, (str, OwnMetric)) else tuple(metrics)
         )
-        for each in self.metrics:
-            if not isinstance(each, (str, OwnMetric)):
+        for metric in self.metrics:
+            if not isinstance(metric, (str, OwnMetric)):
                 raise ParameterError(
-                    f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME."
+                    f"metrics has {metric!r}: expected a function under @metric, or its FILE.py:NAME."
                 )
         ratio = (period := self._unbalanced.dt) / self.timestep
         if abs(ratio - round(ratio)) > 1e-9 * ratio or round(ratio) < 1:
@@ -352,24 +357,29 @@ class Setup(RobotConfig):
 
     def fields(self) -> dict[str, Any]:
         """The applicable choices as JSON values; an object is represented by its type's name."""
-        given = {
-            each.name: getattr(self, each.name)
-            for each in dataclasses.fields(self)
-            if self._applies(each.name)
+        fields = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)
+            if self._applies(field.name)
         }
-        own, switches = given.pop("metrics"), [switch.written() for switch in given.pop("schedule")]
-        if own:
-            given["metrics"] = tuple(each if isinstance(each, str) else each.name for each in own)
+        metrics, switches = (
+            fields.pop("metrics"),
+            [switch.written() for switch in fields.pop("schedule")],
+        )
+        if metrics:
+            fields["metrics"] = tuple(
+                field if isinstance(field, str) else field.name for field in metrics
+            )
         # Without the type that YAML cannot write.
-        given |= {
-            name: str(value) for name, value in given.items() if isinstance(value, ProfileChoice)
+        fields |= {
+            name: str(value) for name, value in fields.items() if isinstance(value, ProfileChoice)
         }
         plain = (str, int, float, tuple, type(None))
-        written = {
+        changed = {
             name: value if isinstance(value, plain) else type(value).__name__
-            for name, value in given.items()
+            for name, value in fields.items()
         }
-        return written | ({"schedule": switches} if switches else {})
+        return changed | ({"schedule": switches} if switches else {})
 
     @property
     def _start(self) -> Switch:
@@ -379,16 +389,21 @@ class Setup(RobotConfig):
     @functools.cached_property
     def modes(self) -> dict[str, tuple[str, ...]]:
         """Modes of the spine, the head and the tail that act at any time of the run, by the choice that makes them."""
-        each = [self._start, *self.schedule]
+        entries = [self._start, *self.schedule]
         return {
-            field: tuple(dict.fromkeys(name for one in each for name in one.modes.get(field, ())))
+            field: tuple(
+                dict.fromkeys(name for entry in entries for name in entry.modes.get(field, ()))
+            )
             for field in MODE_CHOICES
         }
 
     @functools.cached_property
     def own_metrics(self) -> tuple[OwnMetric, ...]:
         """The custom metrics; a file is read once, like that of a controller."""
-        loaded = (load_metrics(each) if isinstance(each, str) else (each,) for each in self.metrics)
+        loaded = (
+            load_metrics(reference) if isinstance(reference, str) else (reference,)
+            for reference in self.metrics
+        )
         return tuple(metric for several in loaded for metric in several)
 
     def load(self) -> Robot:
@@ -401,27 +416,27 @@ class Setup(RobotConfig):
         """The controller with these choices."""
         if self.controller is not None or "balance" not in self.modes["spine"]:
             return self._unbalanced
-        own = self._unbalanced
-        assert isinstance(own, Controller)
-        assert isinstance(own.spine, SpineModes)
+        controller = self._unbalanced
+        assert isinstance(controller, Controller)
+        assert isinstance(controller.spine, SpineModes)
         robot = self.load()
-        modes = SpineModes((*own.spine.modes, "balance"), robot.mass_model, robot.config)
-        return dataclasses.replace(own, spine=modes)
+        modes = SpineModes((*controller.spine.modes, "balance"), robot.mass_model, robot.config)
+        return dataclasses.replace(controller, spine=modes)
 
     @functools.cached_property
     def _unbalanced(self) -> ControllerLike:
         """The controller without the spine's balance, which needs the robot. A file is read only once, so later changes
         do not affect the setup."""
         if self.controller is not None:
-            own: Any = (
+            controller: Any = (
                 load_controller(self.controller)
                 if isinstance(self.controller, str)
                 else self.controller
             )
-            check_form(own)
-            if isinstance(own, ActsUpon) and self.pilot not in (Setup.pilot, "external"):
-                return own.upon(pilot=self.pilot, waypoints=self.waypoints)
-            return own
+            check_form(controller)
+            if isinstance(controller, ActsUpon) and self.pilot not in (Setup.pilot, "external"):
+                return controller.upon(pilot=self.pilot, waypoints=self.waypoints)
+            return controller
         spine, head, tail = self.modes.values()
         return published_controller(
             tuple(set(spine) - {"balance"}),
@@ -458,9 +473,9 @@ class Setup(RobotConfig):
         shortest = max(float(world.model.contact.time_constant), 2 * self.timestep)
         world = replace_quantities(world, {"contact.time_constant": shortest})
         if self.schedule:
-            known = dict(quantities(controller.parameters))
+            declarations = dict(quantities(controller.parameters))
             world = dataclasses.replace(
-                world, schedule=schedule_of(self._start, self.schedule, known)
+                world, schedule=schedule_of(self._start, self.schedule, declarations)
             )
         if not isinstance(controller, Controller):
             return world
@@ -475,17 +490,17 @@ class Setup(RobotConfig):
     @functools.cached_property
     def _quantities(self) -> dict[str, Quantity]:
         """See `all_parameters`."""
-        known, defaults = dict(quantities(self._world)), self.defaults()
-        own = {
-            name: dataclasses.replace(known[name], default=value)
+        declarations, defaults = dict(quantities(self._world)), self.defaults()
+        quantities_of_setup = {
+            name: dataclasses.replace(declarations[name], default=value)
             for name, value in defaults.items()
-            if repr(known[name].default) != repr(value)
+            if repr(declarations[name].default) != repr(value)
         }
-        known |= own
+        declarations |= quantities_of_setup
         for number in range(len(self.schedule) + 1, MAX_SWITCHES + 1):
             for name in ("at", "blend"):
-                known.pop(f"schedule.{name}.{number}", None)
-        return known | bounded_by_step(known, self.timestep)
+                declarations.pop(f"schedule.{name}.{number}", None)
+        return declarations | bounded_by_step(declarations, self.timestep)
 
     def world(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Parameters of worlds, with the named values filled in; only the names are checked.
@@ -504,10 +519,12 @@ class Setup(RobotConfig):
             lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, self._world
         )
         if policy is not None:
-            there, here = map(str, map(jax.tree.structure, (policy, world.control)))
-            if there != here:
+            policy_structure, control_structure = map(
+                str, map(jax.tree.structure, (policy, world.control))
+            )
+            if policy_structure != control_structure:
                 raise ParameterError(
-                    f"policy is {there}: expected the structure of the controller's parameters, {here}."
+                    f"policy is {policy_structure}: expected the structure of the controller's parameters, {control_structure}."
                 )
             world = dataclasses.replace(world, control=policy)
         if names_geometry(values):
@@ -522,9 +539,9 @@ class Setup(RobotConfig):
         """
         for name in of_type("values", values, Mapping, "a mapping such as {'frequency': 0.8}"):
             of_type("values", name, str, "names of parameters as keys")
-        known = self._quantities
+        declarations = self._quantities
         return {
-            name: known[name].numbers(name, value) if name in known else value
+            name: declarations[name].numbers(name, value) if name in declarations else value
             for name, value in values.items()
         }
 
@@ -546,11 +563,11 @@ class Setup(RobotConfig):
             ParameterError: with the field's name, its value and what is allowed.
         """
         check_quantities(world)
-        for name, about in bounded_by_step(
+        for name, declaration in bounded_by_step(
             dict(quantities(ModelParameters)), self.timestep
         ).items():
             part, field = name.split(".")
-            about.check(name, getattr(getattr(world.model, part), field))
+            declaration.check(name, getattr(getattr(world.model, part), field))
         check_geometry(world.model.geometry)
         check_servo(world.model.servo.kp, world.model.servo.kv, self.timestep)
         controller = self._unbalanced
@@ -564,13 +581,13 @@ class Setup(RobotConfig):
         if jointly and isinstance(controller, ChecksParameters):
             controller.check(world.control)
         if jointly and not isinstance(controller, Controller):
-            place = named_place(controller, "cycle_rate")
-            with user_code(f"{place}, which fails"):
+            location = named_place(controller, "cycle_rate")
+            with user_code(f"{location}, which fails"):
                 rate = np.asarray(controller.cycle_rate(world.control), float)
             bad = ~((rate > 0.0) & (rate < np.inf))
             if bad.any():
                 raise ParameterError(
-                    f"{place}, which gives {rate[bad].flat[0]:g}: expected finite gait cycles per second above 0."
+                    f"{location}, which gives {rate[bad].flat[0]:g}: expected finite gait cycles per second above 0."
                 )
 
     @functools.cached_property
@@ -581,8 +598,8 @@ class Setup(RobotConfig):
             name: np.full(len(names), value) for name, value in values_of(self._world.control)
         }
         for world, name in enumerate(names):
-            for other, value in self._completed({name: np.nan}).items():
-                probes[other][world] = value
+            for derived_name, value in self._completed({name: np.nan}).items():
+                probes[derived_name][world] = value
         decides = np.broadcast_to(np.isnan(self.cycle_rate(probes)), len(names))
         return frozenset(name for name, does in zip(names, decides, strict=True) if does)
 
@@ -609,8 +626,10 @@ def with_own(
     setup = of_type("setup", Setup() if setup is None else setup, Setup, "a Setup")
     of_type("metrics", metrics, (tuple, list, str, OwnMetric), "a metric, or a list of such")
     setup = setup if controller is None else dataclasses.replace(setup, controller=controller)
-    more = (metrics,) if isinstance(metrics, (str, OwnMetric)) else tuple(metrics)
-    return dataclasses.replace(setup, metrics=(*setup.metrics, *more)) if more else setup
+    additional = (metrics,) if isinstance(metrics, (str, OwnMetric)) else tuple(metrics)
+    return (
+        dataclasses.replace(setup, metrics=(*setup.metrics, *additional)) if additional else setup
+    )
 
 
 def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
@@ -619,19 +638,19 @@ def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
     >>> all_metrics()["cost_of_transport"].better
     'low'
     """
-    chosen = with_own(setup)
+    setup_with_metrics = with_own(setup)
     return (
         METRICS
-        | (TRANSITION if chosen.schedule else {})
-        | {each.name: each for each in chosen.own_metrics}
+        | (TRANSITION if setup_with_metrics.schedule else {})
+        | {custom_metric.name: custom_metric for custom_metric in setup_with_metrics.own_metrics}
     )
 
 
 def without_presettings(setup: Setup) -> Setup:
     """The setup with the first choices of `PRESETTINGS`: setups for which it is equal run the same programs."""
-    kept: Any = {name: str(getattr(setup, name)) for name in robot_choices(setup.profile)}
+    preset_choices: Any = {name: str(getattr(setup, name)) for name in robot_choices(setup.profile)}
     return dataclasses.replace(
-        setup, **kept, **{name: getattr(Setup, name) for name in PRESETTINGS}
+        setup, **preset_choices, **{name: getattr(Setup, name) for name in PRESETTINGS}
     )
 
 

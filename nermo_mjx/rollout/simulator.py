@@ -25,9 +25,9 @@ from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, of_type, values_of
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import LoopParameters, checked_loop, loop_parameters, terrain_of
-from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import LONGEST, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
@@ -141,7 +141,12 @@ class RunResult:
             "engine": self.engine,
             "versions": versions(),
             **(
-                {"units": {each.name: each.unit for each in self.setup.own_metrics}}
+                {
+                    "units": {
+                        custom_metric.name: custom_metric.unit
+                        for custom_metric in self.setup.own_metrics
+                    }
+                }
                 if self.setup.metrics
                 else {}
             ),
@@ -241,7 +246,7 @@ class Simulator:
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = Lanes(functools.partial(measures.result, own=self.loop.own))
+        self._results = Lanes(functools.partial(measures.result, custom=self.loop.own))
 
     def with_setup(self, setup: Setup) -> Simulator:
         """A simulator for a setup that differs only in `PRESETTINGS`, with the same programs: nothing is recompiled.
@@ -253,9 +258,9 @@ class Simulator:
             raise ParameterError(
                 "setup differs in more than gait, steering and profile: it needs its own simulator."
             )
-        other = copy.copy(self)
-        other.setup = setup
-        return other
+        simulator = copy.copy(self)
+        simulator.setup = setup
+        return simulator
 
     def parameters(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Checked parameters of a batch: the setup's defaults, with the named values replaced.
@@ -288,7 +293,7 @@ class Simulator:
             raise ParameterError(f"the batch is too large: {wrong}")
         run = of_type("run", Run() if run is None else run, Run, "a Run")
         rate = np.asarray(self.controller.cycle_rate(params.control), float)
-        begin, end = (np.broadcast_to(each, worlds) for each in run.seconds(rate))
+        begin, end = (np.broadcast_to(bound, worlds) for bound in run.seconds(rate))
         if end.max() > LONGEST:
             raise ParameterError(
                 f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST:g} s."
@@ -373,11 +378,8 @@ class Simulator:
     ) -> RunResult:
         """Simulate what `prepare` has made, and maybe the caller changed; the other arguments are those of `run`."""
         traced, ends, ticks = record or keeper is not None, batch.ticks, int(batch.ticks.max())
-        if (needed := TICK_BYTES * ticks * len(batch.qpos)) > MOST_RECORDED and record:
-            raise ParameterError(
-                f"the recording of {ticks:,} ticks of {len(batch.qpos):,} worlds takes {needed / 1e9:,.1f} GB: "
-                f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
-            )
+        if record:
+            _check_recorded(ticks, len(batch.qpos))
         program = (len(batch.qpos), tuple(batch.fields), traced)
         says = contextlib.nullcontext() if program in self._compiled else self._compiling(notify)
         self._compiled.add(program)
@@ -391,8 +393,7 @@ class Simulator:
             done = min(begin + BLOCK, ticks)
             if traced:
                 trace = session.record(done - begin)
-                if record:
-                    traces.append(trace)
+                traces += [trace] if record else []
                 if keeper is not None:
                     keeper.add(trace)
             else:
@@ -452,10 +453,8 @@ class Simulator:
 
     def _ends(self, batch: Batch, table: Mapping[str, np.ndarray], ticks: np.ndarray) -> np.ndarray:
         """When each world's run ended (n,) [s]: at its distance or at its length, or before its state diverged."""
-        begin, end = (
-            np.asarray(batch.params.window.begin, float),
-            np.asarray(batch.params.window.end, float),
-        )
+        begin = np.asarray(batch.params.window.begin, float)
+        end = np.asarray(batch.params.window.end, float)
         end = np.minimum(end, ticks * self.controller.dt)
         whole = np.where(table["fell"] > 0, end, begin + table["duration"])
         return np.where(table["diverged"] > 0, table["failure_time"] - self.controller.dt, whole)
@@ -516,12 +515,12 @@ def _batched(
 ) -> tuple[WorldParameters, int]:
     """All leaves with a leading world axis, and the number of worlds; `single` has the shapes of one world."""
     sizes = {np.shape(value)[0]: name for name, value in values.items() if np.ndim(value)}
-    own = zip(jax.tree.leaves(params.control), jax.tree.leaves(single.control), strict=True)
-    for leaf, one in own:
-        extra = np.shape(leaf)[: np.ndim(leaf) - np.ndim(one)]
-        if len(extra) > 1 or np.shape(leaf)[len(extra) :] != np.shape(one):
+    leaf_pairs = zip(jax.tree.leaves(params.control), jax.tree.leaves(single.control), strict=True)
+    for leaf, single_leaf in leaf_pairs:
+        extra = np.shape(leaf)[: np.ndim(leaf) - np.ndim(single_leaf)]
+        if len(extra) > 1 or np.shape(leaf)[len(extra) :] != np.shape(single_leaf):
             raise ParameterError(
-                f"policy has a leaf of shape {np.shape(leaf)}: expected {np.shape(one)}, or one entry more in front, a "
+                f"policy has a leaf of shape {np.shape(leaf)}: expected {np.shape(single_leaf)}, or one entry more in front, a "
                 "world each."
             )
         if extra:
@@ -535,9 +534,9 @@ def _batched(
     if not worlds:
         raise ParameterError(f"{sizes[0]} has no values: a batch has at least one world.")
 
-    def spread(leaf: Any, one: Any) -> np.ndarray:
+    def spread(leaf: Any, single_leaf: Any) -> np.ndarray:
         leaf = np.asarray(leaf)
-        return np.broadcast_to(leaf, (worlds, *leaf.shape[leaf.ndim - np.ndim(one) :]))
+        return np.broadcast_to(leaf, (worlds, *leaf.shape[leaf.ndim - np.ndim(single_leaf) :]))
 
     return jax.tree.map(spread, params, single), worlds
 
@@ -548,3 +547,13 @@ def default_precision(tree: Any) -> Any:
     return jax.tree.map(
         lambda leaf: np.asarray(leaf, real if leaf.dtype.kind == "f" else None), tree
     )
+
+
+def _check_recorded(ticks: int, worlds: int) -> None:
+    """Raise a `ParameterError` if the recording of a batch takes too much memory."""
+    needed = TICK_BYTES * ticks * worlds
+    if needed > MOST_RECORDED:
+        raise ParameterError(
+            f"the recording of {ticks:,} ticks of {worlds:,} worlds takes {needed / 1e9:,.1f} GB: "
+            f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
+        )

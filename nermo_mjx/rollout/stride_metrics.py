@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.robot import LIMBS, Sensors
 from nermo_mjx.rollout import reduction
-from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import MeasuredPart, root
 from nermo_mjx.shapes import Array, Scalar, Truth
 
@@ -90,12 +90,12 @@ class StrideState:
     own_strides: Spread | None
 
 
-def init_strides(own: tuple[OwnMetric, ...], sensors: Sensors) -> StrideState:
+def init_strides(custom: tuple[OwnMetric, ...], sensors: Sensors) -> StrideState:
     """Accumulators before the first tick, with those of custom metrics of a stride."""
     four = jnp.zeros_like(sensors.foot_force)
     yes, since = jnp.ones(4, bool), jnp.zeros((4, 3), four.dtype)
-    at_rest = reduction.init_own(own, sensors) if own else None
-    none = jnp.zeros(len(own), four.dtype)
+    at_rest = reduction.init_own(custom, sensors) if custom else None
+    zeros = jnp.zeros(len(custom), four.dtype)
     return StrideState(
         down=yes,
         other=four,
@@ -106,40 +106,40 @@ def init_strides(own: tuple[OwnMetric, ...], sensors: Sensors) -> StrideState:
         since=since,
         strides=Spread(jnp.zeros((4, 1), four.dtype), since, since),
         own=at_rest,
-        own_time=none,
-        own_strides=Spread(none, none, none) if own else None,
+        own_time=zeros,
+        own_strides=Spread(zeros, zeros, zeros) if custom else None,
     )
 
 
 def update_strides(
-    own: tuple[OwnMetric, ...],
+    custom: tuple[OwnMetric, ...],
     state: StrideState,
     sensors: Sensors,
     loaded: Float[Array, " 4"],
     speed: Scalar,
     part: MeasuredPart,
     cycle_rate: Any,
-    meant: Truth,
+    is_counted: Truth,
 ) -> StrideState:
     """Add one control tick.
 
     Args:
-        own: custom metrics of a stride, the same as for `init_strides`.
+        custom: custom metrics of a stride, the same as for `init_strides`.
         state: accumulators so far.
         sensors: readings of the tick's physics steps, leading axis (steps,).
         loaded: share of the tick for which each foot is loaded.
         speed: of the torso along its way [m/s].
         part: the measured part of the tick.
         cycle_rate: gait cycles per simulated second.
-        meant: whether the readings are those of a tick.
+        is_counted: whether the readings are those of a tick.
     """
     on, up = loaded > 0.5, ~state.down
-    other = jnp.where(on == up, state.other + part.weight, 0.0)
-    away = jnp.where(on, 0.0, state.away + part.weight)
+    other_time = jnp.where(on == up, state.other + part.weight, 0.0)
+    swing_time = jnp.where(on, 0.0, state.away + part.weight)
     first = on & up & ~state.lands & part.inside
-    lands = (state.lands | first) & (away * cycle_rate < SETTLED)
+    lands = (state.lands | first) & (swing_time * cycle_rate < SETTLED)
     landing = jnp.where(first[:, None], state.since, state.landing)
-    turned = other * cycle_rate >= SETTLED
+    turned = other_time * cycle_rate >= SETTLED
     touched = turned & up
     complete = touched & state.begun
     since = state.since + part.weight * jnp.stack(
@@ -147,14 +147,14 @@ def update_strides(
     )
     accumulated, own_time, own_strides = state.own, state.own_time, state.own_strides
     if accumulated is not None and own_strides is not None:
-        foot = jnp.array([LIMBS.index(each.limb) for each in own])
+        foot = jnp.array([LIMBS.index(custom_metric.limb) for custom_metric in custom])
         own_time = own_time + part.weight
         elapsed = jnp.where(own_time > 0.0, own_time, 1.0)
         accumulated = reduction.update_own(
-            own, accumulated, sensors, part, part.weight / elapsed, meant
+            custom, accumulated, sensors, part, part.weight / elapsed, is_counted
         )
         values = jnp.stack(
-            [*reduction.own_result(own, accumulated, jnp.asarray(True), elapsed).values()]
+            [*reduction.own_result(custom, accumulated, jnp.asarray(True), elapsed).values()]
         )
         own_strides = own_strides.add(values, complete[foot])
         zero = jnp.zeros_like(elapsed)
@@ -167,8 +167,8 @@ def update_strides(
         )
     return StrideState(
         down=state.down ^ turned,
-        other=jnp.where(turned, 0.0, other),
-        away=away,
+        other=jnp.where(turned, 0.0, other_time),
+        away=swing_time,
         begun=state.begun | touched,
         lands=lands & ~touched,
         landing=landing,
@@ -180,32 +180,37 @@ def update_strides(
     )
 
 
-def stride_result(state: StrideState, own: tuple[OwnMetric, ...] = ()) -> dict[str, Scalar]:
+def stride_result(state: StrideState, custom: tuple[OwnMetric, ...] = ()) -> dict[str, Scalar]:
     """The metrics of strides of one world by name, and the custom ones; NaN without a stride."""
-    count, (time, way, stance) = state.strides.count[:, 0], state.strides.mean.T
+    count, (time, length, stance) = state.strides.count[:, 0], state.strides.mean.T
     share = count / jnp.maximum(count.sum(), 1.0)
-    some = count.sum() > 0
+    has_strides = count.sum() > 0
     deviation = state.strides.std()[:, 1]
-    known = ~jnp.isnan(deviation) & (jnp.abs(way) > 1e-6)
-    relative = jnp.where(known, deviation / jnp.where(known, way, 1.0), 0.0)
-    spread = root(jnp.sum(relative**2) / jnp.maximum(known.sum(), 1))
+    is_known = ~jnp.isnan(deviation) & (jnp.abs(length) > 1e-6)
+    relative = jnp.where(is_known, deviation / jnp.where(is_known, length, 1.0), 0.0)
+    spread = root(jnp.sum(relative**2) / jnp.maximum(is_known.sum(), 1))
     mean = {
-        "stride_length": share @ way,
+        "stride_length": share @ length,
         "stride_time": share @ time,
         "stance_time": share @ stance,
     }
-    mean["duty_factor"] = mean["stance_time"] / jnp.where(some, mean["stride_time"], 1.0)
-    found = {"strides": count.min()} | {
-        name: jnp.where(some, value, jnp.nan) for name, value in mean.items()
+    mean["duty_factor"] = mean["stance_time"] / jnp.where(has_strides, mean["stride_time"], 1.0)
+    metrics = {"strides": count.min()} | {
+        name: jnp.where(has_strides, value, jnp.nan) for name, value in mean.items()
     }
-    found["stride_length_cv"] = jnp.where(known.any(), spread, jnp.nan)
+    metrics["stride_length_cv"] = jnp.where(is_known.any(), spread, jnp.nan)
     if (strides := state.own_strides) is not None:
         std = strides.std()
-        known = ~jnp.isnan(std) & (strides.mean != 0.0)
+        is_known = ~jnp.isnan(std) & (strides.mean != 0.0)
         across = {
             "mean": jnp.where(strides.count > 0, strides.mean, jnp.nan),
             "std": std,
-            "cv": jnp.where(known, std / jnp.abs(jnp.where(known, strides.mean, 1.0)), jnp.nan),
+            "cv": jnp.where(
+                is_known, std / jnp.abs(jnp.where(is_known, strides.mean, 1.0)), jnp.nan
+            ),
         }
-        found |= {each.name: across[each.across][i] for i, each in enumerate(own)}
-    return found
+        metrics |= {
+            custom_metric.name: across[custom_metric.across][i]
+            for i, custom_metric in enumerate(custom)
+        }
+    return metrics

@@ -17,7 +17,7 @@ from typing import Any, Final
 import jax.numpy as jnp
 
 from nermo_mjx.control.schedule import Schedule
-from nermo_mjx.rollout.own_metrics import Metric
+from nermo_mjx.rollout.metric_table import Metric
 from nermo_mjx.shapes import Array, Scalar
 
 #: Share by which speeds must differ for a time between them.
@@ -73,15 +73,17 @@ def integrals(
 
 def transition_result(sums: Mapping[str, Array], roll: Scalar) -> dict[str, Scalar]:
     """The metrics, named as in `TRANSITION`, of `integrals` and of the largest roll; NaN where nothing was measured."""
-    time, way = sums["switching_time"], sums["switching_way"]
-    there, some = time > 0.0, sums["switching_loaded"] > 0.0
-    before, _, after = way / jnp.where(there, time, 1.0)
-    change = after - before
-    differs = there.all() & (jnp.abs(change) > LEAST * jnp.maximum(jnp.abs(before), jnp.abs(after)))
-    late = (after * time[1] - way[1]) / jnp.where(differs, change, 1.0)
-    slip = sums["switching_slid"] / jnp.where(some, sums["switching_loaded"], 1.0)
+    time, distance = sums["switching_time"], sums["switching_way"]
+    has_time, has_load = time > 0.0, sums["switching_loaded"] > 0.0
+    speed_before, _, speed_after = distance / jnp.where(has_time, time, 1.0)
+    change = speed_after - speed_before
+    differs = has_time.all() & (
+        jnp.abs(change) > LEAST * jnp.maximum(jnp.abs(speed_before), jnp.abs(speed_after))
+    )
+    delay = (speed_after * time[1] - distance[1]) / jnp.where(differs, change, 1.0)
+    slip = sums["switching_slid"] / jnp.where(has_load, sums["switching_loaded"], 1.0)
     return {
-        "transition_roll": jnp.where(there[1], roll, jnp.nan),
-        "transition_slip": jnp.where(some, slip, jnp.nan),
-        "transition_time": jnp.where(differs, late, jnp.nan),
+        "transition_roll": jnp.where(has_time[1], roll, jnp.nan),
+        "transition_slip": jnp.where(has_load, slip, jnp.nan),
+        "transition_time": jnp.where(differs, delay, jnp.nan),
     }

@@ -85,7 +85,7 @@ class RunDirectory:
             found = kind_of(self.out)
             if found not in (None, self.kind):
                 raise WrongDirectory(
-                    f"{self.out} holds {_with_article(str(found))}, and not {_with_article(self.kind)}: choose another "
+                    f"{self.out} holds {with_article(str(found))}, and not {with_article(self.kind)}: choose another "
                     "directory."
                 )
             if self.shard is None:
@@ -287,7 +287,8 @@ def engine_of(out: Path) -> str | None:
     return next(reversed(codes.values())).engine if codes else None
 
 
-def _with_article(kind: str) -> str:
+def with_article(kind: str) -> str:
+    """A kind of directory in a sentence."""
     if kind == "experiments":
         return "published experiments"
     return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"

@@ -14,7 +14,7 @@ from nermo_mjx.control.schedule import MAX_SWITCHES, Schedule
 from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
-from nermo_mjx.rollout.own_metrics import FORM, KEPT, kept_metrics, metrics_digest, source_of
+from nermo_mjx.rollout.custom_metrics import FORM, KEPT, kept_metrics, metrics_digest, source_of
 from nermo_mjx.specs.reading import Document, describe
 from nermo_mjx.specs.values import FILE_METRICS, FILE_PARAMETERS
 

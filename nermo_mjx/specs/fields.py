@@ -65,11 +65,9 @@ def read(doc: Document, model: type[M]) -> M:
         return model.model_validate(doc.data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-    refused, path, value = (
-        first.get("ctx", {}).get("error"),
-        _place(doc.data, first["loc"]),
-        first["input"],
-    )
+    refused = first.get("ctx", {}).get("error")
+    path = _place(doc.data, first["loc"])
+    value = first["input"]
     if isinstance(refused, Refused):
         path, location, message = (
             (*path, *refused.path),

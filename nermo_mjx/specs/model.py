@@ -119,12 +119,10 @@ def one_of(
     *first, last = models
     names = f"{', '.join(first)} or {last}" if first else last
     model_type.expected = f"{names} as a name, or {{name: {{option: value}}}}"
-    model_type.other, model_type.other_name, model_type.alone, model_type.removed = (
-        other,
-        "is {name!r}",
-        tuple(models),
-        removed,
-    )
+    model_type.other = other
+    model_type.other_name = "is {name!r}"
+    model_type.alone = tuple(models)
+    model_type.removed = removed
     model_type.short = ({"enum": [name for name, model in models.items() if not model.required()]},)
     return _Chosen(model_type, models)
 

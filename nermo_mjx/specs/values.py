@@ -15,7 +15,7 @@ from pydantic_core.core_schema import CoreSchema
 from nermo_mjx.control.protocol import OBJECT_FORM, named_object
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, quantities
-from nermo_mjx.rollout.own_metrics import METRICS, Metric
+from nermo_mjx.rollout.metric_table import METRICS, Metric
 from nermo_mjx.rollout.setup import WorldParameters
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.reading import Document, FieldPath, describe

@@ -135,10 +135,8 @@ SceneField = Annotated[
 def _in_a_file(name: str) -> tuple[Any, Any]:
     """A choice of the setup as a field of a file: one of several names, by default that of `Setup`."""
     field = Setup.__dataclass_fields__[name]
-    declaration, allowed = (
-        field.metadata["doc"],
-        [*(allowed_names(Setup) | {"spine": SPINES}).get(name, ())],
-    )
+    declaration = field.metadata["doc"]
+    allowed = [*(allowed_names(Setup) | {"spine": SPINES}).get(name, ())]
     if name in ("timestep", "controller"):
         return float if name == "timestep" else str, optional(declaration)
     if isinstance(field.default, ProfileChoice):  # changes with the profile, which no JSON has

@@ -39,7 +39,9 @@ from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.counting import Variants, counts
-from nermo_mjx.sweep.optimum import find_optimum, optimum_figure, optimum_files, optimum_table
+from nermo_mjx.sweep.optimum import find_optimum
+from nermo_mjx.sweep.optimum_figure import optimum_figure
+from nermo_mjx.sweep.optimum_tables import optimum_files, optimum_table
 from nermo_mjx.sweep.spec import SoughtOptimum
 from nermo_mjx.sweep.table import (
     LEADING,

@@ -1,115 +1,202 @@
-"""A sweep's directory: what it is for, how two sweeps differ, and which of its rows are simulated together.
-
-DIR/sweep.yaml                    the resolved sweep
-DIR/sweep.json                    what is to be known of it without running code that it names
-DIR/controller.py, DIR/metrics.py copies of the files of another controller, and of metrics, if the sweep names them
-DIR/run.json                      which codes made the rows; each session's versions, machine and command
-DIR/results/, series/, former/    the rows, their time series, and those of the sweep before it was extended, see
-                                  `nermo_mjx.runs.rows`; with them, in former/, what was made of these
-DIR/results.aside/                parts that were damaged when they were made again
-DIR/recordings/row-000123.npz     rows that are kept (`replay.py`)
-DIR/summary.json, DIR/plots/      made from the table when it is complete
-"""
+"""The rows of a sweep as a job asks for them: their keys, what simulates them, their tables and time series."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.files import MAX_JSON_BYTES, read_bytes
+from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Series
-from nermo_mjx.rollout.run import START_SPREAD
+from nermo_mjx.rollout.run import too_many
 from nermo_mjx.rollout.saving import Signal, chosen_signals
+from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import RunDirectory
-from nermo_mjx.runs.files import (
-    DirectoryError,
-    WrongDirectory,
-    clear_errors,
-    content_of,
-    create_file,
-    to_json,
+from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.runs.job import JobFailed
+from nermo_mjx.runs.rows import keys_of
+from nermo_mjx.runs.work import RowBatch, RowJob
+from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.specs.walk import WalkSpec
+from nermo_mjx.sweep.directory import check_sources, claim
+from nermo_mjx.sweep.simulating import (
+    Simulated,
+    SimulatorLike,
+    SweepSimulator,
+    chunk_rows_here,
 )
-from nermo_mjx.runs.rows import FORMER, keys_of, retire
-from nermo_mjx.specs.controllers import code_identity, with_code_copied
-from nermo_mjx.specs.reading import SpecError, differing
-from nermo_mjx.specs.walk import WalkSpec, unread
 from nermo_mjx.sweep.spec import Rows, Sample, Sweep
-from nermo_mjx.sweep.structures import STRUCTURES
-from nermo_mjx.sweep.table import RECORD, RECORDINGS, SweepRecord
-from nermo_mjx.trust import shortened
+from nermo_mjx.sweep.table import chunk_table, columns_of
 
-# ---
-# Whether the sweep of a directory can be extended to another one, and how two sweeps differ.
+#: How JAX, CUDA and Warp say that a batch does not fit.
+_NO_MEMORY: Final = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", re.IGNORECASE)
 
 
-#: Fields that determine the rows; all others are fixed.
-_ROWS: Final = ("vary", "rows", "sample", "randomize.repeats")
-#: Number of fields that a message names when two sweeps differ.
-_NAMED: Final = 3
+class SweepRows(RowJob):
+    """The rows of a sweep; a `nermo_mjx.runs.work.RowJob`.
 
-
-def fixed_differences(there: Sweep, here: Sweep) -> str:
-    """How two sweeps differ apart from their rows, as `seed is 0 there and 5 here`; empty if they do not.
-
-    What one of them fixes may be varied by the other.
+    Attributes:
+        sweep: whose rows.
+        sought: the optimum that is sought, if any, and the repeats and variants of the sweep.
     """
-    free = {*there.labelled, *here.labelled}
-    free |= {f"set.{name}" for name in (*there.varied, *here.varied)}
-    free |= {f"randomize.{name}" for name in START_SPREAD}  # come with repeats
-    if "physics" in free:
-        free.add("timestep")
-    apart = _apart(there, here)
-    for name in list(apart):
-        varied = name.split(".")[0] in free & set(STRUCTURES)
-        if varied or name in free or any(f"{name}.".startswith(f"{field}.") for field in _ROWS):
-            del apart[name]
-    return _sentence(apart)
 
+    command = "sweep"
 
-def sweep_differences(there: Sweep, here: Sweep) -> str:
-    """How two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
-    # The same values, but another row 0.
-    return _sentence(_apart(there, here)) or (
-        "the parameters under vary or randomize stand in another order"
-    )
-
-
-def refusal(there: Sweep, here: Sweep) -> str:
-    """Why a directory's sweep cannot be extended to another one, in words; empty if it can."""
-    if fixed := fixed_differences(there, here):
-        return f"{fixed}: what is not varied stays as it is"
-    if there.sampler == here.sampler == "latin_hypercube" and there.samples != here.samples:
-        return (
-            f"a Latin hypercube of {there.samples} points is not part of one of {here.samples}: use a Sobol sample, "
-            "which can be extended, or repeats"
+    def __init__(self, sweep: Sweep) -> None:
+        self.sweep, self.group = sweep, sweep.digest()
+        self.with_series, self.several_models = sweep.save is not None, len(sweep.structures) > 1
+        self.sought = (
+            None if sweep.optimum is None else (sweep.optimum, sweep.repeats, sweep.variants)
         )
-    return ""
 
+    @functools.cached_property
+    def sample(self) -> Sample:
+        """All rows, each made on demand."""
+        return Sample(self.sweep)
 
-def _apart(there: Sweep, here: Sweep) -> dict[str, tuple[Any, Any]]:
-    """The fields in which they differ; what stands in an empty section has a name of its own."""
-    apart = differing(there.decisive(), here.decisive())
-    return {name: values for name, values in apart.items() if {} not in values}
+    @functools.cached_property
+    def structures(self) -> np.ndarray:  # type: ignore[override]  # made on first use
+        """See `RowJob`."""
+        return self.sample.structures()
 
+    @functools.cached_property
+    def seconds(self) -> np.ndarray:  # type: ignore[override]  # made on first use
+        """See `RowJob`."""
+        return simulated_seconds(self.sweep, self.sample)
 
-def _sentence(apart: Mapping[str, tuple[Any, Any]]) -> str:
-    some = [
-        f"{name} is {_text(a)} there and {_text(b)} here"
-        for name, (a, b) in list(apart.items())[:_NAMED]
-    ]
-    return "; ".join(some) + (
-        f"; and {len(apart) - _NAMED} more fields" if len(apart) > _NAMED else ""
-    )
+    def check_sources(self, sources: Sequence[Path]) -> None:
+        """See `nermo_mjx.sweep.directory.check_sources`."""
+        check_sources(sources, self.sweep)
 
+    def claimed(self, held: RunDirectory, chunk: int, *, extend: bool) -> SweepRows:
+        """The rows of the sweep as a directory has it, see `nermo_mjx.sweep.directory.claim`."""
+        sweep = dataclasses.replace(self.sweep, chunk=chunk)
+        return SweepRows(claim(held, sweep, extend=extend))
 
-def _text(value: Any) -> str:
-    return shortened(f"{value:g}" if isinstance(value, float) else str(value))
+    def chunk(self, requested: int | None, engine: str, parts: int, simulate: bool = True) -> int:
+        """Rows of a chunk: as many as are requested, or fill this machine.
+
+        Raises:
+            SpecError: as many do not fit.
+        """
+        rows = self.sweep.variants * self.sweep.repeats
+        size = self._chunk_with_series(
+            requested or self.sweep.chunk, lambda: chunk_rows_here(engine, rows, parts)
+        )
+        if simulate and (reason := too_many(min(size, rows))):
+            raise SpecError(f"chunk is {size:,}: {reason}")
+        return size
+
+    def _chunk_with_series(self, requested: int | None, usual: Callable[[], int]) -> int:
+        """Rows of a chunk whose series fit into memory."""
+        if not self.with_series:
+            return requested or usual()
+        longest = self.seconds.max(keepdims=True)
+        most = max(1, int(LARGEST_CHUNK / max(series_bytes(self.sweep, longest), 1.0)))
+        if requested is not None and requested > most:
+            needed = series_bytes(self.sweep, np.sort(self.seconds)[-requested:])
+            raise SpecError(
+                f"save takes {size(needed)} of memory for a chunk of {requested:,} "
+                f"runs: allowed is {size(LARGEST_CHUNK)}; take chunk: {most}, fewer sensors or a lower rate."
+            )
+        return requested or min(usual(), most)
+
+    def check_room(self, out: Path, index: np.ndarray) -> None:
+        """Refuse missing rows, by their numbers, for whose time series the disk has no room.
+
+        Raises:
+            WrongDirectory: the series of these runs need more than is free.
+        """
+        needed, free = series_bytes(self.sweep, self.seconds[index]), shutil.disk_usage(out).free
+        if needed > free:
+            raise WrongDirectory(
+                f"{out} has room for {size(free)}, and the time series would take up to {size(needed)}: choose another "
+                "disk, fewer sensors or a lower rate."
+            )
+
+    def computer(
+        self, engine: str, simulator: SimulatorLike | None, notify: Callable[[str], None]
+    ) -> SweepSimulator:
+        """What simulates the rows on an engine, or a simulator that replaces it."""
+        sweep = self.sweep
+        return SweepSimulator(sweep.structures, engine, simulator, notify, sweep.save)
+
+    def further(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `RowJob`: further repeats of some variants."""
+        seconds = simulated_seconds(self.sweep, self.sample, index)
+        return self.sample.take(index).structure, seconds
+
+    def keys(self, index: np.ndarray) -> np.ndarray:
+        """See `RowJob`."""
+        return keys_of_rows(self.sweep, self.sample.take(index))
+
+    def task(self, batch: RowBatch) -> tuple[int, Mapping[str, np.ndarray]]:
+        """See `RowJob`: what `SweepSimulator` takes."""
+        walk = self.sweep.structures[batch.structure]
+        return batch.structure, batch_values(walk, self.sample.take(batch.rows), batch.worlds)
+
+    def tables(
+        self, index: np.ndarray, result: Simulated, stamp: CodeStamp
+    ) -> tuple[pa.Table, pa.Table | None]:
+        """See `RowJob`; the worlds that fill the batch are left out."""
+        count = len(index)
+        about = {
+            "engine": stamp.engine,
+            "code": stamp.id,
+            "steps": result.steps,
+            "wall_seconds": result.seconds,
+        }
+        metrics = {name: column[:count] for name, column in result.metrics.items()}
+        table = self._table(index, metrics, result.status[:count], stamp.id, about)
+        series = None if result.series is None else series_table(self.sweep, index, result.series)
+        return table, series
+
+    def adopted(
+        self, index: np.ndarray, table: pa.Table, series: Iterable[pa.Table]
+    ) -> tuple[pa.Table, pa.Table | None]:
+        """See `RowJob`."""
+        metrics = {name: table[name].to_numpy() for name in columns_of(table, "metric")}
+        status, code = (np.array(table[name].to_pylist(), object) for name in ("status", "code"))
+        about = {key.decode(): text.decode() for key, text in table.schema.metadata.items()}
+        runs = None
+        if self.with_series:
+            runs = pa.concat_tables(
+                own.set_column(0, own.schema.field("row"), pa.array(np.full(len(own), row)))
+                for own, row in zip(series, index.tolist(), strict=True)
+            ).replace_schema_metadata({"sweep": self.group})
+        return self._table(index, metrics, status, code, about | {"code": str(code[0])}), runs
+
+    def failure(self, index: np.ndarray, error: BaseException, out: Path) -> Exception:
+        """See `RowJob`: a parameter that is refused, or why a simulation failed, and how to go on."""
+        rows = f"rows {first_few(index)}"
+        if isinstance(error, ParameterError):
+            return SpecError(f"{rows} are refused: {error}")
+        reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
+        remedy = "run the same command again when it is fixed"
+        if isinstance(error, MemoryError) or _NO_MEMORY.search(reason):
+            remedy = "take a smaller --chunk in another directory"
+        return JobFailed(
+            f"{rows} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
+            f"{out}: {remedy}."
+        )
+
+    def _table(
+        self,
+        index: np.ndarray,
+        metrics: Mapping[str, np.ndarray],
+        status: np.ndarray,
+        code: str | np.ndarray,
+        about: Mapping[str, Any],
+    ) -> pa.Table:
+        rows = self.sample.take(index)
+        return chunk_table(self.sweep, rows, index, metrics, status, code, about)
 
 
 # ---
@@ -237,46 +324,6 @@ def series_bytes(sweep: Sweep, seconds: np.ndarray) -> float:
     return float(np.sum(seconds)) * sweep.save.rate * sample
 
 
-def chunk_with_series(sweep: Sweep, wanted: int | None, usual: Callable[[], int]) -> int:
-    """Rows of a chunk whose series fit into memory.
-
-    Args:
-        wanted: by the user, if at all.
-        usual: gives what is taken otherwise.
-
-    Raises:
-        SpecError: as many as are wanted do not fit.
-    """
-    if sweep.save is None:
-        return wanted or usual()
-    seconds = simulated_seconds(sweep, Sample(sweep))
-    most = max(1, int(LARGEST_CHUNK / max(series_bytes(sweep, seconds.max(keepdims=True)), 1.0)))
-    if wanted is not None and wanted > most:
-        raise SpecError(
-            f"save takes {size(series_bytes(sweep, np.sort(seconds)[-wanted:]))} of memory for a chunk of {wanted:,} "
-            f"runs: allowed is {size(LARGEST_CHUNK)}; take chunk: {most}, fewer sensors or a lower rate."
-        )
-    return wanted or min(usual(), most)
-
-
-def check_room(sweep: Sweep, out: Path, seconds: np.ndarray) -> None:
-    """Refuse a sweep for which the disk has no room.
-
-    Args:
-        out: the directory.
-        seconds: how long each run lasts that is missing (n,) [s].
-
-    Raises:
-        WrongDirectory: the series of these runs need more than is free.
-    """
-    needed, free = series_bytes(sweep, seconds), shutil.disk_usage(out).free
-    if needed > free:
-        raise WrongDirectory(
-            f"{out} has room for {size(free)}, and the time series would take up to {size(needed)}: choose another "
-            "disk, fewer sensors or a lower rate."
-        )
-
-
 def size(amount: float) -> str:
     """Bytes in readable form.
 
@@ -291,141 +338,3 @@ def size(amount: float) -> str:
 
 def _field(name: str, kind: pa.DataType, unit: str, description: str, role: str) -> pa.Field:
     return pa.field(name, kind, metadata={"unit": unit, "description": description, "role": role})
-
-
-# ---
-# What a directory is for: its sweep, which is written first, and extended where that is asked for.
-
-
-#: What is made of the results, and belongs to them.
-_TABLES: Final = (
-    "comparison.parquet",
-    "sensitivity.parquet",
-    "optimum.parquet",
-    "optimum.csv",
-    "optimum.tex",
-)
-_MADE: Final = ("summary.json", *_TABLES, "plots", RECORDINGS)
-
-
-def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
-    """Make a directory this sweep's, or refuse.
-
-    Args:
-        held: the directory.
-        sweep: what it is to be for.
-        extend: whether a sweep there that differs only in its rows may become this one.
-
-    Returns:
-        The sweep, with the directory's copies of code and its size of batches.
-
-    Raises:
-        DirectoryError: the directory holds another sweep, or cannot be written.
-    """
-    out, path, folder = held.out, held.out / "sweep.yaml", held.out.resolve()
-    with clear_errors(out):
-        if not path.exists():
-            if any(out.glob("results/*.parquet")):
-                raise DirectoryError(
-                    f"{out} holds results of an unknown sweep (it has no sweep.yaml); choose another directory."
-                )
-            sweep = _with_files(held, sweep)
-            create_file(path, sweep.to_yaml(folder).encode())
-        # Even if it was just written: another shard may have been faster, and have chosen another size.
-        try:
-            same = read_bytes(path, MAX_JSON_BYTES) == sweep.to_yaml(folder).encode()
-            begun = sweep if same else Sweep.from_directory(out)
-        except SpecError as error:
-            raise DirectoryError(
-                f"{out} holds a sweep that cannot be read ({error}); choose another directory."
-            ) from None
-        sweep = dataclasses.replace(sweep, chunk=begun.chunk or sweep.chunk)
-        if begun.digest() != sweep.digest():
-            why = refusal(begun, sweep)
-            if extend and why:
-                raise DirectoryError(
-                    f"{out} holds a sweep that cannot be extended to this one: {why}; choose another directory."
-                )
-            if not extend:
-                also = "" if why else ", or add these rows to it with --extend"
-                raise DirectoryError(
-                    f"{out} holds the results of another sweep: {sweep_differences(begun, sweep)}; choose another "
-                    f"directory, or resume with {path}{also}."
-                )
-            # Killed at any moment, the results are in one of two folders, and both sweeps find them there.
-            (out / FORMER).mkdir(exist_ok=True)
-            held.write(f"{FORMER}/sweep-{begun.digest()}.yaml", read_bytes(path, MAX_JSON_BYTES))
-            retire(held, sweep.digest())
-            for name in _MADE:
-                held.move_aside(name, FORMER)
-            sweep = _with_files(held, sweep)
-            held.write(path.name, sweep.to_yaml(folder).encode())
-        elif held.shard is None and (begun.compare, begun.optimum) != (
-            sweep.compare,
-            sweep.optimum,
-        ):
-            again = dataclasses.replace(
-                begun, compare=sweep.compare, optimum=sweep.optimum
-            )  # no row depends on them
-            held.write(path.name, again.to_yaml(folder).encode())
-        values = dict[str, set[float]]()
-        for walk in sweep.structures:
-            own = walk.setup.defaults() | walk.constants
-            for name in sweep.parameters:
-                values.setdefault(name, set()).update(
-                    [own[name]] if unread(walk.setup, name) is None else []
-                )
-        asked: Any = None if sweep.compare is None else sweep.compare.written()
-        read = SweepRecord(
-            rows=sweep.variants * sweep.repeats,
-            fields=sweep.walk_fields() | code_identity(sweep.setup),
-            labelled=sweep.labelled,
-            parameters={
-                name: each.pop() if len(each) == 1 else None for name, each in values.items()
-            },
-            comparison=asked,
-            optimum=None if sweep.optimum is None else sweep.optimum.written(),
-            variants=sweep.variants,
-            repeats=sweep.repeats,
-        )
-        record = to_json(dataclasses.asdict(read))
-        if held.shard is not None:
-            create_file(out / RECORD, record)
-        elif content_of(out / RECORD) != record:
-            held.write(RECORD, record)
-    return sweep
-
-
-def _with_files(held: RunDirectory, sweep: Sweep) -> Sweep:
-    """The sweep with the files that it names copied into the directory."""
-    if sweep.rows is not None:
-        held.write(*sweep.kept_rows())
-    return dataclasses.replace(
-        sweep, setup=with_code_copied(sweep.setup, held.out.resolve(), held.write)
-    )
-
-
-def sweep_in(source: Path) -> Sweep:
-    """The sweep of a directory that rows are taken from.
-
-    Raises:
-        DirectoryError: it is none of a sweep, or its sweep cannot be read.
-    """
-    if not (source / "sweep.yaml").exists():
-        there = "not the directory of a sweep" if source.is_dir() else "no such directory"
-        raise DirectoryError(f"{source}: {there}; allowed is one with a file sweep.yaml.")
-    try:
-        return Sweep.from_directory(source)
-    except SpecError as error:
-        raise DirectoryError(f"{source} holds a sweep that cannot be read ({error}).") from None
-
-
-def check_source(source: Path, sweep: Sweep) -> None:
-    """Refuse a directory whose sweep differs from another one in more than its rows.
-
-    Raises:
-        DirectoryError: it does, or it is none of a sweep.
-    """
-    apart = fixed_differences(sweep_in(source), sweep)
-    if apart:
-        raise DirectoryError(f"rows of {source} cannot be used: {apart}.")

@@ -27,7 +27,7 @@ from nermo_mjx.files import FileError, read_as
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.robot.parameters import GAIT_CODES
 from nermo_mjx.robot.quantity import ParameterError, of_type
-from nermo_mjx.rollout.own_metrics import METRICS, SIDES
+from nermo_mjx.rollout.metric_table import METRICS, SIDES
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, Written, read_record
 from nermo_mjx.runs.files import (

@@ -39,8 +39,8 @@ def show(
 ) -> Page:
     """The page of a recording: an interactive view of the robot with a time slider, tendons, forces and plots.
 
-    For the directory of a sweep or a search, it is the page of all its runs, see `explore`; for that of a training its
-    curves, its evaluation, and a walk of its policy.
+    For the directory of a sweep, a search or experiments, it is the page of all its runs, see `explore`; for that of a
+    training its curves, its evaluation, and a walk of its policy; for others their figures.
 
     In a notebook, a cell that ends in `show(recording)` shows it; `show(recording).save("walk.html")` writes one
     self-contained file.
@@ -63,19 +63,14 @@ def show(
             "a recording, or the path of one",
         )
     if not isinstance(recording, Recording) and Path(recording).is_dir():
-        from nermo_mjx.runs import DirectoryError, kind_of
+        from nermo_mjx.cli.kinds import directory_page  # which page shows which kind of directory
+        from nermo_mjx.runs import DirectoryError
 
         if other is not None:
             raise DirectoryError(
                 f"{recording} is a directory: it is shown alone, and compared row by row in its page."
             )
-        if kind_of(Path(recording)) == "training":
-            from nermo_mjx.view.trained import trained
-
-            return trained(Path(recording))
-        from nermo_mjx.view.explore import explore
-
-        return explore(recording, height=height or 680)
+        return directory_page(Path(recording), height=height or 680)
     from nermo_mjx.view.clip import page_of
 
     sources = [recording] if other is None else [recording, other]

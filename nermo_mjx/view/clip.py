@@ -19,6 +19,7 @@ from nermo_mjx.view.camera import body_radius, put_pose, root_body, smooth_path
 from nermo_mjx.view.page import Packer, Page, document
 from nermo_mjx.view.recorded import (
     Motion,
+    Plot,
     details_of,
     finite_samples,
     headline_of,
@@ -280,7 +281,6 @@ def clip_of(
         "tendons": [],
         "contacts": [],
         "footprints": _footprints(recording, motion),
-        "plots": [],
     }
     for tendon in motion.tendons:
         frame_indices, path = frames.fixed(tendon.path - origin[:, None])
@@ -291,25 +291,25 @@ def clip_of(
         }
         header["tendons"].append(tendon_data | values)
     for contact in motion.contacts:
-        point, force = (
-            packer.steps(contact.point - origin, detail.length),
-            packer.steps(contact.force, detail.force),
-        )
+        point = packer.steps(contact.point - origin, detail.length)
+        force = packer.steps(contact.force, detail.force)
         header["contacts"].append({"limb": contact.limb, "point": point, "force": force})
-    for plot in plots_of(recording, motion):
-        lines = []
-        for line in plot.lines:
-            finite_values = line.values[np.isfinite(line.values)]
-            values = packer.steps(
-                line.values,
-                detail.curve * float(np.ptp(finite_values)) if len(finite_values) else 0.0,
-            )
-            lines.append(
-                {"name": line.name, "colour": line.colour, "faint": line.faint, "values": values}
-            )
-        tendon_data = {"key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars}
-        header["plots"].append(tendon_data | {"lines": lines})
+    header["plots"] = [_packed_plot(plot, packer, detail) for plot in plots_of(recording, motion)]
     return header | {"model": models.index(recording, robot)}
+
+
+def _packed_plot(plot: Plot, packer: Packer, detail: Detail) -> dict[str, Any]:
+    """The header of one plot."""
+    lines = []
+    for line in plot.lines:
+        finite_values = line.values[np.isfinite(line.values)]
+        step = detail.curve * float(np.ptp(finite_values)) if len(finite_values) else 0.0
+        values = packer.steps(line.values, step)
+        lines.append(
+            {"name": line.name, "colour": line.colour, "faint": line.faint, "values": values}
+        )
+    packed = {"key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars}
+    return packed | {"lines": lines}
 
 
 def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
@@ -317,10 +317,8 @@ def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
     if not {"foot_force", "foot_position"} <= recording.sensors.keys():
         return []
     samples = np.searchsorted(recording.time, motion.time)
-    force, position = (
-        recording.sensors["foot_force"][samples],
-        recording.sensors["foot_position"][samples],
-    )
+    force = recording.sensors["foot_force"][samples]
+    position = recording.sensors["foot_position"][samples]
     prints = []
     for limb in range(force.shape[1]):
         for begin, end in stretches(force[:, limb] > 0.1):

@@ -1,4 +1,4 @@
-"""The page of a directory: all runs of a sweep or a search, to filter, to brush and to play."""
+"""The page of a directory: all runs of a sweep, a search or experiments, to filter, to brush and to play."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from pydantic import BaseModel, Field
 
 from nermo_mjx.files import json_of
@@ -22,14 +24,24 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.own_metrics import headed
+from nermo_mjx.rollout.metric_table import headed
 from nermo_mjx.runs import DirectoryError, kind_of
+from nermo_mjx.runs.directory import with_article
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
-from nermo_mjx.specs.walk import SIDE_SIGNS
 from nermo_mjx.sweep.counting import counts, same_values
-from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
-from nermo_mjx.sweep.table import LEADING, MAIN_METRICS, Results, SweepRecord, better, meta
+from nermo_mjx.sweep.optimum import optimum_in
+from nermo_mjx.sweep.optimum_tables import optimum_cells
+from nermo_mjx.sweep.table import (
+    LEADING,
+    MAIN_METRICS,
+    Results,
+    SweepRecord,
+    better,
+    joined_tables,
+    meta,
+    read_table,
+)
 from nermo_mjx.view.clip import COMPACT_DETAIL, Models, clip_of
 from nermo_mjx.view.page import Packer, Page, document, template
 
@@ -83,7 +95,7 @@ class ExplorerRuns:
     """The runs of a directory.
 
     Attributes:
-        kind: `sweep`, `search` or `atlas`.
+        kind: `atlas`, or that of the directory.
         columns: by name, in the order in which they are shown; of (n,) values each.
         rows: number of each run in its table, (n,).
         total: number of rows in the table.
@@ -127,7 +139,7 @@ def runs_of(
     """The runs of a directory.
 
     Args:
-        path: of a sweep or a search; if it has `atlas.parquet`, the cells are shown.
+        path: of a sweep, a search or experiments; if it has `atlas.parquet`, the cells are shown.
         required_rows: rows that are always included.
         limit: maximum number of rows; of more, the best and an even selection of the others.
 
@@ -146,12 +158,7 @@ def runs_of(
             raise DirectoryError(f"{file} {reason}.")
         schema, column = table.schema, lambda name: np.asarray(table.column(name).to_numpy())
     else:
-        files = sorted((path / "results").glob("*.parquet"))
-        if not files:
-            raise DirectoryError(
-                f"{path} holds no results yet: nermo-mjx status {path} says how to resume."
-            )
-        results = Results(files)
+        results = _results(path)
         schema, column = results.schema, results.column
     metadata = schema.metadata or {}
     fields = {field.name: meta(field) for field in schema}
@@ -198,6 +205,51 @@ def runs_of(
     )
 
 
+def _results(path: Path) -> Results:
+    """The table of a directory; of several experiments, their rows one after the other."""
+    if files := sorted((path / "results").glob("*.parquet")):
+        return Results(files)
+    tables, experiments, first = [], _experiments(path), 0
+    for folder in experiments:
+        table = read_table(folder)
+        name = pa.array([folder.name] * len(table))
+        table = table.append_column(_EXPERIMENT, name) if len(experiments) > 1 else table
+        for number in ("row", "variant"):
+            place = table.schema.get_field_index(number)
+            shifted = pc.add(table.column(place), first)
+            table = table.set_column(place, table.schema.field(place), shifted)
+        tables.append(table)
+        first += len(table)
+    if not tables:
+        raise DirectoryError(
+            f"{path} holds no results yet: nermo-mjx status {path} says how to resume."
+        )
+    return Results(joined_tables(tables, path))
+
+
+_EXPERIMENT: Final = pa.field(
+    "experiment",
+    pa.string(),
+    metadata={"unit": "1", "description": "its name", "role": "varied", "scale": "structure"},
+)
+
+
+def _experiments(path: Path) -> list[Path]:
+    """The directories of rows of a directory of experiments, as far as they have some."""
+    return sorted({part.parent.parent for part in path.glob("*/results/part-*.parquet")})
+
+
+def recordings_in(path: Path) -> dict[int, Path]:
+    """The recordings of a directory, by the numbers of their rows in `runs_of`."""
+    first, found = 0, dict[int, Path]()
+    for folder in [path] if (path / "results").is_dir() else _experiments(path):
+        for file in sorted((folder / "recordings").glob("row-*.npz")):
+            if number := re.fullmatch(r"row-(\d+)\.npz", file.name):
+                found[first + int(number[1])] = file
+        first += len(read_table(folder)) if folder != path else 0
+    return found
+
+
 class _Aim(BaseModel, extra="allow"):
     metric: str
 
@@ -234,25 +286,27 @@ _WALK_OPTIONS: Final = (
 _FIXED_CHOICES: Final = {"routing": Setup.routing, "cone": Setup.cone, "hinges": Setup.hinges}
 #: Pilots that `walk` supports, and the parameters that their options set.
 _PILOTS: Final = {"straight": (), "arc": ("radius", "direction"), "open_loop": ("turn_rate",)}
+_TURNS: Final = {"left": 1.0, "right": -1.0}
 
 
 def commands_of(path: Path, runs: ExplorerRuns) -> dict[str, Any]:
     """Commands of a directory's rows.
 
     Returns:
-        `replay`: words to which the row's number is added; `walk`: `words`, `options`, pairs of an option and the
-        column of its value, and `set`, columns that `--set NAME=X` takes; None if `walk` cannot repeat the rows' runs.
-        `profile`: of all rows; empty where it differs between them, or is not known.
+        `replay`: words to which the row's number is added, empty if rows cannot be replayed; `walk`: `words`,
+        `options`, pairs of an option and the column of its value, and `set`, columns that `--set NAME=X` takes; None if
+        `walk` cannot repeat the rows' runs. `profile`: of all rows; empty where it differs between them, or is not
+        known.
     """
-    spec = path / ("sweep.yaml" if runs.kind == "sweep" else "search.yaml")
+    spec = next(filter(Path.exists, (path / "sweep.yaml", path / "search.yaml")), None)
     walk, profile = None, ""
     with contextlib.suppress(SpecError):  # of another version; the readable part is shown
-        if spec.exists():
+        if spec is not None:
             data = read_file(spec, runs.kind).data
             walk = _walk(data, runs)
             profile = "" if "profile" in runs.columns else str(data.get("profile", Setup.profile))
     return {
-        "replay": f"nermo-mjx replay {shlex.quote(str(path))} --row",
+        "replay": f"nermo-mjx replay {shlex.quote(str(path))} --row" if spec else "",
         "walk": walk,
         "profile": profile,
     }
@@ -296,9 +350,7 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
         )
     if "pilot" not in names:
         words += ["--pilot", pilot] if pilot != Setup.pilot else []
-        fixed |= {
-            f"pilot.{key}": SIDE_SIGNS.get(value, value) for key, value in pilot_options.items()
-        }
+        fixed |= {f"pilot.{key}": _TURNS.get(value, value) for key, value in pilot_options.items()}
     run = spec.get("run") or {}
     length, warmup = ("duration", "warmup") if "duration" in run else ("cycles", "warmup_cycles")
     for option, name in ((f"--{length}", length), ("--warmup", warmup)):
@@ -316,8 +368,6 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-#: Kinds of directories that have such a page.
-EXPLORABLE_KINDS: Final = ("sweep", "search")
 #: Default maximum number of recordings in a page: 4 MB at ten seconds each.
 MAX_RECORDINGS: Final = 50
 #: Maximum number of distinct values of a column for which they are sent with all their digits.
@@ -334,13 +384,13 @@ def explore(
     height: int = 680,
     notify: Callable[[str], None] | None = None,
 ) -> Page:
-    """The page of a sweep's or a search's directory: every run as a point, or as a cell of an atlas or a grid.
+    """The page of a directory of rows: every run as a point, or as a cell of an atlas or a grid.
 
     Columns can be selected for the axes and the colour, and brushed; clicking a run shows its numbers and the command
     that repeats it, and plays it in 3D if `recordings/` has it.
 
     Args:
-        path: the directory; it is only read, and may be unfinished.
+        path: the directory of a sweep, a search or experiments; it is only read, and may be unfinished.
         recordings: maximum number in the page; of more, an even selection from the best to the worst.
         height: in a notebook [pixels].
         notify: called with a message about anything that is left out.
@@ -349,39 +399,24 @@ def explore(
         DirectoryError: it is not such a directory, has no runs yet, or they cannot be read.
     """
     path = Path(path)
-    if kind_of(path) not in EXPLORABLE_KINDS:
-        raise DirectoryError(
-            f"{path} is neither the directory of a sweep nor that of a search: those have a page."
-        )
-    there = {
-        int(found[1]): each
-        for each in sorted((path / "recordings").glob("row-*.npz"))
-        if (found := re.fullmatch(r"row-(\d+)\.npz", each.name))
-    }
-    runs = runs_of(path, there)
+    recordings_by_row = recordings_in(path)
+    runs = runs_of(path, recordings_by_row)
     notes = [f"{len(runs.rows):,} of {runs.total:,} runs: the best, and the others evenly."]
     notes = notes if len(runs.rows) < runs.total else []
-    known = np.flatnonzero(np.isin(runs.rows, list(there)))
+    recorded_rows = np.flatnonzero(np.isin(runs.rows, list(recordings_by_row)))
     price = np.where(runs.counts, runs.columns[runs.leading].cost(), np.inf)
-    ranked = runs.rows[known[np.argsort(price[known], kind="stable")]]
-    chosen = ranked[thinned(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
-    if len(chosen) < len(there):
+    ranked = runs.rows[recorded_rows[np.argsort(price[recorded_rows], kind="stable")]]
+    chosen_rows = (
+        ranked[thinned(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
+    )
+    if len(chosen_rows) < len(recordings_by_row):
         notes.append(
-            f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst."
+            f"{len(chosen_rows)} of {len(recordings_by_row)} recordings, evenly from the best to the worst."
         )
     runs = with_gain(path, runs)
     table, shapes = Packer("table"), Packer("models")
-    models, clips, parts = Models(shapes), dict[str, Any](), list[Packer]()
-    for row in chosen:
-        packer = Packer(f"row-{row}")
-        try:
-            clip = clip_of(Recording.load(there[row]), f"row {row}", models, packer, COMPACT_DETAIL)
-        except (RecordingError, ParameterError) as error:
-            notes.append(f"recordings/{there[row].name} is left out: {error}")
-            continue
-        model, clip["model"] = clip["model"], 0
-        clips[str(row)] = {"part": packer.part, "model": model, "clip": packer.json(clip)}
-        parts.append(packer)
+    models = Models(shapes)
+    clips, parts = _clips({row: recordings_by_row[row] for row in chosen_rows}, models, notes)
     if notify is not None:
         for note in notes:
             notify(note)
@@ -403,14 +438,38 @@ def explore(
         "recordings": clips,
         "viewer": template("viewer") if clips else "",
     }
-    title = f"Nermo: {name}, {'an' if runs.kind == 'atlas' else 'a'} {runs.kind}"
+    title = f"Nermo: {name}, {with_article(runs.kind)}"
     html = document("explore", title, header, [table, shapes, *parts], ("", "explore"))
     return Page(html, height, rows=len(runs.rows), recordings=len(clips))
 
 
+def _clips(
+    files: Mapping[int, Path], models: Models, notes: list[str]
+) -> tuple[dict[str, Any], list[Packer]]:
+    """The clips of the page by row, and their packed parts.
+
+    Args:
+        files: Recordings by row.
+        models: Models of the page.
+        notes: Receives a sentence about each recording that is left out.
+    """
+    clips, parts = dict[str, Any](), list[Packer]()
+    for row, path in files.items():
+        packer = Packer(f"row-{row}")
+        try:
+            clip = clip_of(Recording.load(path), f"row {row}", models, packer, COMPACT_DETAIL)
+        except (RecordingError, ParameterError) as error:
+            notes.append(f"recordings/{path.name} is left out: {error}")
+            continue
+        model, clip["model"] = clip["model"], 0
+        clips[str(row)] = {"part": packer.part, "model": model, "clip": packer.json(clip)}
+        parts.append(packer)
+    return clips, parts
+
+
 def _optimum(path: Path) -> dict[str, Any] | None:
     """The answer of a sweep that seeks an optimum: its table, and of each line the group and the row to be shown."""
-    optimum = optimum_in(path) if kind_of(path) == "sweep" else None
+    optimum = optimum_in(path)
     if optimum is None:
         return None
     heads, cells = optimum_cells(optimum)
@@ -435,7 +494,7 @@ def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
     of the spine from 0 and its phase: relative to the mean of those runs of the base that are like it but for what is
     compared. The runs of the base have none.
     """
-    sweep = SweepRecord.of_directory(path) if runs.kind == "sweep" else None
+    sweep = SweepRecord.of_directory(path)
     comparison: dict[str, Any] = dict(sweep.comparison or {}) if sweep is not None else {}
     names = {column.name for column in runs.of("varied")}
     if sweep is not None and sweep.optimum is not None:
@@ -492,12 +551,10 @@ def start_of(runs: ExplorerRuns) -> dict[str, Any]:
     """
     repeat = runs.columns.get("repeat")
     statistic = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
-    varied, metrics, gain, colour = (
-        runs.of("varied"),
-        runs.of("metric"),
-        f"{runs.leading}_gain",
-        runs.leading,
-    )
+    varied = runs.of("varied")
+    metrics = runs.of("metric")
+    gain = f"{runs.leading}_gain"
+    colour = runs.leading
     gridded = [column for column in varied if runs.grid and len(column.distinct) <= MAX_AXIS_CELLS]
     cells = len(gridded) > 1
     if gain in runs.columns and cells:

@@ -72,10 +72,8 @@ class RecordedGait:
     @property
     def title(self) -> str:
         """The gait in words, after a colon, its frequency and the profile; empty if unknown."""
-        setup, labels = (
-            self.recording.metadata.get("setup", {}),
-            self.recording.metadata.get("labels", {}),
-        )
+        setup = self.recording.metadata.get("setup", {})
+        labels = self.recording.metadata.get("labels", {})
         gait = spoken(setup.get("gait") or labels.get("gait") or "")
         rate = "" if self.cycle is None else f" at {self.values['frequency']:.3g} Hz"
         profile = labels.get("profile") or setup.get("profile")
@@ -332,10 +330,8 @@ def leg_paths(walk: RecordedGait, robot: Robot) -> Figure | None:
 
 def over_ground(walk: RecordedGait) -> Figure | None:
     """The height of each foot over its path along the robot's course; thick where it is loaded."""
-    feet, position = (
-        walk.recording.sensors.get("foot_position"),
-        walk.recording.sensors.get("position"),
-    )
+    feet = walk.recording.sensors.get("foot_position")
+    position = walk.recording.sensors.get("position")
     if feet is None or position is None or walk.angles is None:
         return None
     part, what = walk.shown

@@ -84,11 +84,9 @@ def play(recording: Recording, *, speed: float = 1.0, viewer: Any = None) -> Non
         _, radius = body_radius(model, data, root)
         view = following_camera("three_quarter", radius, float(model.vis.global_.fovy), aspect=1.5)
         camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, root
-        camera.distance, camera.azimuth, camera.elevation = (
-            view.distance,
-            view.azimuth,
-            view.elevation,
-        )
+        camera.distance = view.distance
+        camera.azimuth = view.azimuth
+        camera.elevation = view.elevation
         began, first = time.perf_counter(), float(recording.time[0])
         while window.is_running():
             passed = speed * (time.perf_counter() - began)
@@ -135,11 +133,9 @@ def write_keyframes(
         key = spec.add_key(
             name=f"t{recording.time[sample]:.3f}", time=float(recording.time[sample])
         )
-        key.qpos, key.qvel, key.ctrl = (
-            recording.qpos[sample],
-            recording.qvel[sample],
-            recording.ctrl[sample],
-        )
+        key.qpos = recording.qpos[sample]
+        key.qvel = recording.qvel[sample]
+        key.ctrl = recording.ctrl[sample]
     spec.compile()
     try:
         Path(path).write_text(spec.to_xml(), encoding="utf-8")

@@ -504,10 +504,8 @@ def title_of(recording: Recording) -> str:
     if file := _part(recording, "log").get("file"):
         return f"Commands of {str(file).rpartition('/')[2]}"
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
-    gait, controller = (
-        setup.get("gait"),
-        str(setup.get("controller") or "Recording").rpartition(":")[2],
-    )
+    gait = setup.get("gait")
+    controller = str(setup.get("controller") or "Recording").rpartition(":")[2]
     controller = controller.rpartition("/")[2]  # of a policy's file, its name
     parts = [titled(str(gait)) if gait else controller]
     if (frequency := parameters.get("frequency")) is not None:

@@ -95,18 +95,19 @@ def offline_page(name: str, what: str, parts: Sequence[str], figures: Figures) -
             lay_out(figure)
             file = io.BytesIO()
             figure.savefig(file, format="svg", metadata={"Date": None})
-            source = (
-                f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
-            )
-            parts.append(
-                f'<h2>{title.capitalize()}</h2><img alt="{html.escape(title)}" src="{source}">'
-            )
+            parts.append(image(title, file.getvalue()))
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
     )
     head += f"<title>Nermo: {name}, {what}</title><style>{web_file('trained.css')}</style>"
     body = f"<header><h1>{name}</h1></header><main>{''.join(parts)}</main>"
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
+
+
+def image(title: str, svg: bytes) -> str:
+    """The part of a page that shows an SVG image below its title."""
+    source = f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
+    return f'<h2>{title.capitalize()}</h2><img alt="{html.escape(title)}" src="{source}">'
 
 
 def _table(results: dict[str, Any]) -> str:

@@ -407,6 +407,7 @@ class Pane:
     model: mujoco.MjModel | None = None
 
 
+# Many parameters because the options of a video are named.
 def render(
     recording: Recording | Sequence[Pane],
     model: mujoco.MjModel,
@@ -476,11 +477,7 @@ def render(
         )
     beside = len(panes) if len(panes) <= MAX_ROW_ROBOTS else 2
     headers = _header(panes, width)
-    # Each robot's distance from its start, without the sway of the steps [m].
-    data, ways = mujoco.MjData(model), np.empty((len(panes), count))
-    for i, (pane, each) in enumerate(zip(panes, samples, strict=True)):
-        positions = smooth_path(root_path(pane.recording, model, data, each), speed / fps)[:, :2]
-        ways[i] = np.linalg.norm(positions - positions[0], axis=1)
+    ways = _distances(panes, model, samples, speed / fps)
 
     def frames() -> Iterator[UInt8[np.ndarray, "height width 3"]]:
         for i, row in enumerate(zip(*(pictures for pictures, _ in drawn), strict=True)):
@@ -494,6 +491,24 @@ def render(
     height = (height + len(headers[0]) + _FOOTER_PIXELS) * math.ceil(len(panes) / beside)
     wide = beside * (width + _IMAGE_GAP_PIXELS) - _IMAGE_GAP_PIXELS
     return write_video(path, frames(), count, fps=fps, width=wide, height=height, progress=progress)
+
+
+def _distances(
+    panes: Sequence[Pane], model: mujoco.MjModel, samples: Sequence[np.ndarray], interval: float
+) -> np.ndarray:
+    """Distance of each robot from its start, without the sway of the steps (panes, frames) [m].
+
+    Args:
+        panes: Recordings.
+        model: Simulated model.
+        samples: Samples of each recording that are shown (frames,).
+        interval: Time between two frames [s].
+    """
+    data, distances = mujoco.MjData(model), []
+    for pane, shown in zip(panes, samples, strict=True):
+        path = smooth_path(root_path(pane.recording, model, data, shown), interval)[:, :2]
+        distances.append(np.linalg.norm(path - path[0], axis=1))
+    return np.stack(distances)
 
 
 def check_video(
@@ -631,14 +646,10 @@ def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
     model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
     model.vis.global_.offheight = max(model.vis.global_.offheight, height)
     quality = model.vis.quality
-    quality.shadowsize, quality.offsamples = (
-        min(quality.shadowsize, SHADOW_MAP),
-        min(quality.offsamples, SAMPLES),
-    )
-    quality.numslices, quality.numstacks = (
-        min(quality.numslices, SLICES),
-        min(quality.numstacks, STACKS),
-    )
+    quality.shadowsize = min(quality.shadowsize, SHADOW_MAP)
+    quality.offsamples = min(quality.offsamples, SAMPLES)
+    quality.numslices = min(quality.numslices, SLICES)
+    quality.numstacks = min(quality.numstacks, STACKS)
     model.mat_reflectance[:] = 0.0
     put_sun_overhead(model)
     return model

@@ -18,11 +18,14 @@ from fakes.sweep_fake import SPEC, FakeSimulator, contents, part_of
 from fakes.tune_fake import SPEC as TUNE_SPEC
 from fakes.tune_fake import FakeProblem
 
-from nermo_mjx.experiments import log_report, plots
+from nermo_mjx.experiments import plots
 from nermo_mjx.experiments.run import run_experiments
+from nermo_mjx.identify.report import RESULT
+from nermo_mjx.identify.run import _stored
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, session, stamp
 from nermo_mjx.runs.code import local_time
+from nermo_mjx.runs.rows import Runs
 from nermo_mjx.sweep import run_sweep
 
 status = functools.partial(call, "status")
@@ -194,11 +197,11 @@ def test_an_identification_counts_its_steps(tmp_path: Path, kind: str) -> None:
     """The first kind is the directory of an earlier release, which identified from the published speeds."""
     with RunDirectory(tmp_path, kind) as held:
         held.note_session(session())
-        kept = log_report.kept_in(tmp_path, "these settings")
+        stored = _stored(Runs(tmp_path, "0", held=held))
         for number in range(2):
-            kept(lambda number=number: np.full(3, number))
+            stored(lambda number=number: np.full(3, number), np.zeros(1))
     assert known(said(tmp_path)) == (kind, None, 2, False)
-    (tmp_path / log_report.RESULT).write_text("{}")
+    (tmp_path / RESULT).write_text("{}")
     assert known(said(tmp_path)) == (kind, 2, 2, True)
 
 

@@ -132,12 +132,12 @@ def test_the_foot_path_is_continuous_whatever_the_command_does(erratic, seed, ga
 
 def steepest(points):
     """Largest slopes (..., 2) of the paths through points (..., 3, 2), in y and z [m per half-cycle]."""
-    each = [np.ascontiguousarray(points[..., axis]) for axis in range(2)]
-    most = np.zeros((2, *points.shape[:-2]))
+    coordinates = [np.ascontiguousarray(points[..., axis]) for axis in range(2)]
+    largest = np.zeros((2, *points.shape[:-2]))
     for slope in _slopes():
         for axis in range(2):
-            np.maximum(most[axis], np.abs(each[axis] @ slope[:, axis]), out=most[axis])
-    return np.moveaxis(most, 0, -1)
+            np.maximum(largest[axis], np.abs(coordinates[axis] @ slope[:, axis]), out=largest[axis])
+    return np.moveaxis(largest, 0, -1)
 
 
 @functools.cache
@@ -161,9 +161,9 @@ def _walks(controller, ticks):
 def walks_along(controller, params, values, ticks=TICKS):
     """States at each tick (n, ticks, ...) with named parameters at several values (n,), in double precision."""
     n = len(next(iter(values.values())))
-    whole = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (n, *np.shape(leaf))), params)
+    batched = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (n, *np.shape(leaf))), params)
     with jax.enable_x64(True):
-        states = _walks(controller, ticks)(replace_quantities(whole, values))
+        states = _walks(controller, ticks)(replace_quantities(batched, values))
         return jax.tree.map(np.asarray, states)
 
 
@@ -208,18 +208,20 @@ def test_the_feet_do_not_jump_when_a_switch_falls_into_another_tick(gait, name, 
     states = walks_along(controller, params, {name: values})
 
     frequency = {"frequency": low, "tracking.clock_ratio": 0.8 / high}.get(name, 0.8)
-    apart = (values[1] - values[0]) * np.ones(TICKS)  # in gait cycles, at each tick
+    shift = (values[1] - values[0]) * np.ones(TICKS)  # in gait cycles, at each tick
     if name in ("frequency", "tracking.clock_ratio"):
-        apart *= states.time[0] * {"frequency": 1.0, "tracking.clock_ratio": 0.8 / low**2}[name]
+        shift *= states.time[0] * {"frequency": 1.0, "tracking.clock_ratio": 0.8 / low**2}[name]
     duty = high if name == "duty" else float(params.gait.duty)
     stride_rate = 0.06 * np.abs(np.diff(states.turn_rate, axis=1)).max() / controller.dt
 
     points = states.gait.points
-    other = np.ones(points.shape[:2], bool)  # than those of the value before, at the same tick
-    other[1:] = (points[1:] != points[:-1]).any(axis=(2, 3, 4))
-    allowed = steepest(points[other]).max(axis=0) / min(duty, 1.0 - duty) + stride_rate / frequency
-    moved = np.abs(np.diff(states.foot, axis=0)).max(axis=0)
-    assert (moved <= 1.02 * allowed * apart[:, None, None] + 1e-9).all()
+    changes = np.ones(points.shape[:2], bool)  # than those of the value before, at the same tick
+    changes[1:] = (points[1:] != points[:-1]).any(axis=(2, 3, 4))
+    allowed = (
+        steepest(points[changes]).max(axis=0) / min(duty, 1.0 - duty) + stride_rate / frequency
+    )
+    step_sizes = np.abs(np.diff(states.foot, axis=0)).max(axis=0)
+    assert (step_sizes <= 1.02 * allowed * shift[:, None, None] + 1e-9).all()
 
 
 @pytest.mark.release
@@ -247,7 +249,7 @@ def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
         control_parameters("walking_trot"),
     )
     names = ["frequency", "duty", "offset.front_left", "tracking.clock_ratio", "turning.exponent"]
-    at = np.array([0.81, 0.63, 0.51, 0.93, 1.3])
+    point = np.array([0.81, 0.63, 0.51, 0.93, 1.3])
 
     def run(values):
         def step(state, _):
@@ -258,9 +260,9 @@ def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
         return jax.lax.scan(step, controller.init(params, sensors_at()), None, length=TICKS)[1]
 
     with jax.enable_x64(True):
-        slopes, program = jax.jit(jax.jacfwd(run))(at), jax.jit(run)
-        for i, shift in enumerate(1e-7 * np.eye(len(at))):
-            expected = (program(at + shift) - program(at - shift)) / 2e-7
+        slopes, program = jax.jit(jax.jacfwd(run))(point), jax.jit(run)
+        for i, shift in enumerate(1e-7 * np.eye(len(point))):
+            expected = (program(point + shift) - program(point - shift)) / 2e-7
             np.testing.assert_allclose(slopes[..., i], expected, atol=1e-6, err_msg=names[i])
 
 
@@ -499,41 +501,43 @@ def test_a_robot_that_turns_less_than_expected_keeps_to_a_narrow_bend(steering):
     assert np.abs(error).max() < 0.0125
 
 
-@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("harmonic_index", [0, 1])
 @pytest.mark.parametrize("bandwidth", [0.3, 1.2, 3.0, 5.0])
 @pytest.mark.parametrize("frequency", [0.05, 0.8, 5.0])
-def test_the_observers_have_their_poles_where_their_bandwidth_says(bandwidth, frequency, which):
+def test_the_observers_have_their_poles_where_their_bandwidth_says(
+    bandwidth, frequency, harmonic_index
+):
     """Of the plant in the frame that turns with the sway, under the gains: exp(-bandwidth f dt) times the plant's."""
     cycles = frequency / 50.0
     with jax.enable_x64(True):
         course, sway = map(np.asarray, pilot.observer_gains(bandwidth, cycles))
-    course, sway = course[:, which], sway[which]
+    course, sway = course[:, harmonic_index], sway[harmonic_index]
     plant = np.zeros((2 + 2 * len(pilot.SWAY_HARMONICS),) * 2)
     plant[:2, :2] = [[1.0, 1.0], [0.0, 1.0]]
-    seen = np.zeros(len(plant))
-    seen[0] = 1.0
-    for place, harmonic in zip(range(2, len(plant), 2), pilot.SWAY_HARMONICS, strict=True):
+    output = np.zeros(len(plant))
+    output[0] = 1.0
+    for index, harmonic in zip(range(2, len(plant), 2), pilot.SWAY_HARMONICS, strict=True):
         angle = 2 * np.pi * harmonic * cycles
         cosine, sine = np.cos(angle), np.sin(angle)
-        plant[place : place + 2, place : place + 2] = [[cosine, -sine], [sine, cosine]]
-        seen[place] = 1.0
-    left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), seen @ plant)
+        plant[index : index + 2, index : index + 2] = [[cosine, -sine], [sine, cosine]]
+        output[index] = 1.0
+    left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), output @ plant)
     angles = 2 * np.pi * cycles * np.asarray(pilot.SWAY_HARMONICS)
     fast, slow = (
         np.exp(-bandwidth * cycles),
-        np.exp(-pilot.DECAY_RATE_RATIOS[which] * bandwidth * cycles),
+        np.exp(-pilot.DECAY_RATE_RATIOS[harmonic_index] * bandwidth * cycles),
     )
-    wanted = np.poly(
+    expected = np.poly(
         [fast, slow, *(fast * np.exp(1j * angles)), *(fast * np.exp(-1j * angles))]
     ).real
-    np.testing.assert_allclose(np.poly(left_over), wanted, atol=1e-9 * np.abs(wanted).max())
+    np.testing.assert_allclose(np.poly(left_over), expected, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("bandwidth", [0.3, 2.5, 5.0])
 def test_no_bandwidth_of_the_declared_range_is_unstable(bandwidth):
     """From 1 cm beside the line, where bandwidth 5 led 28 m away within 20 s before the poles were placed."""
     params = control_parameters(**{"pilot.bandwidth": bandwidth})
-    error = unicycle(published_controller(), params, params.pilot.grip, beside=0.01)
+    error = unicycle(published_controller(), params, params.pilot.grip, offset=0.01)
     assert np.abs(error).max() < 0.02
 
 
@@ -576,8 +580,8 @@ def test_guidance_does_not_steer_against_the_sway(steering, harmonic):
 def _swayed(controller):
     def run(params, sway):
         def step(state, x):
-            seen = dataclasses.replace(sensors_at(), position=jnp.stack([x, 0.0, 0.0]))
-            state, _ = controller.update(params, state, seen)
+            sensors = dataclasses.replace(sensors_at(), position=jnp.stack([x, 0.0, 0.0]))
+            state, _ = controller.update(params, state, sensors)
             return state, (state.turn_rate, state.pilot.guidance.course[0])
 
         return jax.lax.scan(step, controller.init(params, sensors_at()), sway)[1]
@@ -591,10 +595,10 @@ def obeys(params, turn_rate):
 
 
 def unicycle(
-    controller, params, share=1.0, beside=0.03, seconds=40, curvature=turning.path_curvature
+    controller, params, share=1.0, offset=0.03, seconds=40, curvature=turning.path_curvature
 ):
     """Cross-track error of a unicycle at 0.08 m/s from `beside` [m] left of the start; it turns by `share` of that."""
-    return np.asarray(_unicycle(controller, curvature)(params, share, beside))[: 100 * seconds]
+    return np.asarray(_unicycle(controller, curvature)(params, share, offset))[: 100 * seconds]
 
 
 @functools.cache
@@ -606,7 +610,7 @@ def _unicycle(controller, curvature):
         turned = jnp.stack([jnp.cos(yaw / 2), level, level, jnp.sin(yaw / 2)])
         return dataclasses.replace(sensors_at(), position=position, orientation=turned)
 
-    def run(params, share, beside):
+    def run(params, share, offset):
         def step(carry, _):
             state, x, y, yaw = carry
             state, _ = controller.update(params, state, seen_at(x, y, yaw))
@@ -619,8 +623,8 @@ def _unicycle(controller, curvature):
             ), state.pilot.point.error
 
         zero = jnp.zeros(())
-        start = controller.init(params, seen_at(beside, zero, zero))
-        return jax.lax.scan(step, (start, beside, zero, zero), None, length=ticks)[1]
+        start = controller.init(params, seen_at(offset, zero, zero))
+        return jax.lax.scan(step, (start, offset, zero, zero), None, length=ticks)[1]
 
     return jax.jit(run)
 
@@ -632,10 +636,10 @@ def test_an_arc_starts_in_the_posture_of_its_guidance(steering, side):
     params = control_parameters(steering=steering, **{"pilot.radius": 0.5, "pilot.direction": side})
     controller = published_controller(pilot="arc")
     start = program(controller, "init")(params, sensors_at())
-    after, _ = program(controller, "update")(params, start, sensors_at())
+    state, _ = program(controller, "update")(params, start, sensors_at())
     assert side * float(start.turn_rate) > 0.4
-    assert after.turn_rate == pytest.approx(float(start.turn_rate), abs=1e-6)
-    assert after.spine == pytest.approx(float(start.spine), abs=1e-6)
+    assert state.turn_rate == pytest.approx(float(start.turn_rate), abs=1e-6)
+    assert state.spine == pytest.approx(float(start.spine), abs=1e-6)
     published = control_parameters(
         profile="as_published", **{"pilot.radius": 0.5}
     )  # which has no guidance
@@ -666,10 +670,10 @@ def random_parameters(seed):
     """Any values in their declared ranges, bounds included."""
     random = np.random.default_rng(seed)
     values = {}
-    for name, about in quantities(ControlParameters):
+    for name, quantity in quantities(ControlParameters):
         share = random.choice([0.0, 1.0, random.uniform()])
-        share = np.clip(share, 1e-3 * about.open_low, 1.0 - 1e-3 * about.open_high)
-        values[name] = jnp.float32(about.low + share * (about.high - about.low))
+        share = np.clip(share, 1e-3 * quantity.open_low, 1.0 - 1e-3 * quantity.open_high)
+        values[name] = jnp.float32(quantity.low + share * (quantity.high - quantity.low))
     return replace_quantities(ControlParameters(), values)
 
 
@@ -725,9 +729,11 @@ def test_new_values_do_not_compile_again_and_a_batch_equals_its_members():
     batch = jax.vmap(run)(
         jax.tree.map(lambda *leaves: np.stack(leaves), *cases), jnp.asarray([0.1, 0.6])
     )
-    for i, alone in enumerate(single):
+    for i, single_state in enumerate(single):
         jax.tree.map(
-            lambda both, one, i=i: np.testing.assert_allclose(both[i], one, atol=1e-5), batch, alone
+            lambda column, value, i=i: np.testing.assert_allclose(column[i], value, atol=1e-5),
+            batch,
+            single_state,
         )
 
 

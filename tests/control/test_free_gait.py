@@ -26,7 +26,8 @@ from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.spine_modes import SpineModes, harmonics, stride_extension
 from nermo_mjx.control.stepping import FreeStepping, bumps, within
 from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse_kinematics
-from nermo_mjx.optimize.spec import Search, Tuning
+from nermo_mjx.optimize.search_spec import Search
+from nermo_mjx.optimize.tuning_spec import Tuning
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servo_range
@@ -56,9 +57,10 @@ def gait_with(values: dict[str, Any], gait: str = "trot") -> ControlParameters:
 
 def random_gait(seed: int, share: float) -> dict[str, float]:
     """Every number of limbs and feet, anywhere in a share of its range about its default."""
-    random, about = np.random.default_rng(seed), dict(quantities(ControlParameters))
+    random, declarations = np.random.default_rng(seed), dict(quantities(ControlParameters))
     return {
-        name: float(about[name].default) + share * random.uniform(about[name].low, about[name].high)
+        name: float(declarations[name].default)
+        + share * random.uniform(declarations[name].low, declarations[name].high)
         if not name.startswith("limb.stride")
         else float(random.uniform(1 - 0.5 * share, 1 + 0.5 * share))
         for name in FREE_NAMES
@@ -99,9 +101,9 @@ def test_the_published_gaits_are_points_of_the_space_bit_for_bit() -> None:
 
 def test_the_foot_goes_through_each_moved_point() -> None:
     """At the quarters of its half-cycle it is where the published foot is, and as far from it as was said."""
-    moved = {f"foot.front.y{i}": 1e-4 * i for i in (2, 3, 4, 6, 7, 8)}
-    moved |= {f"foot.front_right.z{i}": -1e-3 + 1e-4 * i for i in (2, 3, 4, 6, 7, 8)}
-    params, plain = gait_with(moved), gait_with({})
+    changes = {f"foot.front.y{i}": 1e-4 * i for i in (2, 3, 4, 6, 7, 8)}
+    changes |= {f"foot.front_right.z{i}": -1e-3 + 1e-4 * i for i in (2, 3, 4, 6, 7, 8)}
+    params, plain = gait_with(changes), gait_with({})
     # The front right limb stands from phase 0 to 0.5.
     phases = np.array([0.125, 0.25, 0.375, 0.625, 0.75, 0.875])
     change = feet_of(params, phases)[:, 1] - feet_of(plain, phases)[:, 1]
@@ -141,8 +143,8 @@ def test_touch_down_and_lift_off_are_moved() -> None:
 def test_a_turn_shortens_the_whole_stride_of_a_free_path() -> None:
     """At full turn rate the inner feet step on the spot, at half of their stride they go half as far; the outer ones as
     far as before."""
-    moved = {f"foot.{pair}.y{i}": 2e-4 * i for pair in ("front", "rear") for i in range(1, 9)}
-    params = gait_with(moved | {"turning.exponent": 1.0})
+    changes = {f"foot.{pair}.y{i}": 2e-4 * i for pair in ("front", "rear") for i in range(1, 9)}
+    params = gait_with(changes | {"turning.exponent": 1.0})
 
     def reach(turn_rate: float) -> np.ndarray:
         drive = Drive(jnp.asarray(1.0), jnp.asarray(turn_rate))
@@ -165,25 +167,25 @@ def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:
         np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=-1).max() for path in (coarse, fine)
     ]
     assert longest[1] < 0.2 * longest[0]
-    found = inverse_kinematics(four_legs(ROBOT), jnp.asarray(fine), "type3")
-    assert found.reachable.all()
+    solution = inverse_kinematics(four_legs(ROBOT), jnp.asarray(fine), "type3")
+    assert solution.reachable.all()
     for limb, servo in enumerate(SERVOS[4:8]):
         low, high = servo_range(servo)
-        assert low - 1e-4 <= float(found.servo[:, limb, 1].min())
-        assert float(found.servo[:, limb, 1].max()) <= high + 1e-4
+        assert low - 1e-4 <= float(solution.servo[:, limb, 1].min())
+        assert float(solution.servo[:, limb, 1].max()) <= high + 1e-4
 
 
 @pytest.mark.release
 def test_a_foot_beyond_the_workspace_is_led_back_by_its_derivative() -> None:
     near, far = four_reaches(ROBOT, "type3")
     foot = jnp.asarray([[0.001, -0.002], [0.03, -0.0621], [0.0, -0.0405], [0.05, -0.06]])
-    drawn = within(near, far, foot)
-    distance = np.linalg.norm(drawn, axis=-1)
+    positions = within(near, far, foot)
+    distance = np.linalg.norm(positions, axis=-1)
     assert (distance >= near).all()
     assert (distance <= far).all()
-    np.testing.assert_array_equal(drawn[2], foot[2])
+    np.testing.assert_array_equal(positions[2], foot[2])
     with jax.enable_x64(True):
-        exact = [jnp.asarray(np.asarray(each), float) for each in (near, far, foot)]
+        exact = [jnp.asarray(np.asarray(argument), float) for argument in (near, far, foot)]
         slope = jax.jvp(
             lambda s: jnp.linalg.norm(within(exact[0], exact[1], s * exact[2]), axis=-1),
             (1.0,),
@@ -217,11 +219,11 @@ def test_duty_and_phase_of_a_limb() -> None:
 
 def test_the_spines_series_holds_the_published_wave_and_has_a_derivative_at_zero() -> None:
     amplitude, psi = 0.3, 0.7
-    named = {
+    values = {
         "spine.harmonics.cos1": amplitude * np.cos(psi),
         "spine.harmonics.sin1": -amplitude * np.sin(psi),
     }
-    spine = gait_with({"spine.amplitude": amplitude, "spine.phase": psi, **named}).spine
+    spine = gait_with({"spine.amplitude": amplitude, "spine.phase": psi, **values}).spine
     np.testing.assert_allclose(harmonics(spine, PHASES), stride_extension(spine, PHASES), atol=1e-6)
     third = replace_quantities(gait_with({}), {"spine.harmonics.sin3": 0.1}).spine
     np.testing.assert_allclose(
@@ -252,9 +254,9 @@ def test_the_derivative_by_every_number_equals_differences() -> None:
             return inverse_kinematics(four_legs(ROBOT), feet, "type3").servo
 
         along = jax.jit(
-            lambda way: (
-                jax.jvp(servos, (values,), (way,))[1],
-                (servos(values + 1e-6 * way) - servos(values - 1e-6 * way)) / 2e-6,
+            lambda direction: (
+                jax.jvp(servos, (values,), (direction,))[1],
+                (servos(values + 1e-6 * direction) - servos(values - 1e-6 * direction)) / 2e-6,
             )
         )
         for seed in range(4):
@@ -284,8 +286,8 @@ def test_a_servo_table_has_trims_and_the_moved_path() -> None:
     np.testing.assert_allclose(
         change, np.tile(list(expected.values()), (len(change), 1)), atol=1e-6
     )
-    moved = servo_table(setup, {"frequency": 0.8, "foot.rear.y7": 0.003}, rate=40.0)
-    assert (np.abs(moved.angles - plain.angles).max(axis=0) > 0.5).tolist() == (
+    changed_table = servo_table(setup, {"frequency": 0.8, "foot.rear.y7": 0.003}, rate=40.0)
+    assert (np.abs(changed_table.angles - plain.angles).max(axis=0) > 0.5).tolist() == (
         [False] * 2 + [True] * 2
     ) * 2 + [False] * 2
 
@@ -306,8 +308,8 @@ def test_a_pattern_stands_for_all_names_that_it_matches() -> None:
         f"spine.harmonics.{wave}{k}" for k in range(1, 7) for wave in ("cos", "sin")
     }
     assert Search.from_dict(search.resolved()).digest() == search.digest()
-    many = "method: local_gradient\ntune:\n  foot.*_*.*: {bounds: [-0.003, 0.003]}\nobjective: [{maximize: speed}]\n"
-    assert len(Tuning.from_text(STANDS + many).names) == 64
+    pattern = "method: local_gradient\ntune:\n  foot.*_*.*: {bounds: [-0.003, 0.003]}\nobjective: [{maximize: speed}]\n"
+    assert len(Tuning.from_text(STANDS + pattern).names) == 64
 
 
 @pytest.mark.release

@@ -40,8 +40,8 @@ def sensors_at(
 
 
 def params_with(**values: float) -> ControlParameters:
-    named = {name.replace("_", ".", 1): value for name, value in values.items()}
-    return replace_quantities(ControlParameters(), named)
+    values_by_name = {name.replace("_", ".", 1): value for name, value in values.items()}
+    return replace_quantities(ControlParameters(), values_by_name)
 
 
 TILTED = [
@@ -58,30 +58,30 @@ def test_the_head_looks_along_the_course_whatever_the_torso_does(
     """Torso, neck and tilt one after the other, by SciPy: the gaze is level, and `pan` beside the course."""
     params = params_with(head_lead=0.0, head_pan=pan)
     course = torso.as_euler("ZXY")[0] + 0.2
-    begun = head_and_tail.CourseEstimate(jnp.asarray(course, jnp.float32), jnp.zeros(()))
-    _, angles = named_head("gaze").update(params, begun, sensors_at(torso), PACE, 1e-9)
+    estimate = head_and_tail.CourseEstimate(jnp.asarray(course, jnp.float32), jnp.zeros(()))
+    _, angles = named_head("gaze").update(params, estimate, sensors_at(torso), PACE, 1e-9)
     looks = (
         torso
         * Rotation.from_euler("z", float(angles.neck))
         * Rotation.from_euler("x", float(angles.tilt))
     )
-    wanted = [np.sin(course + pan), -np.cos(course + pan), 0.0]
-    np.testing.assert_allclose(looks.apply([0.0, -1.0, 0.0]), wanted, atol=1e-6)
+    expected = [np.sin(course + pan), -np.cos(course + pan), 0.0]
+    np.testing.assert_allclose(looks.apply([0.0, -1.0, 0.0]), expected, atol=1e-6)
 
 
 def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> None:
     """At 2 rad/s a lead of 20 ms is worth 40 mrad, of which its first order leaves less than 1 mrad."""
     rate, lead = np.array([0.5, -0.7, 2.0]), 0.02
     torso = TILTED[0]
-    then = torso * Rotation.from_rotvec(rate * lead)
+    future = torso * Rotation.from_rotvec(rate * lead)
     course = head_and_tail.CourseEstimate(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
     angles = [
         np.array(
-            named_head("gaze").update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1]
+            named_head("gaze").update(params_with(head_lead=ahead), course, sensors, PACE, 1e-9)[1]
         )
-        for ahead, seen in (
+        for ahead, sensors in (
             (lead, sensors_at(torso, tuple(rate))),
-            (0.0, sensors_at(then)),
+            (0.0, sensors_at(future)),
             (0.0, sensors_at(torso)),
         )
     ]
@@ -99,24 +99,24 @@ def test_the_course_goes_along_with_a_steady_turn_and_leaves_sway_out() -> None:
     still = sensors_at(Rotation.identity())
 
     def tick(
-        course: head_and_tail.CourseEstimate, seen: tuple[jax.Array, jax.Array]
+        course: head_and_tail.CourseEstimate, readings: tuple[jax.Array, jax.Array]
     ) -> tuple[head_and_tail.CourseEstimate, jax.Array]:
-        half, none = 0.5 * seen[0], jnp.zeros(())
-        turned = jnp.stack([jnp.cos(half), none, none, jnp.sin(half)])
-        bent = still.servo_angle.at[SERVOS.index("spine")].set(seen[1])
+        half, zero = 0.5 * readings[0], jnp.zeros(())
+        turned = jnp.stack([jnp.cos(half), zero, zero, jnp.sin(half)])
+        bent = still.servo_angle.at[SERVOS.index("spine")].set(readings[1])
         sensors = dataclasses.replace(still, orientation=turned, servo_angle=bent)
-        after = head_and_tail.observe_course(course, sensors, bandwidth, dt, ROBOT)
-        return after, after.heading
+        estimate = head_and_tail.observe_course(course, sensors, bandwidth, dt, ROBOT)
+        return estimate, estimate.heading
 
-    begun = head_and_tail.CourseEstimate(jnp.asarray(2.5), jnp.asarray(0.2))
-    found = np.asarray(
-        jax.lax.scan(tick, begun, (jnp.asarray(torso), jnp.asarray(servo)))[1], float
+    estimate = head_and_tail.CourseEstimate(jnp.asarray(2.5), jnp.asarray(0.2))
+    courses = np.asarray(
+        jax.lax.scan(tick, estimate, (jnp.asarray(torso), jnp.asarray(servo)))[1], float
     )[-5000:]
-    left = found - (2.5 + 0.2 * times[-5000:])
+    residual = courses - (2.5 + 0.2 * times[-5000:])
     s = 1j * omega
     expected = 0.14 * abs((2 * bandwidth * s + bandwidth**2) / (s + bandwidth) ** 2)
-    assert abs(left.mean()) < 2e-3
-    assert np.sqrt(2.0) * left.std() == pytest.approx(expected, rel=0.02)
+    assert abs(residual.mean()) < 2e-3
+    assert np.sqrt(2.0) * residual.std() == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.release
@@ -151,8 +151,8 @@ def test_the_tail_swings_as_in_the_authors_software(speed: float, amplitude: flo
     values = {"commanded_speed": speed, "frequency": 1.0, "start.phase": 0.1}
     table = servo_table(Setup(tail="articulated", tail_motion="swing"), values, rate=20.0)
     phase = 0.1 + table.time
-    wanted = -np.degrees(amplitude) * np.cos(2.0 * np.pi * phase)
-    np.testing.assert_allclose(table.angles[:, SERVOS.index("tail")], wanted, atol=1e-3)
+    expected = -np.degrees(amplitude) * np.cos(2.0 * np.pi * phase)
+    np.testing.assert_allclose(table.angles[:, SERVOS.index("tail")], expected, atol=1e-3)
 
 
 def test_the_tail_turns_with_the_body_and_props_it() -> None:
@@ -191,12 +191,14 @@ def gazing(simulator):
 @pytest.mark.release
 def test_the_gaze_halves_the_yaw_of_the_head_and_more(gazing) -> None:
     """In trot with the spine, and with it the motion of the picture; the walk stays the same."""
-    held, gaze = (gazing[head].metrics for head in ("none", "gaze"))
-    assert np.degrees(held["head_yaw_std"]) == pytest.approx(np.degrees(held["yaw_std"]), rel=0.02)
-    assert np.degrees(held["head_yaw_std"]) > 6.0
-    assert gaze["head_yaw_std"] < 0.3 * held["head_yaw_std"]
-    assert gaze["picture_motion"] < 0.8 * held["picture_motion"]
-    assert gaze["speed"] == pytest.approx(held["speed"], rel=0.03)
+    fixed, gaze = (gazing[head].metrics for head in ("none", "gaze"))
+    assert np.degrees(fixed["head_yaw_std"]) == pytest.approx(
+        np.degrees(fixed["yaw_std"]), rel=0.02
+    )
+    assert np.degrees(fixed["head_yaw_std"]) > 6.0
+    assert gaze["head_yaw_std"] < 0.3 * fixed["head_yaw_std"]
+    assert gaze["picture_motion"] < 0.8 * fixed["picture_motion"]
+    assert gaze["speed"] == pytest.approx(fixed["speed"], rel=0.03)
 
 
 @pytest.mark.release
@@ -235,9 +237,9 @@ def test_metrics_of_the_eyes_are_those_of_mujocos_head(gazing, head) -> None:
     rough = head == "tilting"
     assert metrics["head_pitch_std"] == pytest.approx(down.std(), rel=0.1 if rough else 0.03)
     assert metrics["head_pitch_mean"] == pytest.approx(down.mean(), abs=2e-3)
-    moved = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 0.01
+    speed = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 0.01
     assert metrics["picture_motion"] == pytest.approx(
-        np.sqrt((moved**2).mean()), rel=0.15 if rough else 0.08
+        np.sqrt((speed**2).mean()), rel=0.15 if rough else 0.08
     )
 
 
@@ -258,15 +260,13 @@ def test_the_eyes_look_out_of_their_lenses(robot: str) -> None:
     )  # the robot heads along -y
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
         camera = model.camera(name).id
-        place, turn = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
+        position, turn = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
         ahead = -turn[:, 2]
         dome = glass[side * glass[:, 0] > 0]
-        before = (dome - place) @ ahead
-        beside = np.linalg.norm(dome - place - before[:, None] * ahead, axis=1)
-        assert -0.003 < before.min() < before.max() < -0.0004, (
-            "all of the lens is behind the camera"
-        )
-        assert beside.min() < 1e-5, "its top in the middle of the view"
+        depth = (dome - position) @ ahead
+        lateral_distance = np.linalg.norm(dome - position - depth[:, None] * ahead, axis=1)
+        assert -0.003 < depth.min() < depth.max() < -0.0004, "all of the lens is behind the camera"
+        assert lateral_distance.min() < 1e-5, "its top in the middle of the view"
         assert abs(turn[2, 0]) < 1e-6, "upright"
         assert (turn[0, 0] < 0, side * ahead[0] > 0) == (True, True)
 
@@ -278,9 +278,9 @@ def test_the_moving_tail_does_what_it_is_for(simulator) -> None:
         ("counter_yaw", "stride_extension", "yaw"),
         ("counter_roll", "none", "roll"),
     ):
-        chosen = simulator(tail="articulated", tail_motion=motion, spine=spine)
+        sim = simulator(tail="articulated", tail_motion=motion, spine=spine)
         values = {"frequency": 0.8, f"tail.{name}_gain": [0.0, 2.0]}
-        still, moving = chosen.run(values, Run(cycles=10, warmup_cycles=3)).metrics[f"{name}_std"]
+        still, moving = sim.run(values, Run(cycles=10, warmup_cycles=3)).metrics[f"{name}_std"]
         assert moving < 0.97 * still
 
 
@@ -290,5 +290,7 @@ def test_a_sweep_varies_what_head_and_tail_do() -> None:
         "tail: articulated\nvary:\n  head: [none, gaze]\n  tail_motion: [none, swing]\n"
         "  tail.swing_amplitude: [0.2, 0.4]\n"
     )
-    chosen = {(each.setup.head, each.setup.tail_motion) for each in sweep.structures}
-    assert chosen == {(head, tail) for head in ("none", "gaze") for tail in ("none", "swing")}
+    structures = {
+        (structure.setup.head, structure.setup.tail_motion) for structure in sweep.structures
+    }
+    assert structures == {(head, tail) for head in ("none", "gaze") for tail in ("none", "swing")}

@@ -41,10 +41,10 @@ def jitted(course: Course):
 def located(course: Course, progress, x, y) -> PathPoint:
     """`locate` in NumPy's float64, over any batch."""
     x, y, progress = np.broadcast_arrays(x, y, progress)
-    place = jnp.asarray(np.stack([x, y, 0.05 + 0 * x], axis=-1), jnp.float32)
+    position = jnp.asarray(np.stack([x, y, 0.05 + 0 * x], axis=-1), jnp.float32)
     return jax.tree.map(
         lambda leaf: np.asarray(leaf, float),
-        jitted(course)(jnp.asarray(progress, jnp.float32), place),
+        jitted(course)(jnp.asarray(progress, jnp.float32), position),
     )
 
 
@@ -52,13 +52,13 @@ def test_beside_a_straight_line_the_error_is_the_distance_to_its_left():
     """Heading -y, left is +x; the nearest point is straight beside, also between two samples."""
     course = course_through(LINE)
     assert course.length == pytest.approx(2.0, abs=1e-6)
-    found = located(course, 0.98, [0.03, -0.04, 0.0], [-1.0, -1.0372, -0.95])
-    np.testing.assert_allclose(found.error, [0.03, -0.04, 0.0], atol=1e-6)
+    result = located(course, 0.98, [0.03, -0.04, 0.0], [-1.0, -1.0372, -0.95])
+    np.testing.assert_allclose(result.error, [0.03, -0.04, 0.0], atol=1e-6)
     np.testing.assert_allclose(
-        found.progress, [1.0, 1.0372, 0.98], atol=1e-6
+        result.progress, [1.0, 1.0372, 0.98], atol=1e-6
     )  # never less than before
-    np.testing.assert_allclose(found.curvature, 0.0, atol=1e-6)
-    np.testing.assert_allclose(found.tangent, np.broadcast_to([0.0, -1.0], (3, 2)), atol=1e-6)
+    np.testing.assert_allclose(result.curvature, 0.0, atol=1e-6)
+    np.testing.assert_allclose(result.tangent, np.broadcast_to([0.0, -1.0], (3, 2)), atol=1e-6)
 
 
 def test_beyond_its_ends_a_course_goes_on_straight():
@@ -81,14 +81,14 @@ def test_beside_a_circle_the_error_is_the_difference_of_two_radii(radius, side):
     course = course_through(circle(radius, side))
     angle, offset = np.meshgrid(np.linspace(0.6, 2.4, 15), np.linspace(-0.03, 0.03, 5))
     x, y = side * (radius - (radius - offset) * np.cos(angle)), -(radius - offset) * np.sin(angle)
-    found = located(course, radius * angle - 0.04, x, y)
-    np.testing.assert_allclose(found.error, side * offset, atol=5e-5)
+    result = located(course, radius * angle - 0.04, x, y)
+    np.testing.assert_allclose(result.error, side * offset, atol=5e-5)
     np.testing.assert_allclose(
-        found.progress, radius * angle, atol=1e-4 * radius + 0.03 * 0.01 / (2 * radius)
+        result.progress, radius * angle, atol=1e-4 * radius + 0.03 * 0.01 / (2 * radius)
     )
-    np.testing.assert_allclose(found.curvature, side / radius, rtol=5e-3)
-    np.testing.assert_allclose(found.tangent[..., 0], side * np.sin(angle), atol=2e-3)
-    np.testing.assert_allclose(found.tangent[..., 1], -np.cos(angle), atol=2e-3)
+    np.testing.assert_allclose(result.curvature, side / radius, rtol=5e-3)
+    np.testing.assert_allclose(result.tangent[..., 0], side * np.sin(angle), atol=2e-3)
+    np.testing.assert_allclose(result.tangent[..., 1], -np.cos(angle), atol=2e-3)
     assert course.length == pytest.approx(3.0 * radius, rel=1e-4)
 
 
@@ -106,16 +106,18 @@ def test_where_a_course_crosses_itself_the_progress_tells_which_way():
     """The maze's path crosses itself north of the island; at the crossing, the way is that of the progress made."""
     course = maze_course()
     points = np.stack([course.x, course.y], axis=-1)
-    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
     far = np.abs(np.subtract.outer(np.arange(len(points)), np.arange(len(points)))) > 100
-    first, second = sorted(np.unravel_index(np.argmin(np.where(far, apart, np.inf)), apart.shape))
-    assert apart[first, second] < course.spacing
+    first, second = sorted(
+        np.unravel_index(np.argmin(np.where(far, distances, np.inf)), distances.shape)
+    )
+    assert distances[first, second] < course.spacing
     for node in (first, second):
-        before = course.spacing * node - 0.03
-        found = located(course, before, *points[node])
-        assert found.progress == pytest.approx(course.spacing * node, abs=1e-4)
+        progress = course.spacing * node - 0.03
+        result = located(course, progress, *points[node])
+        assert result.progress == pytest.approx(course.spacing * node, abs=1e-4)
         heading = course.heading[node]
-        np.testing.assert_allclose(found.tangent, [np.cos(heading), np.sin(heading)], atol=1e-3)
+        np.testing.assert_allclose(result.tangent, [np.cos(heading), np.sin(heading)], atol=1e-3)
 
 
 def test_who_walks_beside_the_maze_path_keeps_its_error_and_reaches_the_end():
@@ -131,14 +133,14 @@ def test_who_walks_beside_the_maze_path_keeps_its_error_and_reaches_the_end():
             [np.interp(index, np.arange(len(points)), column) for column in walk.T], axis=-1
         )
 
-        def step(progress, place):
-            found = locate(course, progress, place)
-            return found.progress, found
+        def step(progress, position):
+            result = locate(course, progress, position)
+            return result.progress, result
 
         places = jnp.asarray(np.pad(walked, ((0, 0), (0, 1))), jnp.float32)
-        _, found = jax.lax.scan(step, jnp.float32(0.0), places)
-        np.testing.assert_allclose(found.error, offset, atol=3e-4)
-        progress = np.asarray(found.progress, float)
+        _, result = jax.lax.scan(step, jnp.float32(0.0), places)
+        np.testing.assert_allclose(result.error, offset, atol=3e-4)
+        progress = np.asarray(result.progress, float)
         assert (np.diff(progress) >= 0.0).all()
         np.testing.assert_allclose(
             progress, np.maximum.accumulate(index) * course.spacing, atol=1e-3
@@ -165,41 +167,43 @@ def test_gradients_are_finite_and_point_left():
     Tolerance: between two samples the nearest point moves along a chord, and the tangent turns by up to 1 cm / R.
     """
     course = maze_course()
-    slope = jax.jit(jax.grad(lambda place, progress: locate(course, progress, place).error))
+    slope = jax.jit(jax.grad(lambda position, progress: locate(course, progress, position).error))
     for node, offset in ((100, 0.0), (173, 0.02), (260, -0.03), (430, 0.01)):
         heading = course.heading[node]
-        left = np.array([-np.sin(heading), np.cos(heading)])
-        place = np.array([course.x[node], course.y[node]]) + offset * left
+        normal = np.array([-np.sin(heading), np.cos(heading)])
+        position = np.array([course.x[node], course.y[node]]) + offset * normal
         gradient = slope(
-            jnp.asarray([*place, 0.0], jnp.float32), jnp.float32(course.spacing * node)
+            jnp.asarray([*position, 0.0], jnp.float32), jnp.float32(course.spacing * node)
         )
-        np.testing.assert_allclose(gradient[:2], left, atol=0.02)
+        np.testing.assert_allclose(gradient[:2], normal, atol=0.02)
         assert gradient[2] == 0.0
-    for place in ([1e30, 0.0, 0.0], [np.inf, -np.inf, 0.0], [0.0, 0.0, 0.0]):
-        found = jitted(course)(jnp.float32(0.5), jnp.asarray(place, jnp.float32))
-        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
-        assert np.isfinite(slope(jnp.asarray(place, jnp.float32), jnp.float32(0.5))).all()
+    for position in ([1e30, 0.0, 0.0], [np.inf, -np.inf, 0.0], [0.0, 0.0, 0.0]):
+        result = jitted(course)(jnp.float32(0.5), jnp.asarray(position, jnp.float32))
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result))
+        assert np.isfinite(slope(jnp.asarray(position, jnp.float32), jnp.float32(0.5))).all()
 
 
 def test_a_batch_is_its_members():
     """Leading axes broadcast, and vmap gives the same."""
     course = maze_course()
     progress = jnp.linspace(0.0, course.length, 24).reshape(4, 6)
-    place = jnp.asarray(np.random.default_rng(3).uniform(-1, 1, (4, 6, 3)), jnp.float32)
+    positions = jnp.asarray(np.random.default_rng(3).uniform(-1, 1, (4, 6, 3)), jnp.float32)
     one_by_one = functools.partial(locate, course)
-    together = jax.jit(one_by_one)(progress, place)
-    apart = jax.jit(jax.vmap(jax.vmap(one_by_one)))(progress, place)
-    for one, other in zip(jax.tree.leaves(together), jax.tree.leaves(apart), strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-5)
-    assert together.tangent.shape == (4, 6, 2)
+    result_of_nested = jax.jit(one_by_one)(progress, positions)
+    result_of_mapped = jax.jit(jax.vmap(jax.vmap(one_by_one)))(progress, positions)
+    for nested, mapped in zip(
+        jax.tree.leaves(result_of_nested), jax.tree.leaves(result_of_mapped), strict=True
+    ):
+        np.testing.assert_allclose(nested, mapped, atol=1e-5)
+    assert result_of_nested.tangent.shape == (4, 6, 2)
 
 
 def test_a_course_is_a_value():
     """Equal way points give equal, hashable courses, so that programs compiled for one are found again."""
-    one, other = course_through(LINE), course_through(np.array(LINE))
-    assert one == other
-    assert hash(one) == hash(other)
-    assert one != course_through(LINE, spacing=0.02)
+    course, equal = course_through(LINE), course_through(np.array(LINE))
+    assert course == equal
+    assert hash(course) == hash(equal)
+    assert course != course_through(LINE, spacing=0.02)
 
 
 def test_the_maze_path_is_as_long_as_published_and_clear_of_the_boxes():
@@ -218,8 +222,8 @@ def test_the_maze_path_goes_from_the_start_once_round_the_island_and_out():
     points = np.stack([course.x, course.y], axis=-1)
     np.testing.assert_array_equal(points[0], 0.0)
     assert course.heading[0] == pytest.approx(-np.pi / 2, abs=np.radians(0.5))
-    away = points - ISLAND
-    round_ = np.diff(np.unwrap(np.arctan2(away[:, 1], away[:, 0]))[[0, -1]])[0]
+    offsets = points - ISLAND
+    round_ = np.diff(np.unwrap(np.arctan2(offsets[:, 1], offsets[:, 0]))[[0, -1]])[0]
     assert 1.0 <= abs(round_) / (2 * np.pi) < 1.5
     through = np.flatnonzero(np.diff(np.sign(points[:, 1] + 0.919)))[-1]
     assert 0.771 < points[through, 0] < 1.267

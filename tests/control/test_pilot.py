@@ -55,11 +55,11 @@ def test_the_arcs_error_is_the_distance_to_the_circle_with_a_sign(x, y, radius, 
 
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
 def test_the_arc_bends_to_its_direction_and_guidance_is_added_before_the_limit(direction):
-    place = jnp.asarray([[0.3, -0.2, 0.0], [0.0, 0.0, 0.0]])
-    given = pilot_of(radius=0.5, direction=direction, error_gain=10.0, output_limit=0.8)
-    np.testing.assert_allclose(arc(given, place).curvature, direction * 2.0)
+    positions = jnp.asarray([[0.3, -0.2, 0.0], [0.0, 0.0, 0.0]])
+    params = pilot_of(radius=0.5, direction=direction, error_gain=10.0, output_limit=0.8)
+    np.testing.assert_allclose(arc(params, positions).curvature, direction * 2.0)
     turns = [
-        float(steer(given, jnp.float32(error), jnp.float32(0.0), 0.6))
+        float(steer(params, jnp.float32(error), jnp.float32(0.0), 0.6))
         for error in (0.0, 0.02, -0.1)
     ]
     assert turns == pytest.approx([0.6, 0.4, 0.8])
@@ -67,11 +67,11 @@ def test_the_arc_bends_to_its_direction_and_guidance_is_added_before_the_limit(d
     on_it = np.stack(
         [direction * 0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle), 0 * angle], axis=-1
     )
-    np.testing.assert_allclose(arc(given, jnp.asarray(on_it)).error, 0.0, atol=1e-7)
+    np.testing.assert_allclose(arc(params, jnp.asarray(on_it)).error, 0.0, atol=1e-7)
 
 
 def test_the_arc_has_a_finite_gradient_at_its_centre():
-    slope = jax.jit(jax.grad(lambda place: arc(pilot_of(radius=0.5), place).error))(
+    slope = jax.jit(jax.grad(lambda position: arc(pilot_of(radius=0.5), position).error))(
         jnp.asarray([0.5, 0.0, 0.0])
     )
     assert np.isfinite(slope).all()
@@ -95,8 +95,8 @@ def test_a_table_is_interpolated_or_held():
     turns = [float(steps(jnp.float32(time))[1]) for time in (-1.0, 0.0, 0.99, 1.0, 1.5, 2.0, 9.0)]
     assert turns == [0.0, 0.0, 0.0, -1.0, -1.0, 1.0, 1.0]
     # Compared by value, so that two equal controllers share a compiled program.
-    one, other = pilot.tabulated([0, 1], 0.1, 0.0), pilot.tabulated(np.arange(2.0), 0.1, [0, 0])
-    assert (one, hash(one)) == (other, hash(other))
+    table, equal = pilot.tabulated([0, 1], 0.1, 0.0), pilot.tabulated(np.arange(2.0), 0.1, [0, 0])
+    assert (table, hash(table)) == (equal, hash(equal))
 
 
 @pytest.mark.parametrize(("path", "direction"), [(straight, 1.0), (arc, 1.0), (arc, -1.0)])
@@ -106,13 +106,13 @@ def test_the_tangent_points_along_the_path_and_the_error_grows_to_its_left(path,
 
     The oracle for the error is its slope: it points to the left of the way ahead.
     """
-    params, place = pilot_of(radius=radius, direction=direction), jnp.asarray([0.1, -0.3, 0.05])
+    params, position = pilot_of(radius=radius, direction=direction), jnp.asarray([0.1, -0.3, 0.05])
     np.testing.assert_allclose(path(params, jnp.zeros(3)).tangent, [0.0, -1.0], atol=1e-6)
     if path is arc:
         quarter = jnp.array([radius * direction, -radius, 0.05])
         np.testing.assert_allclose(path(params, quarter).tangent, [direction, 0.0], atol=1e-6)
-    slope = jax.jit(jax.grad(lambda point: path(params, point).error))(place)
-    ahead = path(params, place).tangent
+    slope = jax.jit(jax.grad(lambda point: path(params, point).error))(position)
+    ahead = path(params, position).tangent
     np.testing.assert_allclose(slope[:2], [-ahead[1], ahead[0]], atol=1e-5)
 
 
@@ -137,5 +137,5 @@ def test_the_heading_of_a_bent_robot_is_half_way_between_torso_and_hip(bend, tur
     bent = sensors.servo_angle.at[SERVOS.index("spine")].set(float(servo_angle(bend, Geometry())))
     tangent = jnp.asarray([np.sin(turn), -np.cos(turn)], jnp.float32)
     point = dataclasses.replace(straight(Pilot(), jnp.zeros(3)), tangent=tangent)
-    found = heading(point, dataclasses.replace(sensors, servo_angle=bent), Geometry())
-    assert found == pytest.approx(np.mean(yaw) - turn, abs=0.03 * abs(yaw[0] - yaw[1]))
+    result = heading(point, dataclasses.replace(sensors, servo_angle=bent), Geometry())
+    assert result == pytest.approx(np.mean(yaw) - turn, abs=0.03 * abs(yaw[0] - yaw[1]))

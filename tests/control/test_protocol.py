@@ -99,8 +99,8 @@ def test_a_controller_of_thirty_lines_walks(bound: Simulator) -> None:
     assert np.isnan(result.metrics["cross_track_rms"]).all()  # it has no path
     assert bound.setup.defaults()["reach"] == 0.03
     assert "stride" not in bound.setup.defaults()
-    about = result.about(1)
-    assert (about["parameters"]["reach"], about["setup"]["controller"]) == (0.05, BOUND)
+    description = result.about(1)
+    assert (description["parameters"]["reach"], description["setup"]["controller"]) == (0.05, BOUND)
 
 
 @pytest.mark.release
@@ -126,14 +126,16 @@ def test_values_are_checked_by_the_controllers_own_ranges(
 @pytest.mark.release
 def test_a_policy_is_for_all_worlds_or_for_each(bound: Simulator) -> None:
     """A leaf with an axis more has one entry a world; what is named comes into the policy."""
-    own = bound.controller.parameters
-    policy = dataclasses.replace(own, reach=np.array([0.01, 0.02, 0.03]), lift=np.asarray(0.005))
+    parameters = bound.controller.parameters
+    policy = dataclasses.replace(
+        parameters, reach=np.array([0.01, 0.02, 0.03]), lift=np.asarray(0.005)
+    )
     batch = bound.prepare({"lag": 0.25}, policy=policy)
     np.testing.assert_allclose(batch.params.control.reach, [0.01, 0.02, 0.03])
     np.testing.assert_allclose(batch.params.control.lift, np.full(3, 0.005))
     np.testing.assert_allclose(batch.params.control.lag, np.full(3, 0.25))
     with pytest.raises(ParameterError, match="policy has a leaf of shape"):
-        bound.prepare({}, policy=dataclasses.replace(own, reach=np.zeros((2, 2))))
+        bound.prepare({}, policy=dataclasses.replace(parameters, reach=np.zeros((2, 2))))
     with pytest.raises(
         ParameterError, match="expected the structure of the controller's parameters"
     ):
@@ -255,9 +257,11 @@ def test_a_sweep_runs_another_controller(bound: Simulator, tmp_path: Path) -> No
     assert np.isfinite(result.table.column("speed").to_numpy()).all()
     # The directory has a copy of the controller: it goes on where the file is not, and elsewhere.
     shutil.move(tmp_path / "there", tmp_path / "here")
-    moved = Sweep.from_file(tmp_path / "here" / "sweep.yaml")
-    assert moved.setup.controller == f"{(tmp_path / 'here' / 'controller.py').resolve()}:Bound"
-    assert moved.digest() == Sweep.from_dict(SPEC).digest()
+    sweep_of_copy = Sweep.from_file(tmp_path / "here" / "sweep.yaml")
+    assert (
+        sweep_of_copy.setup.controller == f"{(tmp_path / 'here' / 'controller.py').resolve()}:Bound"
+    )
+    assert sweep_of_copy.digest() == Sweep.from_dict(SPEC).digest()
     assert run_sweep(SPEC, tmp_path / "here", simulator=bound).chunks_run == 0
 
 
@@ -329,9 +333,9 @@ def test_the_gait_of_a_controller_with_other_parts_stands_in_the_file(tmp_path: 
             "vary": {"stride": [0.5, 1]},
         }
     )
-    again = Sweep.from_text(sweep.to_yaml())
-    assert (again.setup.gait, again.digest()) == ("lateral_walk", sweep.digest())
-    assert again.setup.defaults()["duty"] == 0.68
+    reloaded = Sweep.from_text(sweep.to_yaml())
+    assert (reloaded.setup.gait, reloaded.digest()) == ("lateral_walk", sweep.digest())
+    assert reloaded.setup.defaults()["duty"] == 0.68
 
 
 def test_a_tuning_may_tune_another_controllers_parameters() -> None:
@@ -353,14 +357,14 @@ def test_a_tuning_may_tune_another_controllers_parameters() -> None:
 
 def lengths(function: Callable[[Any], float], argument: Any) -> float:
     """Arguments of a function that are collected in one traced call."""
-    found = []
-    jax.eval_shape(lambda traced: found.append(function(traced)), argument)
-    return found[0]
+    length_of_run = []
+    jax.eval_shape(lambda traced: length_of_run.append(function(traced)), argument)
+    return length_of_run[0]
 
 
 def test_the_length_of_a_run_is_known_unless_it_hangs_on_what_is_traced() -> None:
     rollout = Rollout(run=Run(cycles=3, warmup_cycles=0), controller=BOUND)
-    own = rollout.controller.parameters
+    parameters = rollout.controller.parameters
     assert lengths(lambda reach: rollout.seconds({"frequency": 2.0, "reach": reach}), 0.03) == 1.5
     with pytest.raises(
         ParameterError, match="frequency is traced and the run is given in gait cycles"
@@ -369,10 +373,10 @@ def test_the_length_of_a_run_is_known_unless_it_hangs_on_what_is_traced() -> Non
     with pytest.raises(
         ParameterError, match="policy is traced and the run is given in gait cycles"
     ):
-        lengths(lambda policy: rollout.seconds({}, policy), own)
-    assert lengths(lambda policy: rollout.seconds({"frequency": 2.0}, policy), own) == 1.5
+        lengths(lambda policy: rollout.seconds({}, policy), parameters)
+    assert lengths(lambda policy: rollout.seconds({"frequency": 2.0}, policy), parameters) == 1.5
     rollout.slowest = 1.0
-    assert lengths(lambda policy: rollout.seconds({}, policy), own) == 3.0
+    assert lengths(lambda policy: rollout.seconds({}, policy), parameters) == 3.0
 
 
 def without_touch(network: Any) -> Any:
@@ -391,21 +395,23 @@ def test_the_gradient_of_the_commands_by_the_policy_is_that_of_finite_difference
     with jax.enable_x64(True):
         controller, robot = load_controller(f"{EXAMPLES / 'network.py'}:Network"), Setup().load()
         loop, random = ClosedLoop(robot, controller), np.random.default_rng(0)
-        own = controller.parameters
-        policy, way = (
-            jax.tree.map(lambda leaf: jnp.asarray(0.1 * random.normal(size=leaf.shape)), own)
+        parameters = controller.parameters
+        policy, direction = (
+            jax.tree.map(lambda leaf: jnp.asarray(0.1 * random.normal(size=leaf.shape)), parameters)
             for _ in "ab"
         )
-        rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
-        readings = rest + 0.1 * random.normal(size=(4, loop.steps_per_tick, rest.size))
+        rest_sensors = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
+        readings = rest_sensors + 0.1 * random.normal(
+            size=(4, loop.steps_per_tick, rest_sensors.size)
+        )
 
         def commands(share):
-            now = jax.tree.map(lambda at, to: at + share * to, policy, way)
+            now = jax.tree.map(lambda leaf, to: leaf + share * to, policy, direction)
             world = Setup(controller=controller).world({}, now)
             params = LoopParameters(world.control, world.start, Window(), Servo(speed=1000.0))
-            state = loop.init(params, rest)
+            state = loop.init(params, rest_sensors)
             return jax.lax.scan(
-                lambda state, seen: loop.step(params, state, seen), state, readings
+                lambda state, sensors: loop.step(params, state, sensors), state, readings
             )[1][-1]
 
         program = jax.jit(commands)
@@ -428,7 +434,9 @@ def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
             lambda leaf: jnp.asarray(leaf + 0.1 * random.normal(size=leaf.shape), float),
             controller.parameters,
         )
-        way = jax.tree.map(lambda leaf: random.normal(size=leaf.shape) / leaf.size**0.5, policy)
+        direction = jax.tree.map(
+            lambda leaf: random.normal(size=leaf.shape) / leaf.size**0.5, policy
+        )
         program = jax.jit(
             jax.grad(lambda policy: rollout({}, policy=policy)["speed"]),
             compiler_options=compiler_options(),
@@ -439,12 +447,14 @@ def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
         )  # refused where an operation is missing there
         along = sum(
             float(jnp.vdot(a, b))
-            for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(way), strict=True)
+            for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(direction), strict=True)
         )
         simulator = Simulator(engine="c", controller=controller)
         simulator.engine.model.opt.tolerance = 0.0
-        both = jax.tree.map(lambda at, to: np.stack([at + eps * to, at - eps * to]), policy, way)
-        high, low = simulator({}, run, policy=both)["speed"]
+        policies = jax.tree.map(
+            lambda values, to: np.stack([values + eps * to, values - eps * to]), policy, direction
+        )
+        high, low = simulator({}, run, policy=policies)["speed"]
     assert all(np.abs(leaf).max() > 0.0 for leaf in jax.tree.leaves(slope))
     assert along == pytest.approx((high - low) / (2 * eps), rel=1e-3)
 

@@ -39,8 +39,8 @@ def commanded(setups: list[Setup], rate: float, seconds: float):
 
     The setups have the same modes; a function of the schedule's times, and the arguments of `jax.vmap` for it.
     """
-    made, robot = setups[0].make_controller(), setups[0].load()
-    controller = dataclasses.replace(made, control_rate=rate, pilot_rate=rate)
+    controller_of_setup, robot = setups[0].make_controller(), setups[0].load()
+    controller = dataclasses.replace(controller_of_setup, control_rate=rate, pilot_rate=rate)
     sensors = robot.sensors(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
 
     def walk(control, schedule):
@@ -83,10 +83,10 @@ def test_feet_and_servos_are_continuous(switches):
         _, at_phases, worlds = commanded(gaits if switches == "gaits" else modes, 1000.0, 5.0)
         every = jax.jit(jax.vmap(at_phases), compiler_options=compiler_options())
         feet, stance, servos = map(np.asarray, every(*worlds))
-    before = round(1000 * AT) - 1
-    moved = np.linalg.norm(np.diff(feet, axis=2), axis=-1)
-    steady = max(moved[:, :, :before].max(), moved[:, :, -1250:].max())
-    assert moved.max() < steady + 1e-4
+    switch_row = round(1000 * AT) - 1
+    steps = np.linalg.norm(np.diff(feet, axis=2), axis=-1)
+    steady = max(steps[:, :, :switch_row].max(), steps[:, :, -1250:].max())
+    assert steps.max() < steady + 1e-4
     top = np.asarray(Setup().world({}).model.servo.top_speed)
     assert np.abs(np.diff(servos, axis=2)).max() < top * 1e-3
     # In swing a foot is above its height in stance.
@@ -106,14 +106,15 @@ def test_derivatives_through_a_switch_are_those_of_differences():
         control, schedule = jax.tree.map(lambda leaf: leaf[0], (control, schedule))
 
         def value(point):
-            at, blend = schedule.at.at[0].add(point[0]), schedule.blend.at[0].add(point[1])
-            servos = walk(control, dataclasses.replace(schedule, at=at, blend=blend))[2]
+            times, blend = schedule.at.at[0].add(point[0]), schedule.blend.at[0].add(point[1])
+            servos = walk(control, dataclasses.replace(schedule, at=times, blend=blend))[2]
             return jnp.sum(servos[200:330] * jnp.cos(jnp.arange(servos.shape[1])))
 
         slope = np.asarray(jax.jit(jax.grad(value))(jnp.zeros(2)))
         value, step = jax.jit(value), 1e-6
         differences = [
-            (value(step * each) - value(-step * each)) / (2 * step) for each in np.eye(2)
+            (value(step * direction) - value(-step * direction)) / (2 * step)
+            for direction in np.eye(2)
         ]
     assert np.abs(slope).min() > 1e-2
     np.testing.assert_allclose(slope, differences, rtol=1e-5)
@@ -129,12 +130,12 @@ def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
     def walked(setup):
         return Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=4.0), record=True).trace
 
-    ours, theirs, after = map(walked, (switched, Setup(pilot="open_loop"), lateral))
+    ours, theirs, walk_after_switch = map(walked, (switched, Setup(pilot="open_loop"), lateral))
     for name in ("qpos", "qvel", "ctrl"):
         np.testing.assert_array_equal(getattr(ours, name)[:, :150], getattr(theirs, name)[:, :150])
     assert np.abs(ours.ctrl[:, 200:] - theirs.ctrl[:, 200:]).max() > 0.1
     # A cycle after the switch has ended the commanded servos are those of the other gait.
-    np.testing.assert_allclose(ours.ctrl[:, 390:], after.ctrl[:, 390:], atol=1e-5)
+    np.testing.assert_allclose(ours.ctrl[:, 390:], walk_after_switch.ctrl[:, 390:], atol=1e-5)
 
 
 def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approach():
@@ -144,8 +145,8 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
         .world({})
         .schedule
     )
-    within = transitions.span(schedule, jnp.asarray(1.0))
-    assert [float(each) for each in within] == [2.0, 7.0]
+    time_span = transitions.span(schedule, jnp.asarray(1.0))
+    assert [float(bound) for bound in time_span] == [2.0, 7.0]
     time = (1 + np.arange(1200)) * 0.01
     courses = {
         "ramp": np.interp(time, [2.0, 5.0], [0.1, 0.3]),
@@ -157,45 +158,46 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
 
     def tick(time, speed):
         return transitions.integrals(
-            within, time, 0.01, jnp.where(time > 7.0, 9.0, 0.06), 3.0, speed
+            time_span, time, 0.01, jnp.where(time > 7.0, 9.0, 0.06), 3.0, speed
         )
 
     ticks = jax.vmap(jax.vmap(tick), (None, 0))(jnp.asarray(time), speed)
-    found = jax.vmap(transitions.transition_result, (0, None))(
-        {name: each.sum(axis=1) for name, each in ticks.items()}, 0.2
+    result = jax.vmap(transitions.transition_result, (0, None))(
+        {name: column.sum(axis=1) for name, column in ticks.items()}, 0.2
     )
-    np.testing.assert_allclose(found["transition_time"], [1.5, 0.5, np.nan], atol=0.02)
-    np.testing.assert_allclose(found["transition_slip"], 0.02, rtol=1e-3)
+    np.testing.assert_allclose(result["transition_time"], [1.5, 0.5, np.nan], atol=0.02)
+    np.testing.assert_allclose(result["transition_slip"], 0.02, rtol=1e-3)
 
 
 @pytest.mark.release
 def test_a_run_with_a_schedule_has_the_metrics_of_its_transition():
     setup = Setup(schedule=(Switch(AT, values={"stride": 0.5}),))
     assert set(all_metrics(setup)) - set(all_metrics()) == set(transitions.TRANSITION)
-    found = Simulator(setup, "c").run(
+    result = Simulator(setup, "c").run(
         {"frequency": FREQUENCY}, Run(duration=7.0, warmup=0.75), record=True
     )
-    assert set(found.metrics) == set(all_metrics(setup))
+    assert set(result.metrics) == set(all_metrics(setup))
     # From the recorded way, which is straight: 1.25 s before, 2.5 s of transition, 2.5 s after.
-    way = -found.trace.sensors["position"][0, :, 1]
-    before, during, after = (
-        way[end - 1] - way[begin - 1] for begin, end in ((75, 200), (200, 450), (450, 700))
+    distance = -result.trace.sensors["position"][0, :, 1]
+    first_distance, during, last_distance = (
+        distance[end - 1] - distance[begin - 1]
+        for begin, end in ((75, 200), (200, 450), (450, 700))
     )
-    late = (after - during) / (after / 2.5 - before / 1.25)
-    assert 0.3 < late < 2.5
-    assert found.metrics["transition_time"][0] == pytest.approx(late, rel=0.03)
+    delay = (last_distance - during) / (last_distance / 2.5 - first_distance / 1.25)
+    assert 0.3 < delay < 2.5
+    assert result.metrics["transition_time"][0] == pytest.approx(delay, rel=0.03)
     ticks = slice(round(100 * AT) - 1, round(100 * (AT + 2 / FREQUENCY)))
     roll = np.abs(
-        np.asarray(jax.vmap(attitude)(found.trace.sensors["orientation"][0, ticks]))[:, 0]
+        np.asarray(jax.vmap(attitude)(result.trace.sensors["orientation"][0, ticks]))[:, 0]
     ).max()
-    assert found.metrics["transition_roll"][0] == pytest.approx(roll, rel=0.05)
-    assert 0.001 < found.metrics["transition_slip"][0] < 0.2
+    assert result.metrics["transition_roll"][0] == pytest.approx(roll, rel=0.05)
+    assert 0.001 < result.metrics["transition_slip"][0] < 0.2
 
 
 def falls(setup: Setup, phases: np.ndarray) -> list[str]:
     values = {"frequency": FREQUENCY, "schedule.at.1": AT + phases / FREQUENCY}
     status = Simulator(setup, "c").run(values, Run(duration=8.0, warmup=2.0)).status
-    return [str(each) for each in status if each != "ok"]
+    return [str(text) for text in status if text != "ok"]
 
 
 @pytest.mark.release
@@ -228,12 +230,12 @@ def test_engines_agree_and_the_gradient_through_a_switch_is_that_of_differences(
     with jax.enable_x64(True):
         rollout = Rollout(setup, run, "mjx")
 
-        def speed(at):
-            return rollout({"frequency": 0.8, "schedule.at.1": at})["speed"]
+        def speed(time):
+            return rollout({"frequency": 0.8, "schedule.at.1": time})["speed"]
 
-        both = jax.jit(jax.value_and_grad(speed), compiler_options=compiler_options())
-        (_, slope), h = both(0.5), 1e-6
-        difference = (both(0.5 + h)[0] - both(0.5 - h)[0]) / (2 * h)
+        value_and_slope = jax.jit(jax.value_and_grad(speed), compiler_options=compiler_options())
+        (_, slope), h = value_and_slope(0.5), 1e-6
+        difference = (value_and_slope(0.5 + h)[0] - value_and_slope(0.5 - h)[0]) / (2 * h)
     assert np.isfinite(slope)
     np.testing.assert_allclose(slope, difference, rtol=1e-3)
 
@@ -253,8 +255,8 @@ def test_a_sweep_varies_when_a_switch_begins(tmp_path):
     path.write_text(FILE)
     sweep = Sweep.from_file(path)
     assert set(sweep.varied) == {"schedule.at.1", "spine.amplitude"}
-    written = sweep.resolved()["schedule"]
-    assert written == [
+    resolved = sweep.resolved()["schedule"]
+    assert resolved == [
         {"at": 1.5, "blend": 1.0, "gait": "lateral_walk", "spine": "stride_extension"},
         {"at": 4.0, "blend": 2.0, "set": {"stride": 0.8}},
     ]
@@ -262,13 +264,13 @@ def test_a_sweep_varies_when_a_switch_begins(tmp_path):
 
 def test_the_phase_of_a_limb_goes_the_shorter_way_around_the_cycle():
     """From 0.1 of the cycle to 0.9 by way of 0, and on to 0.3 by way of 1; other parameters go straight."""
-    known = dict(quantities(ControlParameters))
+    declarations = dict(quantities(ControlParameters))
     switches = [
         Switch(at=1.0, blend=0.5, values={"offset.front_left": 0.9, "stride": 0.4}),
         Switch(at=2.0, blend=1.0, values={"offset.front_left": 0.3}),
     ]
     schedule = schedule_of(
-        Switch(at=0.0, spine="none", head="none", tail_motion="none"), switches, known
+        Switch(at=0.0, spine="none", head="none", tail_motion="none"), switches, declarations
     )
     control = replace_quantities(ControlParameters(), {"offset.front_left": 0.1, "stride": 1.0})
     now = jax.jit(lambda time: dict(values_of(scheduled(control, schedule, time, 0.5))))
@@ -279,7 +281,7 @@ def test_the_phase_of_a_limb_goes_the_shorter_way_around_the_cycle():
         (3.0, 0.1, 0.4),
         (9.0, 0.3, 0.4),
     ):
-        found = now(time)
-        apart = (found["offset.front_left"] - offset + 0.5) % 1.0 - 0.5
-        assert apart == pytest.approx(0.0, abs=1e-6), time
-        assert found["stride"] == pytest.approx(stride, abs=1e-6), time
+        values = now(time)
+        phase_error = (values["offset.front_left"] - offset + 0.5) % 1.0 - 0.5
+        assert phase_error == pytest.approx(0.0, abs=1e-6), time
+        assert values["stride"] == pytest.approx(stride, abs=1e-6), time

@@ -134,9 +134,9 @@ def test_progress_runs_from_zero_to_one_in_each_half_cycle(name):
     assert (np.diff(progress, axis=0)[same_half] > 0).all()
     assert progress.min() < 2e-3
     assert progress.max() > 1 - 2e-3
-    ended, begun = progress[:-1][~same_half], progress[1:][~same_half]
-    assert (ended > 1 - 3e-3).all()
-    assert (begun < 3e-3).all()
+    ends, starts = progress[:-1][~same_half], progress[1:][~same_half]
+    assert (ends > 1 - 3e-3).all()
+    assert (starts < 3e-3).all()
 
 
 def test_the_phase_integrates_a_frequency_that_changes_on_the_fly():

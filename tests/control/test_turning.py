@@ -48,13 +48,13 @@ def test_the_stride_gives_the_commanded_speed_until_it_saturates(gait, frequency
     parameters = Gait(
         frequency=np.float32(frequency), gait_factor=np.float32(GAIT_PATTERNS[gait].gait_factor)
     )
-    most = turning.body_speed(parameters, 0.06)
+    largest = turning.body_speed(parameters, 0.06)
     for speed in (0.0, 0.01, 0.04):
         stride = turning.stride_length(parameters, Stance(), speed)
         assert turning.body_speed(parameters, stride) == pytest.approx(speed)
-    assert turning.stride_length(parameters, Stance(), 2 * most) == pytest.approx(0.06)
+    assert turning.stride_length(parameters, Stance(), 2 * largest) == pytest.approx(0.06)
     shorter = dataclasses.replace(parameters, stride=np.float32(0.8))
-    assert turning.stride_length(shorter, Stance(), 2 * most) == pytest.approx(0.048)
+    assert turning.stride_length(shorter, Stance(), 2 * largest) == pytest.approx(0.048)
 
 
 @pytest.mark.parametrize(
@@ -199,9 +199,11 @@ def test_a_bent_robot_with_equal_strides_turns_as_two_feet_let_it():
     full = jnp.float32(1.0)
     for servo in (0.2, 0.4):
         expected = bent_robots_curvature(float(joint_angle(servo, ROBOT)))
-        found = float(path_curvature(steered("spine", **{"spine.max_servo_angle": servo}), full))
-        assert found == pytest.approx(expected, rel=0.03)
-    assert 1 / found == pytest.approx(0.441, rel=0.02)
+        curvature = float(
+            path_curvature(steered("spine", **{"spine.max_servo_angle": servo}), full)
+        )
+        assert curvature == pytest.approx(expected, rel=0.03)
+    assert 1 / curvature == pytest.approx(0.441, rel=0.02)
 
 
 def test_the_expected_curvature_of_the_legs_is_that_of_least_slip_and_the_spines_adds():
@@ -239,6 +241,6 @@ def test_the_turn_rates_derivatives_are_those_of_differences(steering, radius):
         params = jax.tree.map(np.float64, control_parameters(steering=steering))
         slopes, step = slopes_of_turn_rate(params, radius, 0.4), 1e-6
         far, near = (turn_rate(params, radius * (1 + change), 0.4) for change in (step, -step))
-        more, less = (turn_rate(params, radius, 0.4 + change) for change in (step, -step))
-        by_radius, by_servo = (far - near) / (2 * step * radius), (more - less) / (2 * step)
+        larger, smaller = (turn_rate(params, radius, 0.4 + change) for change in (step, -step))
+        by_radius, by_servo = (far - near) / (2 * step * radius), (larger - smaller) / (2 * step)
     np.testing.assert_allclose(slopes, [by_radius, by_servo], rtol=1e-5, atol=1e-9)

@@ -34,11 +34,11 @@ ASSETS = """<asset><hfield name="h" nrow="2" ncol="2" size=".3 .3 .05 .1" elevat
 PAIRS = [tuple(kind.name.lower() for kind in pair) for pair in collision_driver._COLLISION_FUNC]
 
 
-def model_of(one: str, other: str, more: str = "") -> mujoco.MjModel:
+def model_of(first: str, second: str, elements: str = "") -> mujoco.MjModel:
     """Two geoms, of which the second moves, with C's tolerance of smooth shapes at rounding."""
     model = mujoco.MjModel.from_xml_string(
-        f'<mujoco>{ASSETS}<worldbody><geom name="a" {one}/><body><freejoint/><geom name="b" {other} mass="1"/></body>'
-        f"</worldbody>{more}</mujoco>"
+        f'<mujoco>{ASSETS}<worldbody><geom name="a" {first}/><body><freejoint/><geom name="b" {second} mass="1"/></body>'
+        f"</worldbody>{elements}</mujoco>"
     )
     model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-13, 1000
     return model
@@ -49,7 +49,9 @@ def in_c(data: mujoco.MjData, pose: np.ndarray) -> list[np.ndarray]:
     data.qpos[:] = pose
     mujoco.mj_fwdPosition(data.model, data)
     return [
-        np.array([each.dist, *each.pos, *each.frame]) for each in data.contact if each.dist < 0.0
+        np.array([contact.dist, *contact.pos, *contact.frame])
+        for contact in data.contact
+        if contact.dist < 0.0
     ]
 
 
@@ -60,13 +62,19 @@ def in_mjx(model: mujoco.MjModel, poses: list[np.ndarray]) -> list[list[np.ndarr
         blank = make_data(device)
 
         def contacts(pose: Any) -> Any:
-            found = adapted.collision_driver.collision(
+            contact = adapted.collision_driver.collision(
                 device, tree.kinematics(device, blank.replace(qpos=pose))
             )._impl.contact
-            return jnp.concatenate([found.dist[:, None], found.pos, found.frame.reshape(-1, 9)], 1)
+            return jnp.concatenate(
+                [contact.dist[:, None], contact.pos, contact.frame.reshape(-1, 9)], 1
+            )
 
-        found = jax.jit(jax.vmap(contacts), compiler_options=compiler_options())(jnp.array(poses))
-    return [[each for each in at if each[0] < 0.0] for at in np.asarray(found)]
+        contacts_of_poses = jax.jit(jax.vmap(contacts), compiler_options=compiler_options())(
+            jnp.array(poses)
+        )
+    return [
+        [contact for contact in rows if contact[0] < 0.0] for rows in np.asarray(contacts_of_poses)
+    ]
 
 
 def apart(ours: list[np.ndarray], theirs: list[np.ndarray]) -> tuple[float, float]:
@@ -76,23 +84,23 @@ def apart(ours: list[np.ndarray], theirs: list[np.ndarray]) -> tuple[float, floa
     """
     if len(ours) != len(theirs):
         return np.inf, np.inf
-    place = turn = 0.0
-    for each in theirs:
-        mine = ours.pop(int(np.argmin([np.abs(mine[:4] - each[:4]).sum() for mine in ours])))
-        place = max(place, np.abs(mine[:4] - each[:4]).max())
-        cosines = np.abs(mine[4:].reshape(3, 3) @ each[4:].reshape(3, 3).T)
+    distance = turn = 0.0
+    for contact in theirs:
+        mine = ours.pop(int(np.argmin([np.abs(mine[:4] - contact[:4]).sum() for mine in ours])))
+        distance = max(distance, np.abs(mine[:4] - contact[:4]).max())
+        cosines = np.abs(mine[4:].reshape(3, 3) @ contact[4:].reshape(3, 3).T)
         swapped = cosines[:, [0, 2, 1]]
         turn = max(
             turn,
-            np.abs(mine[4:7] - each[4:7]).max(),
+            np.abs(mine[4:7] - contact[4:7]).max(),
             min(np.abs(m - np.eye(3)).max() for m in (cosines, swapped)),
         )
-    return float(place), float(turn)
+    return float(distance), float(turn)
 
 
 def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
     """The second geom, aligned and at random, moved from a direction until it is 0.1 or 10 mm deep."""
-    rng, found, data = np.random.default_rng(0), [], mujoco.MjData(model)
+    rng, poses, data = np.random.default_rng(0), [], mujoco.MjData(model)
     turns = [np.array([1.0, 0.0, 0.0, 0.0])]
     for axis, angle in (
         ((1, 0, 0), 90),
@@ -104,63 +112,69 @@ def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
         turn = np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, np.array(axis, float), np.deg2rad(angle))
         turns.append(turn)
-    ways = [np.array(way) for way in ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.1, 0.2, 0.97])]
+    directions = [
+        np.array(direction) for direction in ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.1, 0.2, 0.97])
+    ]
     if model.geom_type[0] not in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
-        ways += [np.array(way) for way in ([1.0, 0.0, 0.0], [0.0, -1.0, 0.0])]
-    todo = [(turn, way) for turn in turns for way in ways]
+        directions += [np.array(direction) for direction in ([1.0, 0.0, 0.0], [0.0, -1.0, 0.0])]
+    todo = [(turn, direction) for turn in turns for direction in directions]
     todo += [
         (rng.normal(size=4), np.abs(rng.normal(size=3)) + np.array([0.0, 0.0, 0.3]))
         for _ in range(20)
     ]
-    for turn, way in todo:
-        unit, turn = way / np.linalg.norm(way), turn / np.linalg.norm(turn)
+    for turn, direction in todo:
+        unit, turn = direction / np.linalg.norm(direction), turn / np.linalg.norm(turn)
         near, far = 0.0, 1.0
         for _ in range(45):
             middle = 0.5 * (near + far)
             touches = bool(in_c(data, np.concatenate([middle * unit, turn])))
             near, far = (middle, far) if touches else (near, middle)
-        found += [np.concatenate([(near - depth) * unit, turn]) for depth in (1e-4, 1e-2)]
-    return found
+        poses += [np.concatenate([(near - depth) * unit, turn]) for depth in (1e-4, 1e-2)]
+    return poses
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_contacts_are_those_of_c_or_it_is_said(pair: tuple[str, str]) -> None:
     model = model_of(*(GEOMS[kind] for kind in pair))
-    said = approximated(model)
-    if said and pair != ("plane", "cylinder"):
+    approximations = approximated(model)
+    if approximations and pair != ("plane", "cylinder"):
         assert re.fullmatch(
             rf"geom 'a' and geom 'b' are {pair[0]} and {pair[1]}: their contacts are MJX's, .*",
-            said[0],
+            approximations[0],
         )
         return
     poses, data = poses_of(model), mujoco.MjData(model)
     places, turns = np.transpose(
-        [apart(ours, in_c(data, at)) for at, ours in zip(poses, in_mjx(model, poses), strict=True)]
+        [
+            apart(ours, in_c(data, pose))
+            for pose, ours in zip(poses, in_mjx(model, poses), strict=True)
+        ]
     )
     smooth = "ellipsoid" in pair and "plane" not in pair  # C's descent ends there, too
     assert places.max() < (1e-6 if smooth else 1e-14)
     assert turns.max() < (1e-4 if smooth else 1e-12)
 
 
-@pytest.mark.parametrize(("half", "other"), [(0.1, 0.1), (0.1, 0.05), (0.03, 0.2)])
-def test_parallel_capsules_of_any_lengths_collide_as_in_c(half: float, other: float) -> None:
+@pytest.mark.parametrize(("half", "other_half"), [(0.1, 0.1), (0.1, 0.05), (0.03, 0.2)])
+def test_parallel_capsules_of_any_lengths_collide_as_in_c(half: float, other_half: float) -> None:
     """Beside each other, past each other's ends, head to tail, and with a tilt around C's limit."""
-    model = model_of(*(f'type="capsule" size=".05 {each}"' for each in (half, other)))
+    model = model_of(*(f'type="capsule" size=".05 {length}"' for length in (half, other_half)))
     rng, poses, data = np.random.default_rng(0), [], mujoco.MjData(model)
     for tilt in (0.0, 0.0, 1e-9, 1e-7, 3e-6, 1e-3):
-        for along in (0.0, half + other, half - other, *rng.uniform(-0.3, 0.3, 6)):
+        for along in (0.0, half + other_half, half - other_half, *rng.uniform(-0.3, 0.3, 6)):
             for flipped in (False, True):
                 axis, turn, angle = rng.normal(size=3), np.zeros(4), rng.uniform(0.0, 6.0)
                 mujoco.mju_axisAngle2Quat(turn, axis / np.linalg.norm(axis), tilt)
                 if flipped:
                     mujoco.mju_mulQuat(turn, turn.copy(), np.array([0.0, 1.0, 0.0, 0.0]))
                 poses.append(np.array([0.09 * np.cos(angle), 0.09 * np.sin(angle), along, *turn]))
-    found = [
-        apart(ours, in_c(data, at)) for at, ours in zip(poses, in_mjx(model, poses), strict=True)
+    errors = [
+        apart(ours, in_c(data, pose))
+        for pose, ours in zip(poses, in_mjx(model, poses), strict=True)
     ]
-    assert np.max(found) < 1e-5
-    assert max(len(in_c(data, at)) for at in poses) == 2
+    assert np.max(errors) < 1e-5
+    assert max(len(in_c(data, pose)) for pose in poses) == 2
 
 
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "box", "cylinder"])
@@ -171,8 +185,8 @@ def test_coincident_centres_have_the_normal_of_c(kind: str) -> None:
         np.array([0.0, 0.0, 0.0, *turn])
         for turn in ([1.0, 0, 0, 0], [0.8, 0.6, 0, 0], [0.5, 0.5, 0.5, 0.5])
     ]
-    for at, ours in zip(poses, in_mjx(model, poses), strict=True):
-        assert max(apart(ours, in_c(data, at))) < 1e-14
+    for pose, ours in zip(poses, in_mjx(model, poses), strict=True):
+        assert max(apart(ours, in_c(data, pose))) < 1e-14
 
 
 @pytest.mark.release
@@ -186,10 +200,10 @@ def test_a_contact_of_an_ellipsoid_has_its_derivative(kind: str) -> None:
         blank = make_data(device)
 
         def contact(pose: Any) -> Any:
-            found = adapted.collision_driver.collision(
+            contact = adapted.collision_driver.collision(
                 device, tree.kinematics(device, blank.replace(qpos=pose))
             )._impl.contact
-            return jnp.concatenate([found.dist, found.pos.ravel(), found.frame[:, 0].ravel()])
+            return jnp.concatenate([contact.dist, contact.pos.ravel(), contact.frame[:, 0].ravel()])
 
         def all_of(pose: Any) -> Any:
             ends = jax.vmap(contact)(pose + 1e-6 * jnp.concatenate([jnp.eye(7), -jnp.eye(7)]))

@@ -66,9 +66,9 @@ def _files() -> list[Path]:
 
 
 def _models() -> dict[str, Callable[[], mujoco.MjModel]]:
-    own = {name: f"<mujoco>{xml}</mujoco>" for name, xml in OWN.items()}
+    custom = {name: f"<mujoco>{xml}</mujoco>" for name, xml in OWN.items()}
     makers: dict[str, Callable[[], mujoco.MjModel]] = {
-        name: lambda xml=xml: mujoco.MjModel.from_xml_string(xml) for name, xml in own.items()
+        name: lambda xml=xml: mujoco.MjModel.from_xml_string(xml) for name, xml in custom.items()
     }
     makers["this robot"] = lambda: load_robot().model
     return makers | {
@@ -76,11 +76,11 @@ def _models() -> dict[str, Callable[[], mujoco.MjModel]]:
     }
 
 
-def _wrong(found: dict[str, Any], model: mujoco.MjModel) -> list[str]:
+def _wrong(fields: dict[str, Any], model: mujoco.MjModel) -> list[str]:
     """The constants that are not the model's own fields."""
     return [
         f"{name} {np.asarray(values).ravel()[:6]}, not {getattr(model, name).ravel()[:6]}"
-        for name, values in found.items()
+        for name, values in fields.items()
         if getattr(model, name).size
         and not np.abs(np.asarray(values) - getattr(model, name)).max()
         <= 1e-8 * np.abs(getattr(model, name)).max()
@@ -99,16 +99,18 @@ def test_constants_of_every_model_at_hand_are_mujocos() -> None:
         if not model.nv or Path(name).name in SINGULAR:
             continue
         constants = MassConstants(model)
-        other = model.__copy__()
+        scaled = model.__copy__()
         scale = np.random.default_rng(tried).uniform(0.3, 3.0, model.nbody)
-        other.body_mass[:] *= scale
-        other.body_inertia[:] *= scale[:, None]
-        mujoco.mj_setConst(other, mujoco.MjData(other))
+        scaled.body_mass[:] *= scale
+        scaled.body_inertia[:] *= scale[:, None]
+        mujoco.mj_setConst(scaled, mujoco.MjData(scaled))
         with jax.enable_x64(True):
-            for each in (model, other):
+            for variant in (model, scaled):
                 wrong += [
-                    f"{name}: {said}"
-                    for said in _wrong(constants(each.body_mass, each.body_inertia), each)
+                    f"{name}: {message}"
+                    for message in _wrong(
+                        constants(variant.body_mass, variant.body_inertia), variant
+                    )
                 ]
         tried += 1
     assert wrong == []
@@ -120,13 +122,13 @@ def test_constants_by_mjxs_kinematics_are_mujocos() -> None:
     """Of the models above, and with bodies elsewhere."""
     for name, xml in OWN.items():
         model = mujoco.MjModel.from_xml_string(f"<mujoco>{xml}</mujoco>")
-        other = model.__copy__()
-        other.body_pos[1:] += 0.07
-        mujoco.mj_setConst(other, mujoco.MjData(other))
+        shifted = model.__copy__()
+        shifted.body_pos[1:] += 0.07
+        mujoco.mj_setConst(shifted, mujoco.MjData(shifted))
         with jax.enable_x64(True):
             constants = jax.jit(PlaceConstants(model))
             assert _wrong(constants({}), model) == [], name
-            assert _wrong(constants({"body_pos": other.body_pos}), other) == [], name
+            assert _wrong(constants({"body_pos": shifted.body_pos}), shifted) == [], name
 
 
 def test_a_model_without_an_inverse_inertia_is_refused() -> None:

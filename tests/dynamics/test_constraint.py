@@ -31,7 +31,7 @@ def test_the_hessian_is_the_slope_of_the_gradient() -> None:
     )
     with jax.enable_x64(True):
         gradient = jax.jit(lambda qacc: constraint.gradient(layout, problem, qacc))
-        found = jax.jit(lambda qacc: constraint.hessian(layout, problem, qacc))(qacc)
+        hessian = jax.jit(lambda qacc: constraint.hessian(layout, problem, qacc))(qacc)
         zones = jax.jit(
             lambda qacc: constraint.zones(layout, problem, jacobian @ qacc - problem.aref)
         )(qacc)
@@ -42,4 +42,4 @@ def test_the_hessian_is_the_slope_of_the_gradient() -> None:
         ]
     # Springs: equality, friction that holds, the limit that touches; contacts: 0 slides, 1 sticks, 2 is apart.
     assert zones.tolist() == [1, 1, 0, 1, 0, 0, 1, 2]
-    np.testing.assert_allclose(found, np.stack(columns, axis=1), rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(hessian, np.stack(columns, axis=1), rtol=1e-6, atol=1e-7)

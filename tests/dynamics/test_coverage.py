@@ -48,9 +48,9 @@ def unread() -> set[str]:
     home = Path(mjx.__file__).parent / "_src"
     others = ("types", "render", "render_util", "bvh", "test_util", "io", "inverse")
     text = "".join(
-        each.read_text()
-        for each in home.glob("*.py")
-        if not each.stem.endswith("_test") and each.stem not in others
+        path.read_text()
+        for path in home.glob("*.py")
+        if not path.stem.endswith("_test") and path.stem not in others
     )
 
     def fields(kind: type) -> set[str]:
@@ -61,22 +61,22 @@ def unread() -> set[str]:
         }
 
     has = {field.name for field in mjx.Model.fields()}
-    read = {name for name in has if re.search(rf"\b{name}\b", text)}
+    named_fields = {name for name in has if re.search(rf"\b{name}\b", text)}
     options = {field.name for field in mjx.Option.fields()}
-    read |= {f"opt.{name}" for name in options} | {
+    named_fields |= {f"opt.{name}" for name in options} | {
         "opt.o_margin",
         "opt.o_solref",
         "opt.o_solimp",
         "opt.o_friction",
     }
     every = fields(mujoco.MjModel) | {f"opt.{name}" for name in fields(mujoco.MjOption)}
-    return every - read - {"opt.sdf_initpoints"}
+    return every - named_fields - {"opt.sdf_initpoints"}
 
 
 def test_no_field_of_mujoco_is_forgotten() -> None:
     """A new MuJoCo with a new field fails here: implement it, refuse it, or say why it has no effect."""
-    known = re.compile("|".join(re.sub(r"\s+", "", pattern) for pattern in KNOWN.values()))
-    assert sorted(name for name in unread() if not known.fullmatch(name)) == []
+    known_patterns = re.compile("|".join(re.sub(r"\s+", "", pattern) for pattern in KNOWN.values()))
+    assert sorted(name for name in unread() if not known_patterns.fullmatch(name)) == []
 
 
 def test_every_flag_of_mujoco_is_known() -> None:
@@ -104,9 +104,9 @@ HINGE = '<body name="b"><joint name="j" axis="0 1 0"/><geom name="g" size=".05" 
 BALL = '<geom name="f" type="plane" size="1 1 .1"/><body pos="0 0 .1"><freejoint/><geom name="g" size=".1" {}/></body>'
 
 
-def model_of(inside: str, rest: str = "", option: str = "") -> mujoco.MjModel:
+def model_of(inside: str, elements: str = "", option: str = "") -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(
-        f"<mujoco>{option}<worldbody>{inside}</worldbody>{rest}</mujoco>"
+        f"<mujoco>{option}<worldbody>{inside}</worldbody>{elements}</mujoco>"
     )
 
 
@@ -181,12 +181,12 @@ def test_what_is_not_simulated_is_said_of_the_element(name: str) -> None:
     """By the function for a model of MuJoCo's, and by the step and the forward dynamics of MJX's."""
     if name == "cable" and mujoco.__version__ >= "4":
         pytest.skip("MuJoCo 4 has no such plugin")
-    given, said = REFUSALS[name]
-    model = model_of(*given)
-    assert not_simulated(model)[0].startswith(said)
+    elements, message = REFUSALS[name]
+    model = model_of(*elements)
+    assert not_simulated(model)[0].startswith(message)
     device = put_model(model)
     for function in (step, forward):
-        with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
+        with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
             function(device, make_data(device))
 
 
@@ -273,11 +273,11 @@ PUT: dict[str, tuple[tuple[str, ...], str]] = {
 @pytest.mark.parametrize("name", PUT)
 def test_what_mjx_refuses_is_said_of_the_element(name: str) -> None:
     """With the remedy; and MJX does refuse it."""
-    given, said = PUT[name]
-    model = model_of(*given)
-    with pytest.raises(NotImplementedError, match=f"^{re.escape(said)}"):
+    elements, message = PUT[name]
+    model = model_of(*elements)
+    with pytest.raises(NotImplementedError, match=f"^{re.escape(message)}"):
         put_model(model)
-    assert not_simulated(model)[0].startswith(said)
+    assert not_simulated(model)[0].startswith(message)
     with pytest.raises(NotImplementedError):
         mjx.make_data(mjx.put_model(model))
 
@@ -289,28 +289,28 @@ def test_contacts_without_friction_are_made_fit(name: str) -> None:
     model = model_of(*PUT[name][0])
     ours, changes = fitted(model)
     assert changes
-    assert all("has condim 3 and next to no friction, no condim 1." in each for each in changes)
+    assert all("has condim 3 and next to no friction, no condim 1." in change for change in changes)
     data = mujoco.MjData(model)
     data.qpos[2] -= 0.001
     data.qvel[:3] = 0.3, 0.1, -0.1
     with jax.enable_x64(True):
         device = put_model(ours)
         start = make_data(device).replace(qpos=jnp.asarray(data.qpos), qvel=jnp.asarray(data.qvel))
-        found = jax.jit(step)(device, start).qvel
+        velocity = jax.jit(step)(device, start).qvel
     mujoco.mj_step(model, data)
     assert data.ncon == 1
-    np.testing.assert_allclose(found, data.qvel, atol=1e-4)
+    np.testing.assert_allclose(velocity, data.qvel, atol=1e-4)
 
 
 def test_what_is_simulated_is_not_refused() -> None:
     """The same words without an effect: ellipsoids without a fluid, a group that is not disabled."""
     still = model_of(BALL.format('fluidshape="ellipsoid"'))
-    other = model_of(
+    articulated = model_of(
         HINGE,
         '<actuator><motor joint="j" group="3"/></actuator>',
         '<option actuatorgroupdisable="2"/>',
     )
-    assert not_simulated(still) == not_simulated(other) == []
+    assert not_simulated(still) == not_simulated(articulated) == []
 
 
 def test_a_fluid_that_comes_later_is_refused_as_well() -> None:
@@ -341,7 +341,7 @@ def test_a_model_is_made_fit_for_mjx() -> None:
     """Each change is named, the model that was given stays as it is, and so do masses and what nobody collides with."""
     model = mujoco.MjModel.from_xml_string(SMALL)
     ours, changes = fitted(model)
-    said = "\n".join(changes)
+    text = "\n".join(changes)
     for part in (
         "solver is Newton, no PGS",
         "flag energy is disabled",
@@ -350,7 +350,7 @@ def test_a_model_is_made_fit_for_mjx() -> None:
         "geom 'egg' is a capsule, no ellipsoid",
         "margin of geom 'rock' is 0, no 0.01",
     ):
-        assert part in said
+        assert part in text
     assert len(changes) == 6
     assert model.geom("can").type == mujoco.mjtGeom.mjGEOM_CYLINDER
     np.testing.assert_array_equal(ours.body_inertia, model.body_inertia)
@@ -394,7 +394,7 @@ def test_animals_are_made_fit_for_mjx() -> None:
         assert not_simulated(ours) == []
     data = mujoco.MjData(ours)
     device = put_model(ours)
-    after = jax.jit(step)(device, make_data(device).replace(ctrl=jnp.full(ours.nu, 0.3)))
+    result = jax.jit(step)(device, make_data(device).replace(ctrl=jnp.full(ours.nu, 0.3)))
     data.ctrl[:] = 0.3
     mujoco.mj_step(ours, data)
-    np.testing.assert_allclose(after.qvel, data.qvel, atol=1e-5)
+    np.testing.assert_allclose(result.qvel, data.qvel, atol=1e-5)

@@ -188,10 +188,10 @@ def _in_mjx(case: Small):
         )
 
         def advance(state, _):
-            after = step(
+            new_data = step(
                 changed, data.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2])
             )
-            return (after.qpos, after.qvel, after.qacc_warmstart), None
+            return (new_data.qpos, new_data.qvel, new_data.qacc_warmstart), None
 
         state = (data.qpos, data.qvel, data.qacc_warmstart)
         (qpos, qvel, _), _ = jax.lax.scan(advance, state, None, length=case.steps)

@@ -37,7 +37,8 @@ def test_the_room_imports_nothing_of_the_robot() -> None:
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             ours = {name for name in names if name.startswith("nermo_mjx")}
             assert all(
-                any(name == one or name.startswith(f"{one}.") for one in allowed) for name in ours
+                any(name == package or name.startswith(f"{package}.") for package in allowed)
+                for name in ours
             ), path
 
 
@@ -69,7 +70,7 @@ def test_what_it_refuses_is_said_in_a_sentence() -> None:
     )
     batch = jax.vmap(lambda height: data.replace(qpos=data.qpos.at[2].set(height)))(jnp.arange(2.0))
     discrete = model.tree_replace({"opt.integrator": mjx.IntegratorType.DISCRETE})
-    for given, message in (
+    for arguments, message in (
         (
             (discrete, data),
             r"^integrator is DISCRETE: allowed is one of EULER, RK4, IMPLICITFAST, which MJX has\.$",
@@ -82,7 +83,7 @@ def test_what_it_refuses_is_said_in_a_sentence() -> None:
     ):
         for function in (nermo_mjx.dynamics.step, nermo_mjx.dynamics.forward):
             with pytest.raises(ValueError, match=message):
-                function(*given)
+                function(*arguments)
 
 
 @pytest.mark.release
@@ -101,11 +102,11 @@ for given in ((ball, data), (mjx.put_model(ball), data), (model, mujoco.MjData(b
     except ValueError as error:
         print(error)
 """
-    said = subprocess.run(
+    lines = subprocess.run(
         [sys.executable, "-c", code], text=True, capture_output=True
     ).stdout.splitlines()
     model = "nermo_mjx.dynamics.put_model; mjx.put_model omits fields that this step reads."
-    assert said[-3:] == [
+    assert lines[-3:] == [
         f"model is of mujoco.MjModel: allowed is a result of {model}",
         f"model is of mujoco.Model: allowed is a result of {model}",
         "data is of mujoco.MjData: allowed is a result of nermo_mjx.dynamics.make_data or put_data.",
@@ -147,10 +148,10 @@ def test_tendons_have_their_moment_arms_for_a_derivative() -> None:
         blank = make_data(device)
 
         def lengths(qpos: Any) -> Any:
-            found: Any = adapted.smooth.tendon(
+            tendon_data: Any = adapted.smooth.tendon(
                 device, tree.com_pos(device, tree.kinematics(device, blank.replace(qpos=qpos)))
             )
-            return found.ten_length, (found.ten_length, found._impl.ten_J)
+            return tendon_data.ten_length, (tendon_data.ten_length, tendon_data._impl.ten_J)
 
         slopes, (length, moments) = jax.jit(jax.jacrev(lengths, has_aux=True))(
             jnp.asarray(data.qpos)
@@ -178,8 +179,8 @@ def test_a_cylinder_collides_with_a_derivative() -> None:
         values = jax.jit(jax.vmap(jax.value_and_grad(distance)))(
             0.145 + 1e-6 * jnp.arange(-1.0, 2.0)
         )
-    (low, at, high), slopes = (np.asarray(each) for each in values)
-    assert at < 0.0
+    (low, middle, high), slopes = (np.asarray(values_of_points) for values_of_points in values)
+    assert middle < 0.0
     np.testing.assert_allclose(slopes[1], (high - low) / 2e-6, rtol=1e-5)
 
 
@@ -188,10 +189,10 @@ def test_a_muscle_has_a_derivative_in_float32(width: float) -> None:
     """(u - a) / tau, Millard et al. (2013), with tau = 0.01 (0.5 + 1.5 a) while u is well above a."""
 
     def rate(excitation: Any, activation: Any) -> Any:
-        found: Any = adapted.support.muscle_dynamics(
+        rates: Any = adapted.support.muscle_dynamics(
             excitation, activation, jnp.array([0.01, 0.04, width])
         )
-        return found
+        return rates
 
     rise, fall = jax.grad(rate, argnums=(0, 1))(jnp.float32(0.4), jnp.float32(0.1))
     assert rise == pytest.approx(1.0 / 0.0065, rel=1e-5)
@@ -207,24 +208,26 @@ def test_the_check_finds_a_derivative_that_is_cut(monkeypatch: pytest.MonkeyPatc
     assert checking.check_gradient(model, data, steps=2, options=options).error < 1e-6
     cut = differentiable._solution
     monkeypatch.setattr(
-        differentiable, "_solution", lambda *given, **how: jax.lax.stop_gradient(cut(*given, **how))
+        differentiable,
+        "_solution",
+        lambda *arguments, **keywords: jax.lax.stop_gradient(cut(*arguments, **keywords)),
     )
-    found = checking.check_gradient(model, data, steps=2, options=options)
-    assert found.is_finite
-    assert found.error > 0.1
-    assert found.spread < 1e-5
+    result = checking.check_gradient(model, data, steps=2, options=options)
+    assert result.is_finite
+    assert result.error > 0.1
+    assert result.spread < 1e-5
 
 
 def test_the_differences_choose_their_width_and_the_gradient_has_no_say() -> None:
     """Of the pair that agrees best, the one that agrees better with its other neighbour."""
-    found = checking.GradientCheck(
+    result = checking.GradientCheck(
         group=np.zeros(2, int),
         gradient=np.array([5.0, 5.0]),
         differences=np.array([[1.1, 2.0], [1.001, 2.0], [1.0, 2.0], [0.9, 2.0], [0.1, 2.0]]),
         end=np.zeros(1),
     )
-    assert checking.DIFFERENCE_WIDTHS[found.chosen] == 1e-5
-    assert found.spread == pytest.approx(1e-3 / np.hypot(1.0, 2.0))
+    assert checking.DIFFERENCE_WIDTHS[result.chosen] == 1e-5
+    assert result.spread == pytest.approx(1e-3 / np.hypot(1.0, 2.0))
     assert not np.isfinite(
-        checking.distance(found.group, np.array([np.nan, 0.0]), found.differences[0])
+        checking.distance(result.group, np.array([np.nan, 0.0]), result.differences[0])
     )

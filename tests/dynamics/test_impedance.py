@@ -30,12 +30,12 @@ def test_accelerations_of_connects_and_welds_are_second_differences_of_mujocos_r
     velocity, start = random.normal(size=model.nv), data.qpos.copy()
 
     def residual(time: float) -> np.ndarray:
-        moved = mujoco.MjData(model)
-        moved.qpos[:] = start
-        mujoco.mj_integratePos(model, moved.qpos, velocity, time)
-        mujoco.mj_forward(model, moved)
-        assert moved.ne == 9
-        return moved.efc_pos[:9].copy()
+        moved_data = mujoco.MjData(model)
+        moved_data.qpos[:] = start
+        mujoco.mj_integratePos(model, moved_data.qpos, velocity, time)
+        mujoco.mj_forward(model, moved_data)
+        assert moved_data.ne == 9
+        return moved_data.efc_pos[:9].copy()
 
     step = 1e-4
     expected = (residual(step) - 2 * residual(0.0) + residual(-step)) / step**2
@@ -43,8 +43,8 @@ def test_accelerations_of_connects_and_welds_are_second_differences_of_mujocos_r
     mujoco.mj_forward(model, data)
     with jax.enable_x64(True):
         device = put_model(model)
-        before = put_data(model, data)
-        after = jax.jit(lambda data: with_rates(device, data))(before)
-        found = np.asarray(inner(before).efc_aref - inner(after).efc_aref)
-    np.testing.assert_allclose(found[:9], expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
-    assert not found[9:].any(), "rows of contacts stay"
+        start_data = put_data(model, data)
+        end_data = jax.jit(lambda data: with_rates(device, data))(start_data)
+        change = np.asarray(inner(start_data).efc_aref - inner(end_data).efc_aref)
+    np.testing.assert_allclose(change[:9], expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+    assert not change[9:].any(), "rows of contacts stay"

@@ -73,11 +73,11 @@ print(changes())
 def printed(*parts: str) -> list[str]:
     """Lines that a program prints in a new process, without a cache of programs, which JAX keeps in its modules."""
     environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": ""}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", "\n".join(parts)], text=True, capture_output=True, env=environment
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.splitlines()
 
 
 @pytest.mark.release

@@ -38,8 +38,8 @@ def products(function: Any, *arguments: Any) -> list[str]:
     return re.findall(r"stablehlo\.dot_general.*?precision = \[(\w+, \w+)\]", text)
 
 
-def highest(found: list[str]) -> bool:
-    return bool(found) and set(found) == {"HIGHEST, HIGHEST"}
+def highest(precisions: list[str]) -> bool:
+    return bool(precisions) and set(precisions) == {"HIGHEST, HIGHEST"}
 
 
 def test_a_program_of_jax_alone_asks_for_less() -> None:
@@ -58,10 +58,10 @@ def test_a_step_of_physics_and_its_derivatives_have_it(stick: tuple[Any, Any]) -
     """Forward and reverse mode, also where JAX traces the derivative after the step, outside of it."""
     model, data = stick
     step = jax.jit(lambda qvel: differentiable.step(model, data.replace(qvel=qvel)).qvel)
-    one = jnp.ones(model.nv)
-    assert highest(products(step, one))
-    assert highest(products(lambda qvel: jax.jvp(step, (qvel,), (one,)), one))
-    assert highest(products(jax.grad(lambda qvel: step(qvel).sum()), one))
+    ones = jnp.ones(model.nv)
+    assert highest(products(step, ones))
+    assert highest(products(lambda qvel: jax.jvp(step, (qvel,), (ones,)), ones))
+    assert highest(products(jax.grad(lambda qvel: step(qvel).sum()), ones))
 
 
 @pytest.mark.release
@@ -84,8 +84,8 @@ def test_a_tick_of_the_robot_in_mjx_has_it(simulator: Any) -> None:
     assert highest(
         products(sim.engine.advance, session.params, session.fields, session.carry, jnp.int32(1))
     )
-    one = jax.tree.map(lambda leaf: leaf[0], (session.params, session.fields, session.carry))
-    assert highest(products(sim.engine.tick, *one))
+    world = jax.tree.map(lambda leaf: leaf[0], (session.params, session.fields, session.carry))
+    assert highest(products(sim.engine.tick, *world))
 
 
 @pytest.mark.release
@@ -99,9 +99,9 @@ def test_one_setup_serves_programs_in_32_and_in_64_bits():
             .hip
         )
 
-    used = Setup()
-    kept = jax.jit(lambda phase: servos(used, phase)).trace(0.1)
+    shared_setup = Setup()
+    trace = jax.jit(lambda phase: servos(shared_setup, phase)).trace(0.1)
     with jax.enable_x64(True):
-        np.testing.assert_array_equal(servos(used, 0.1), servos(Setup(), 0.1))
-        assert servos(used, 0.1).dtype == np.float64
-    assert kept.jaxpr.out_avals[0].dtype == np.float32
+        np.testing.assert_array_equal(servos(shared_setup, 0.1), servos(Setup(), 0.1))
+        assert servos(shared_setup, 0.1).dtype == np.float64
+    assert trace.jaxpr.out_avals[0].dtype == np.float32

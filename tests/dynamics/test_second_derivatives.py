@@ -47,8 +47,8 @@ WAYS: dict[str, Callable[[Callable[[Any], Any]], Callable[[Any], Any]]] = {
 
 def errors(
     f: Callable[[Any], Any],
-    at: np.ndarray,
-    ways: tuple[str, ...] = tuple(WAYS),
+    point: np.ndarray,
+    modes: tuple[str, ...] = tuple(WAYS),
     width: float = 1e-5,
 ) -> dict[str, float]:
     """Of second derivatives of f in float64, against differences of its gradient, as a share of the largest; and by
@@ -58,24 +58,29 @@ def errors(
         wide, narrow = (
             np.stack(
                 [
-                    np.subtract(slopes(at + h * each), slopes(at - h * each)) / (2 * h)
-                    for each in np.eye(len(at))
+                    np.subtract(slopes(point + h * direction), slopes(point - h * direction))
+                    / (2 * h)
+                    for direction in np.eye(len(point))
                 ]
             )
             for h in (width, width / 4)
         )
         expected = (16 * narrow - wide) / 15  # without the term of second order in the width
-        slope = np.asarray(slopes(at))
+        slope = np.asarray(slopes(point))
         scale = np.abs(expected).max()
-        found = {}
-        for way in ways:
-            each = np.asarray(jax.jit(WAYS[way](f), compiler_options=compiler_options())(at))
-            wanted = expected if each.ndim == 2 else expected @ slope / np.linalg.norm(slope)
-            found[way] = float(np.abs(each - wanted).max() / scale)
-            if each.ndim == 2:
-                found[f"{way}, not symmetric"] = float(np.abs(each - each.T).max() / scale)
+        deviations = {}
+        for mode in modes:
+            result = np.asarray(jax.jit(WAYS[mode](f), compiler_options=compiler_options())(point))
+            expected_part = (
+                expected if result.ndim == 2 else expected @ slope / np.linalg.norm(slope)
+            )
+            deviations[mode] = float(np.abs(result - expected_part).max() / scale)
+            if result.ndim == 2:
+                deviations[f"{mode}, not symmetric"] = float(
+                    np.abs(result - result.T).max() / scale
+                )
     assert scale > 1e-6
-    return found
+    return deviations
 
 
 # ---
@@ -94,20 +99,22 @@ def _problems() -> tuple[Layout, Callable[[Any], ConstraintProblem]]:
         np.random.default_rng(3),
     )
     lower = random.normal(size=(SIZE, SIZE))
-    among = (np.arange(rows) >= EQUALITY) & (np.arange(rows) < EQUALITY + DRY)
+    is_friction = (np.arange(rows) >= EQUALITY) & (np.arange(rows) < EQUALITY + DRY)
     first = ConstraintProblem(
         lower @ lower.T + np.eye(SIZE),
         random.normal(size=SIZE),
         random.normal(size=(rows, SIZE)),
         random.normal(size=rows),
         random.uniform(0.5, 20.0, rows),
-        np.where(among, random.uniform(0.2, 2.0, rows), 0.0),
+        np.where(is_friction, random.uniform(0.2, 2.0, rows), 0.0),
         random.uniform(0.3, 1.5, (sum(count for _, count in CONES), 6)),
     )
-    ways = jax.tree.map(lambda leaf: random.normal(size=(NUMBERS, *leaf.shape)), first)
+    directions = jax.tree.map(lambda leaf: random.normal(size=(NUMBERS, *leaf.shape)), first)
 
     def problem(numbers: Any) -> ConstraintProblem:
-        changes = jax.tree.map(lambda way: jnp.tensordot(0.1 * jnp.sin(numbers), way, 1), ways)
+        changes = jax.tree.map(
+            lambda direction: jnp.tensordot(0.1 * jnp.sin(numbers), direction, 1), directions
+        )
         turned = changes.inertia @ changes.inertia.T
         changed = jax.tree.map(lambda leaf, change: leaf * jnp.exp(change), first, changes)
         return changed._replace(
@@ -123,15 +130,15 @@ def test_second_derivatives_of_the_rows() -> None:
     layout, problem = _problems()
 
     def value(numbers: Any) -> Any:
-        given = problem(numbers)
-        found = solver.minimum(layout, *jax.lax.stop_gradient((given, jnp.zeros(SIZE))))
-        last = differentiable._newton(layout, found.qacc, jax.lax.stop_gradient(given))
+        constants = problem(numbers)
+        solution = solver.minimum(layout, *jax.lax.stop_gradient((constants, jnp.zeros(SIZE))))
+        last = differentiable._newton(layout, solution.qacc, jax.lax.stop_gradient(constants))
         return jnp.sum(
-            jnp.sin(differentiable._solution(last.qacc, last.residual, given, static=layout))
+            jnp.sin(differentiable._solution(last.qacc, last.residual, constants, static=layout))
         )
 
-    found = errors(value, np.linspace(-0.5, 0.7, NUMBERS))
-    assert max(found.values()) < 1e-6, found
+    deviations = errors(value, np.linspace(-0.5, 0.7, NUMBERS))
+    assert max(deviations.values()) < 1e-6, deviations
 
 
 # ---
@@ -160,17 +167,17 @@ def test_second_derivatives_of_an_ellipsoids_closest_point(
 
     def value(numbers: Any) -> Any:
         def of_size(size: Any) -> Any:
-            one = GeomInfo(numbers[1:4] * 0.1, _turned(numbers[1:4]), size * jnp.exp(numbers[0]))
-            other = GeomInfo(
+            first = GeomInfo(numbers[1:4] * 0.1, _turned(numbers[1:4]), size * jnp.exp(numbers[0]))
+            second = GeomInfo(
                 jnp.array([0.02, 0.03, 0.12]), _turned(numbers[4:]), jnp.array([0.1, 0.07, 0.05])
             )
-            dist, pos, frame = collider.of(one, other)
+            dist, pos, frame = collider.of(first, second)
             return 5.0 * dist + jnp.sum(jnp.sin(10.0 * pos)) + frame[0] @ jnp.array([0.3, 0.2, 0.5])
 
         return jnp.sum(jax.vmap(of_size)(jnp.array(sizes)))
 
-    found = errors(value, np.array([0.1, 0.3, -0.2, 0.1, 0.2, 0.4, -0.3]), ("jacfwd(jacrev)",))
-    assert max(found.values()) < 1e-6, found
+    deviations = errors(value, np.array([0.1, 0.3, -0.2, 0.1, 0.2, 0.4, -0.3]), ("jacfwd(jacrev)",))
+    assert max(deviations.values()) < 1e-6, deviations
 
 
 @pytest.mark.release
@@ -181,8 +188,8 @@ def test_second_derivatives_of_a_tendon_inside_a_ring() -> None:
         length, points = jacobians.wrap_inside(numbers[:4], numbers[4], 20, 1e-12, 1.0 - 1e-7)
         return jnp.sum(jnp.sin(3.0 * points)) + length[0]
 
-    found = errors(value, np.array([2.0, 1.5, -2.0, 1.7, 1.0]))
-    assert max(found.values()) < 1e-6, found
+    deviations = errors(value, np.array([2.0, 1.5, -2.0, 1.7, 1.0]))
+    assert max(deviations.values()) < 1e-6, deviations
 
 
 # ---
@@ -244,7 +251,7 @@ def test_second_derivatives_of_a_step(name: str) -> None:
     """By positions and velocities along some directions."""
     model = mujoco.MjModel.from_xml_string(f"<mujoco>{MODELS[name]}</mujoco>")
     random = np.random.default_rng(0)
-    moved, pushed = random.normal(size=(2, 4, model.nv))
+    shifts, pushed = random.normal(size=(2, 4, model.nv))
     with jax.enable_x64(True):
         device = put_model(model)
         data = make_data(device)
@@ -252,13 +259,13 @@ def test_second_derivatives_of_a_step(name: str) -> None:
         def value(numbers: Any) -> Any:
             velocity = jnp.asarray(pushed[0]) + numbers @ pushed
             start = data.replace(
-                qpos=positions(device, data.qpos, 1e-2 * (numbers @ moved)), qvel=velocity
+                qpos=positions(device, data.qpos, 1e-2 * (numbers @ shifts)), qvel=velocity
             )
-            after = step(device, start)
-            return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
+            end = step(device, start)
+            return jnp.sum(jnp.sin(end.qvel)) + jnp.sum(end.qpos)
 
-        found = errors(value, np.array([0.02, -0.03, 0.01, 0.03]), ("jacfwd(jacrev)",), 1e-5)
-    assert max(found.values()) < 1e-5, found
+        deviations = errors(value, np.array([0.02, -0.03, 0.01, 0.03]), ("jacfwd(jacrev)",), 1e-5)
+    assert max(deviations.values()) < 1e-5, deviations
 
 
 @pytest.mark.long
@@ -271,29 +278,29 @@ def test_second_derivatives_of_several_steps() -> None:
 
         def place(pushed: Any) -> Any:
             start = data.replace(qvel=data.qvel.at[: len(pushed)].set(pushed))
-            after = jax.lax.scan(lambda each, _: (step(device, each), None), start, None, length=5)[
+            end = jax.lax.scan(lambda state, _: (step(device, state), None), start, None, length=5)[
                 0
             ]
-            return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
+            return jnp.sum(jnp.sin(end.qvel)) + jnp.sum(end.qpos)
 
-        found = errors(place, np.array([0.3, -0.2]), ("jacfwd(jacrev)",))
-    assert max(found.values()) < 1e-6, found
+        deviations = errors(place, np.array([0.3, -0.2]), ("jacfwd(jacrev)",))
+    assert max(deviations.values()) < 1e-6, deviations
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("mode", WAYS)
 @pytest.mark.parametrize("looped", [False, True])
-def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: bool) -> None:
+def test_a_derivative_of_ones_own_holds_in_loops_and_batches(mode: str, looped: bool) -> None:
     """A square root that is known from elsewhere, against the square root."""
     root = own_derivative("root", lambda _, value, arguments, changes: changes[0] / (2.0 * value))
 
-    def roots(numbers: Any, given: bool) -> Any:
+    def roots(numbers: Any, is_custom: bool) -> Any:
         def one(number: Any) -> Any:
-            found = jnp.sqrt(number)
-            return root(jax.lax.stop_gradient(found), number) if given else found
+            estimate = jnp.sqrt(number)
+            return root(jax.lax.stop_gradient(estimate), number) if is_custom else estimate
 
-        def after(each: Any, _: Any) -> Any:
-            return 1.0 + jax.vmap(one)(each), None
+        def after(state: Any, _: Any) -> Any:
+            return 1.0 + jax.vmap(one)(state), None
 
         return jnp.sum(
             jnp.sin(
@@ -303,11 +310,12 @@ def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: b
             )
         )
 
-    at = jnp.array([0.3, 2.0, 5.0])
-    found, expected = (
-        jax.jit(WAYS[way](functools.partial(roots, given=given)))(at) for given in (True, False)
+    points = jnp.array([0.3, 2.0, 5.0])
+    result, expected = (
+        jax.jit(WAYS[mode](functools.partial(roots, is_custom=is_custom_root)))(points)
+        for is_custom_root in (True, False)
     )
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.long
@@ -318,12 +326,14 @@ def test_the_second_derivative_of_a_walk() -> None:
 
         def slope(amplitude: Any) -> Any:
             return jax.jvp(
-                lambda each: rollout({"spine.amplitude": each})["speed"], (amplitude,), (1.0,)
+                lambda value: rollout({"spine.amplitude": value})["speed"], (amplitude,), (1.0,)
             )[1]
 
         # At its usual level XLA does not end within ten minutes.
         options = compiler_options(level=0)
         first = jax.jit(slope, compiler_options=options)
-        second = jax.jit(lambda each: jax.jvp(slope, (each,), (1.0,))[1], compiler_options=options)
-        found, expected = float(second(0.2)), float(first(0.2 + 1e-5) - first(0.2 - 1e-5)) / 2e-5
-    assert abs(found - expected) < 1e-6 * abs(expected)
+        second = jax.jit(
+            lambda argument: jax.jvp(slope, (argument,), (1.0,))[1], compiler_options=options
+        )
+        result, expected = float(second(0.2)), float(first(0.2 + 1e-5) - first(0.2 - 1e-5)) / 2e-5
+    assert abs(result - expected) < 1e-6 * abs(expected)

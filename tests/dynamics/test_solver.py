@@ -54,7 +54,7 @@ def problems(
     random, model = np.random.default_rng(0), robot.physical
     model.opt.tolerance, model.opt.ls_tolerance = 1e-14, 1e-6
     elliptic, edges = kind != "pyramidal", 3 if kind != "pyramidal" else 4
-    found: list[Any] = []
+    recorded: list[Any] = []
     variation, default = Variation(robot), ModelParameters()
     for world in range(worlds):
         if kind == "ends":
@@ -111,8 +111,8 @@ def problems(
                 np.zeros(len(aref)),
                 cone[: CONTACTS * elliptic],
             )
-            found.append((problem, warm, data.qacc.copy()))
-    stacked, warm, right = jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+            recorded.append((problem, warm, data.qacc.copy()))
+    stacked, warm, right = jax.tree.map(lambda *leaves: np.stack(leaves), *recorded)
     return Layout(0, 0, ((3, CONTACTS),) if elliptic else ()), stacked, warm, right
 
 
@@ -122,8 +122,8 @@ def solve(
     """(solutions, rounds) in a precision, with the last step of `differentiable`."""
 
     def one(problem: ConstraintProblem, warm: Any) -> Any:
-        found = solver.minimum(layout, problem, warm)
-        return _newton(layout, found.qacc, problem).qacc, found.needed
+        solution = solver.minimum(layout, problem, warm)
+        return _newton(layout, solution.qacc, problem).qacc, solution.needed
 
     with jax.enable_x64(real is np.float64):
         numbers = jax.tree.map(lambda leaf: np.asarray(leaf, real), (problem, warm))
@@ -131,10 +131,11 @@ def solve(
     return np.asarray(qacc, float), np.asarray(rounds)
 
 
-def error(found: np.ndarray, right: np.ndarray, problem: ConstraintProblem) -> np.ndarray:
+def error(solution: np.ndarray, right: np.ndarray, problem: ConstraintProblem) -> np.ndarray:
     """Size of the difference as a share of the solution's, both weighed by the inertia."""
     size = [
-        np.einsum("ni,nij,nj->n", each, problem.inertia, each) for each in (found - right, right)
+        np.einsum("ni,nij,nj->n", difference, problem.inertia, difference)
+        for difference in (solution - right, right)
     ]
     return np.sqrt(size[0] / size[1])
 
@@ -150,12 +151,12 @@ def test_solutions_are_those_of_c(kind: str, real: type) -> None:
     At the ends of the contacts' ranges some need more rounds than there are, and say so.
     """
     layout, problem, warm, right = problems(kind, 30 if kind == "ends" else WORLDS)
-    found, rounds = solve(layout, problem, warm, real)
+    solution, rounds = solve(layout, problem, warm, real)
     converged = rounds <= solver.MAX_ROUNDS
     assert len(right) > 2000
     assert np.mean(converged) >= (0.995 if kind == "ends" else 1.0)
     assert np.mean(rounds <= solver.ACCELERATOR_ROUNDS) >= (0.97 if kind == "ends" else 0.999)
-    assert error(found, right, problem)[converged].max() < (1e-7 if real is np.float64 else 2e-6)
+    assert error(solution, right, problem)[converged].max() < (1e-7 if real is np.float64 else 2e-6)
 
 
 @pytest.mark.release
@@ -164,7 +165,9 @@ def test_the_last_step_leaves_no_solution_that_rounding_put_across_a_border() ->
     layout, problem, _, right = problems("ends", 30)
     single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), problem)
     last, random = (
-        jax.jit(jax.vmap(lambda each, qacc: _newton(layout, qacc, each).qacc)),
+        jax.jit(
+            jax.vmap(lambda problem_of_world, qacc: _newton(layout, qacc, problem_of_world).qacc)
+        ),
         np.random.default_rng(0),
     )
     for _ in range(8):
@@ -178,14 +181,16 @@ def test_a_small_step_out_of_a_contact_is_not_the_last() -> None:
 
     The first step from just below 1 is as small as rounding, because the row is stiff, and ends just above 1.
     """
-    one = np.ones(1)
+    ones = np.ones(1)
     problem = ConstraintProblem(
-        np.eye(1), 2.0 * one, np.eye(1), one, 1e12 * one, 0.0 * one, np.ones((0, 6))
+        np.eye(1), 2.0 * ones, np.eye(1), ones, 1e12 * ones, 0.0 * ones, np.ones((0, 6))
     )
     with jax.enable_x64(True):
-        found = jax.jit(lambda start: solver.minimum(Layout(0, 0, ()), problem, start))(one - 2e-13)
-    assert found.converged
-    assert found.qacc == pytest.approx([2.0], rel=1e-12)
+        solution = jax.jit(lambda start: solver.minimum(Layout(0, 0, ()), problem, start))(
+            ones - 2e-13
+        )
+    assert solution.converged
+    assert solution.qacc == pytest.approx([2.0], rel=1e-12)
 
 
 @pytest.mark.release
@@ -193,8 +198,8 @@ def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPa
     """With two rounds, what counts as converged is solved; and what is far from the solution is counted as not."""
     layout, problem, warm, right = problems("elliptic")
     monkeypatch.setattr(solver, "MAX_ROUNDS", 2)
-    found, rounds = solve(layout, problem, warm, np.float64)
-    wrong = error(found, right, problem)
+    solution, rounds = solve(layout, problem, warm, np.float64)
+    wrong = error(solution, right, problem)
     assert set(rounds) == {2, 3}
     assert wrong[rounds == 2].max() < 1e-7
     assert np.sum(wrong > 1e-4) > 100
@@ -206,12 +211,12 @@ def test_a_world_without_numbers_leaves_the_others_alone() -> None:
     """It takes one round and not all, and the solution beside it is the same to the last bit."""
     layout, problem, warm, _ = problems("elliptic")
     problem, warm = jax.tree.map(lambda leaf: leaf[:4].copy(), (problem, warm))
-    whole, _ = solve(layout, problem, warm, np.float32)
+    reference, _ = solve(layout, problem, warm, np.float32)
     problem.smooth[1] = np.nan
-    broken, rounds = solve(layout, problem, warm, np.float32)
+    disturbed, rounds = solve(layout, problem, warm, np.float32)
     others = [0, 2, 3]
-    np.testing.assert_array_equal(broken[others], whole[others])
-    assert np.isnan(broken[1]).all()
+    np.testing.assert_array_equal(disturbed[others], reference[others])
+    assert np.isnan(disturbed[1]).all()
     assert rounds[1] == 1
 
 
@@ -219,8 +224,8 @@ def test_a_world_without_numbers_leaves_the_others_alone() -> None:
 def test_accelerators_know_the_length_of_every_loop() -> None:
     """Only on a CPU is there a loop that ends when all worlds have: XLA's `while` without a number of rounds."""
     layout, problem, warm, _ = problems("elliptic")
-    one = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float32), (problem, warm))
-    program = str(jax.make_jaxpr(lambda *given: solver.minimum(layout, *given))(*one))
+    world = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float32), (problem, warm))
+    program = str(jax.make_jaxpr(lambda *arguments: solver.minimum(layout, *arguments))(*world))
     on_cpu, elsewhere = (
         program.count("while["),
         program.count(f"length={solver.ACCELERATOR_ROUNDS}"),

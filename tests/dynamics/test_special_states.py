@@ -53,9 +53,9 @@ WITHOUT_DERIVATIVE = ("cylinder stands",)
 
 def _is_right(*names: str) -> str:
     """What is wrong with cases in one model, or nothing."""
-    found = special_states.check(*(CASES[name] for name in names))
-    right = found.value < 1e-9 and (found.slope < 1e-4 or names[0] in WITHOUT_DERIVATIVE)
-    return "" if right and found.is_finite else f"{names}: {found}"
+    result = special_states.check(*(CASES[name] for name in names))
+    right = result.value < 1e-9 and (result.slope < 1e-4 or names[0] in WITHOUT_DERIVATIVE)
+    return "" if right and result.is_finite else f"{names}: {result}"
 
 
 @pytest.mark.release
@@ -120,10 +120,10 @@ def test_a_field_that_was_zero_has_its_derivative() -> None:
             changed = device.tree_replace(fields)
 
             def advance(state: Any, _: None) -> Any:
-                after = step(
+                new_data = step(
                     changed, start.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2])
                 )
-                return (after.qpos, after.qvel, after.qacc_warmstart), None
+                return (new_data.qpos, new_data.qvel, new_data.qacc_warmstart), None
 
             state = start.qpos, start.qvel, start.qacc_warmstart
             velocity = jax.lax.scan(advance, state, None, length=2)[0][1]
@@ -158,8 +158,12 @@ def test_the_solver_is_quick_at_rest(cone: str, double: bool) -> None:
         data = make_data(model)
 
         def advance(state: Any, _: None) -> Any:
-            after = step(model, data.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2]))
-            return (after.qpos, after.qvel, after.qacc_warmstart), rows.inner(after).solver_niter
+            new_data = step(
+                model, data.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2])
+            )
+            return (new_data.qpos, new_data.qvel, new_data.qacc_warmstart), rows.inner(
+                new_data
+            ).solver_niter
 
         start = data.qpos, data.qvel, data.qacc_warmstart
         run = jax.jit(
@@ -185,8 +189,8 @@ def test_a_rangefinder_needs_no_material() -> None:
     mujoco.mj_forward(model, data)
     with jax.enable_x64(True):
         device = put_model(model)
-        found = jax.jit(lambda at: forward(device, at).sensordata)(make_data(device))
-    np.testing.assert_allclose(found, data.sensordata, atol=1e-9)
+        sensordata = jax.jit(lambda state: forward(device, state).sensordata)(make_data(device))
+    np.testing.assert_allclose(sensordata, data.sensordata, atol=1e-9)
 
 
 def _impedances(x: Any) -> Any:
@@ -251,7 +255,7 @@ SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
     ),
     "arc": (
         lambda x: jnp.concatenate(
-            [each.ravel() for each in support.wrap_circle(x[:4], x[4:6], x[6] > 0, x[6])]
+            [angles.ravel() for angles in support.wrap_circle(x[:4], x[4:6], x[6] > 0, x[6])]
         ),
         [
             [*ends, 0, 1, radius]
@@ -318,8 +322,8 @@ def at_contact(model: Any, data: Any) -> Any:
 def made(make: Callable[..., Any], model: Any, data: Any, largest: Any) -> tuple[Any, Any]:
     """The contacts' rows with such an impedance: stiffness and reference acceleration."""
     solimp = rows.inner(data).contact.solimp.at[:, 1].set(largest)
-    found = rows.inner(make(model, data.tree_replace({"_impl.contact.solimp": solimp})))
-    return found.efc_D, found.efc_aref
+    constraints = rows.inner(make(model, data.tree_replace({"_impl.contact.solimp": solimp})))
+    return constraints.efc_D, constraints.efc_aref
 
 
 @pytest.mark.release
@@ -337,14 +341,14 @@ def test_slopes_are_those_of_mjxs_rows(refsafe: str, solref: str) -> None:
         data = at_contact(
             model, make_data(model).replace(qvel=jnp.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.0]))
         )
-        found = jax.jvp(
+        slopes = jax.jvp(
             lambda largest: made(make_constraint, model, data, largest), (0.9,), (1.0,)
         )[1]
         above, below = (
             made(mjx.make_constraint, model, data, 0.9 + step) for step in (1e-6, -1e-6)
         )
     assert np.any(above[1] != below[1])
-    for slope, high, low in zip(found, above, below, strict=True):
+    for slope, high, low in zip(slopes, above, below, strict=True):
         np.testing.assert_allclose(
             slope, (high - low) / 2e-6, rtol=1e-5, atol=1e-6 * np.abs(high).max()
         )

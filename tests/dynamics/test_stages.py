@@ -67,8 +67,8 @@ def called(function: Callable[..., Any]) -> list[str]:
             and getattr(node.args[0], "id", "") in {"m", "model"}
         ):
             # MJX wraps one call in the name of its scope: `named_scope(solver.solve)(m, d)`.
-            at = node.func.args[0] if isinstance(node.func, ast.Call) else node.func
-            names.append(at.attr if isinstance(at, ast.Attribute) else at.id)
+            function = node.func.args[0] if isinstance(node.func, ast.Call) else node.func
+            names.append(function.attr if isinstance(function, ast.Attribute) else function.id)
 
     visit(ast.parse(textwrap.dedent(inspect.getsource(inspect.unwrap(function)))))
     return names
@@ -83,9 +83,9 @@ def test_mjx_has_the_stages_that_we_know(name: str) -> None:
 @pytest.mark.parametrize("name", OURS)
 def test_we_have_the_same_stages_in_the_same_order(name: str) -> None:
     ours = {RENAMED.get(stage, stage) for stage in STAGES[name]}
-    found = [stage for stage in called(OURS[name]) if stage in ours]
-    wanted = [RENAMED.get(stage, stage) for stage in STAGES[name]]
-    assert sorted(found) == sorted(wanted)
-    assert [each for each in found if each not in UNORDERED] == [
-        each for each in wanted if each not in UNORDERED
+    order = [stage for stage in called(OURS[name]) if stage in ours]
+    expected = [RENAMED.get(stage, stage) for stage in STAGES[name]]
+    assert sorted(order) == sorted(expected)
+    assert [stage_name for stage_name in order if stage_name not in UNORDERED] == [
+        stage_name for stage_name in expected if stage_name not in UNORDERED
     ]

@@ -65,12 +65,12 @@ def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
 
         def passes(qpos: Any, qvel: Any) -> Any:
             data = make_data(ours).replace(qpos=qpos, qvel=qvel)
-            for each in (tree.kinematics, tree.com_pos, tree.crb, tree.com_vel, tree.rne):
-                data = each(ours, data)
+            for function in (tree.kinematics, tree.com_pos, tree.crb, tree.com_vel, tree.rne):
+                data = function(ours, data)
             return data, rows.inner(data).cinert, mjx.full_m(ours, data)
 
-        found = jax.tree.map(np.asarray, jax.jit(passes)(np.array(data.qpos), np.array(data.qvel)))
-    return model, data, found
+        arrays = jax.tree.map(np.asarray, jax.jit(passes)(np.array(data.qpos), np.array(data.qvel)))
+    return model, data, arrays
 
 
 @pytest.mark.release(cases=("rigid-False", "all joints-False", "articulated-True"))
@@ -80,7 +80,7 @@ def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
 )
 def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
     """Places, axes, inertias and velocities; and how a point on each body moves with each velocity."""
-    model, data, (found, bodies, joints) = after(kind, sparse)
+    model, data, (ours_of_tree, bodies, joints) = after(kind, sparse)
     for field in (
         "qpos",
         "xpos",
@@ -100,7 +100,7 @@ def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
         "cdof_dot",
         "qfrc_bias",
     ):
-        right, ours = np.asarray(getattr(data, field)), getattr(found, field)
+        right, ours = np.asarray(getattr(data, field)), getattr(ours_of_tree, field)
         scale = 1e-12 * (1.0 + np.abs(right).max())
         np.testing.assert_allclose(
             ours.reshape(right.shape), right, rtol=1e-9, atol=scale, err_msg=field
@@ -115,6 +115,6 @@ def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
         position, rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         mujoco.mj_jac(model, data, position, rotation, point, body)
         with jax.enable_x64(True):
-            moves, turns = point_jacobian(ours, found, jax.numpy.asarray(point), body)
+            moves, turns = point_jacobian(ours, ours_of_tree, jax.numpy.asarray(point), body)
         np.testing.assert_allclose(moves, position.T, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(turns, rotation.T, rtol=1e-9, atol=1e-12)

@@ -57,16 +57,16 @@ def _compared(double: bool, states: np.ndarray = STATES) -> tuple[np.ndarray, An
         blank = make_data(device)
 
         def one(state: Any) -> Any:
-            after, verdict = step_with_verdict(
+            new_data, verdict = step_with_verdict(
                 device, blank.replace(qpos=state[: model.nq], qvel=state[model.nq :])
             )
-            return after.qvel, verdict
+            return new_data.qvel, verdict
 
-        found, verdicts = jax.jit(jax.vmap(one), compiler_options=compiler_options())(
+        result, verdicts = jax.jit(jax.vmap(one), compiler_options=compiler_options())(
             jnp.asarray(states)
         )
     largest = np.abs(ends).max(axis=1)
-    return np.abs(np.asarray(found) - ends).max(axis=1) / largest, jax.tree.map(
+    return np.abs(np.asarray(result) - ends).max(axis=1) / largest, jax.tree.map(
         np.asarray, verdicts
     )
 
@@ -104,7 +104,7 @@ TWO = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .04
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    ("way", "joint"),
+    ("mode", "joint"),
     [
         ("closed over", ""),
         ("an argument", ""),
@@ -112,16 +112,16 @@ TWO = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .04
         ("randomized", 'frictionloss=".1" range="-10 10"'),
     ],
 )
-def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
+def test_results_pass_through_mjxs_functions(mode: str, joint: str) -> None:
     """`get_data`, `put_data` of it, a further step, kinematics and a picture's scene, with contacts that are C's."""
     model = mujoco.MjModel.from_xml_string(TWO.format(joint))
     device = put_model(model)
     start = make_data(device)
-    if way == "randomized":
+    if mode == "randomized":
         axes = jax.tree.map(lambda _: None, device).tree_replace(
             {"dof_frictionloss": 0, "body_mass": 0}
         )
-        many = device.tree_replace(
+        batched_models = device.tree_replace(
             {
                 "dof_frictionloss": jnp.stack(
                     [device.dof_frictionloss, device.dof_frictionloss + 0.1]
@@ -131,12 +131,12 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
         )
         batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start)
         advance = jax.jit(jax.vmap(step, in_axes=(axes, 0)))
-        after = advance(many, advance(many, batch))
+        after = advance(batched_models, advance(batched_models, batch))
         got = mjx.get_data(model, after)[0]
         after = jax.tree.map(lambda leaf: leaf[0], after)
     else:
         advance = (
-            jax.jit(step) if way == "an argument" else jax.jit(lambda _, data: step(device, data))
+            jax.jit(step) if mode == "an argument" else jax.jit(lambda _, data: step(device, data))
         )
         after = advance(device, advance(device, start))
         got = mjx.get_data(model, after)
@@ -150,11 +150,13 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
         model, got, mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL, scene
     )
     assert scene.ngeom >= model.ngeom
-    other = mujoco.MjData(model)
-    other.qpos[:], other.qvel[:] = got.qpos, got.qvel
-    mujoco.mj_forward(model, other)
-    again = put_data(model, other)
-    assert _shapes(again) == _shapes(after)
+    reference = mujoco.MjData(model)
+    reference.qpos[:], reference.qvel[:] = got.qpos, got.qvel
+    mujoco.mj_forward(model, reference)
+    reference_data = put_data(model, reference)
+    assert _shapes(reference_data) == _shapes(after)
     assert np.isfinite(
-        advance(*((many, batch) if way == "randomized" else (device, again))).qpos
+        advance(
+            *((batched_models, batch) if mode == "randomized" else (device, reference_data))
+        ).qpos
     ).all()

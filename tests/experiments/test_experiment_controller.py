@@ -94,7 +94,7 @@ def test_another_controller_is_another_setting_and_its_copy_is_kept(files, tmp_p
     for other in (None, files["none"]):
         with pytest.raises(ParameterError, match="controller: "):
             run_experiment("maze", tmp_path, controller=other, **asked)
-    entry = json.loads((tmp_path / "results" / "maze.json").read_text())
+    entry = json.loads((tmp_path / "maze" / "report.json").read_text())
     assert entry["settings"]["controller"].startswith("some.npz ")
     assert "some.npz" in (tmp_path / "report.md").read_text()
     with pytest.raises(

@@ -1,4 +1,4 @@
-# Tests of experiments/run.py, experiments/report.py, experiments/cases.py
+# Tests of experiments/run.py, experiments/store.py, experiments/report.py, experiments/cases.py
 """The experiments' directory: what is kept, what is run again, what the report says. Nothing is simulated here."""
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import Interrupted, JobFailed, OtherCode, Watch, codes_of
 from nermo_mjx.runs.files import TEMPORARY_SUFFIX, WrongDirectory
 from nermo_mjx.runs.workers import WorkersLost
+from nermo_mjx.sweep import read_table
 from nermo_mjx.view import RecordingError, VideoError
 
 NAMES = tuple(EXPERIMENTS)
 #: Counts of a run without bodies.
 NOT_COVERED = {"covered": 0, "not_covered": 0}
-WALK = f"recordings/turning-{RUN.lower().replace(', ', '-').replace(' ', '-')}.npz"
+WALK = "turning/recordings/row-000003.npz"
 
 
 @pytest.fixture
@@ -58,6 +59,12 @@ def ran(out, name="turning", **options):
     return run_experiment(name, out, video=False, **options)
 
 
+def part_of(result):
+    """The only file of a result's table."""
+    (part,) = result.table.glob("*.parquet")
+    return part
+
+
 def report_of(out):
     def no_constant(name):
         raise AssertionError(f"{name} is no JSON")
@@ -77,6 +84,7 @@ def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
     """Files, columns with unit, meaning and role; what comes back is what was measured."""
     given = fakes["turning"].run(Settings(("exact",), repeats=2, progress=lambda share: None))
     result = ran(tmp_path, engine="c", profiles=("exact",), repeats=2)
+    walk = "turning/recordings/row-000002.npz"
     assert not result.kept
     assert sorted(str(path.relative_to(tmp_path)) for path in snapshot(tmp_path)) == sorted(
         [
@@ -86,31 +94,39 @@ def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
             "plots/turning-speed.svg",
             "report.json",
             "report.md",
-            "results/turning.json",
-            "results/turning.parquet",
-            WALK,
             "run.json",
+            "turning/.lock",
+            "turning/.lock-run",
+            "turning/experiment.json",
+            "turning/report.json",
+            "turning/run.json",
+            part_of(result).relative_to(tmp_path).as_posix(),
+            walk,
         ]
     )
     assert (result.table, *result.recordings) == (
-        tmp_path / "results" / "turning.parquet",
-        tmp_path / WALK,
+        tmp_path / "turning" / "results",
+        tmp_path / walk,
     )
     assert [path.suffix for path in result.plots] == [".png", ".svg"]
-    table = pq.read_table(result.table)
+    table = pq.read_table(part_of(result))
     about = {field.name: field.metadata for field in table.schema}
     assert (table.num_rows, about["speed"][b"unit"]) == (4, b"m/s")
     assert all(metadata[b"description"] for metadata in about.values())
     assert {name: metadata[b"role"].decode() for name, metadata in about.items()} == {
-        "profile": "case",
-        "gait": "case",
-        "frequency": "case",
+        "row": "index",
+        "variant": "index",
+        "seed": "index",
+        "profile": "varied",
+        "gait": "varied",
+        "frequency": "varied",
         "repeat": "index",
         "speed": "metric",
         "theory_speed": "metric",
         "followed": "metric",
         "status": "status",
         "code": "code",
+        "key": "key",
     }
     for name, values in given.columns.items():
         np.testing.assert_array_equal(result.outcome.columns[name], values)
@@ -253,10 +269,10 @@ def test_numbers_have_sensible_digits():
 def test_what_is_done_is_not_run_again_and_other_experiments_keep_it(fakes, tmp_path):
     said = []
     ran(tmp_path)
-    before = (tmp_path / "results" / "turning.parquet").read_bytes()
+    before = snapshot(tmp_path / "turning" / "results")
     result = ran(tmp_path, watch=Watch(warn=said.append))
     assert (result.kept, len(result.lines), len(fakes["turning"].asked)) == (True, 5, 1)
-    assert (tmp_path / "results" / "turning.parquet").read_bytes() == before
+    assert snapshot(tmp_path / "turning" / "results") == before
     assert re.match(r"turning: kept as run on .*--again", said[0])
     ran(tmp_path, "straight-line")
     report = report_of(tmp_path)
@@ -298,9 +314,11 @@ def test_the_same_experiment_with_other_settings_is_refused_before_anything_runs
 
 def test_a_damaged_table_is_kept_aside_and_it_or_a_lost_recording_is_run_again(fakes, tmp_path):
     result = ran(tmp_path)
-    result.table.write_text("half a table")
+    part = part_of(result)
+    part.write_text("half a table")
     assert not ran(tmp_path).kept
-    assert result.table.with_name("turning.parquet.aside-1").read_text() == "half a table"
+    (aside,) = (tmp_path / "turning" / "results.aside").iterdir()
+    assert (aside.name, aside.read_text()) == (f"{part.name}.aside-1", "half a table")
     (tmp_path / WALK).unlink()
     assert not ran(tmp_path).kept
 
@@ -345,12 +363,12 @@ def test_only_the_programs_own_files_are_replaced_or_removed(fakes, tmp_path, mo
     pictures_of(monkeypatch, "speed")
     mine = [
         tmp_path / name
-        for name in ("plots/turning-mine.png", "recordings/turning-mine.npz", "videos/a.mp4")
+        for name in ("plots/turning-mine.png", "turning/recordings/mine.npz", "videos/a.mp4")
     ]
     for path in mine:
         path.parent.mkdir(exist_ok=True)
         path.write_text("a user's")
-    for folder in ("", "results", "plots", "recordings", "videos"):
+    for folder in ("", "turning/results", "plots", "turning/recordings", "videos"):
         (
             tmp_path / folder / f".turning.17{TEMPORARY_SUFFIX}{'.mp4' * (folder == 'videos')}"
         ).write_text("half")
@@ -427,7 +445,7 @@ def test_a_directory_may_be_named_from_here_and_moved(fakes, tmp_path, monkeypat
 
 def code_of(out, name):
     """What the column `code` of a table says."""
-    return set(pq.read_table(out / "results" / f"{name}.parquet").column("code").to_pylist())
+    return set(read_table(out / name).column("code").to_pylist())
 
 
 def test_other_code_is_refused_until_it_is_accepted_and_the_report_tells_the_rows_apart(
@@ -712,13 +730,13 @@ def test_kept_bodies_are_not_walked_again_and_a_report_is_remade_from_them(bodie
     for count in (4, None):
         result = ran(tmp_path, "maze", bodies=count)
         assert line_of(result).ensemble == pytest.approx(HOLD)
-    result.table.write_text("damaged")
+    part_of(result).write_text("damaged")
     assert line_of(ran(tmp_path, "maze")).ensemble == pytest.approx(HOLD)
     assert asked_for_bodies() == [False, True, False]
     # Other bodies are walked, and the results of the default body stay.
     assert line_of(ran(tmp_path, "maze", bodies=2)).ensemble == 1.0
     assert asked_for_bodies() == [False, True, False, True]
-    result.table.write_text("damaged")
+    part_of(result).write_text("damaged")
     assert line_of(ran(tmp_path, "maze", seed=3)).ensemble is None
     # A fresh run has none.
     ran(tmp_path, "maze", seed=3, bodies=4)
@@ -749,7 +767,7 @@ def test_parts_are_stored_in_the_order_in_which_they_come(bodies, tmp_path, monk
 
 def test_workers_that_are_lost_leave_the_experiments_that_are_done(bodies, tmp_path):
     former = ran(tmp_path, "maze", bodies=4, seed=4)
-    former.table.write_text("damaged")
+    part_of(former).write_text("damaged")
     with pytest.raises(
         JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same"
     ):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 
-def mjcf(world: str, rest: str = "", option: str = "") -> str:
-    return f"<mujoco><option {option}/><worldbody>{world}</worldbody>{rest}</mujoco>"
+def mjcf(world: str, sections: str = "", option: str = "") -> str:
+    return f"<mujoco><option {option}/><worldbody>{world}</worldbody>{sections}</mujoco>"
 
 
 WOUND = """<site name="over" pos="-.2 0 1.1"/><site name="under" pos="-.2 0 .9"/><body pos="0 0 1">

@@ -41,7 +41,7 @@ FIGURES = (
         "speed at 0.8 Hz",
         "predicted",
         "number",
-        lambda of: 1e3 * of.mean("speed", frequency=0.8),
+        lambda rows: 1e3 * rows.mean("speed", frequency=0.8),
         80.0,
         unit="mm/s",
         section="6.2",
@@ -52,14 +52,16 @@ FIGURES = (
         "ratio of speeds",
         "fitted",
         "effect",
-        lambda of: 1.6,
+        lambda rows: 1.6,
         1.2,
         section="6.2",
         sentence="faster by 20 %",
     ),
-    Figure("faster | at 0.8 Hz", "chosen", "outcome", lambda of: True, True),
-    Figure("word", "predicted", "outcome", lambda of: "fail", "pass", reason="the feet are round."),
-    Figure("interval", "theory", "range", lambda of: of.mean("nothing"), [0.25, 0.30]),
+    Figure("faster | at 0.8 Hz", "chosen", "outcome", lambda rows: True, True),
+    Figure(
+        "word", "predicted", "outcome", lambda rows: "fail", "pass", reason="the feet are round."
+    ),
+    Figure("interval", "theory", "range", lambda rows: rows.mean("nothing"), [0.25, 0.30]),
 )
 
 
@@ -71,14 +73,14 @@ class Fake:
     error: BaseException | None = None
     asked: list[Settings] = dataclasses.field(default_factory=list)
 
-    def run(self, asked: Settings) -> CaseRuns:
+    def run(self, settings: Settings) -> CaseRuns:
         """See `Experiment`."""
-        self.asked.append(asked)
-        assert asked.progress is not None
-        asked.progress(0.5)
+        self.asked.append(settings)
+        assert settings.progress is not None
+        settings.progress(0.5)
         if self.error is not None:
             raise self.error
-        bodies = asked.bodies
+        bodies = settings.bodies
         rows = [
             (
                 profile,
@@ -91,12 +93,12 @@ class Fake:
                 repeat == 0,
                 "ok",
             )
-            for profile in asked.profiles
+            for profile in settings.profiles
             for body, factor in enumerate(
                 [1.0] if bodies is None else bodies["contact.friction"], start=1
             )
             for frequency, speed in zip((0.5, 0.8), SPEEDS[profile], strict=True)
-            for repeat in range(asked.repeats)
+            for repeat in range(settings.repeats)
         ]
         names = ["profile", BODY, *list(ABOUT)[1:]]
         columns = {
@@ -106,26 +108,35 @@ class Fake:
         if bodies is None:
             del columns[BODY]
         columns["theory_speed"][0] = np.nan
-        asked.progress(1.0)
-        about = ABOUT if bodies is None else ABOUT | {BODY: Column("1", "number of the body")}
-        return CaseRuns(self.name, columns, about, {} if bodies is not None else {RUN: recording()})
+        settings.progress(1.0)
+        columns_info = (
+            ABOUT if bodies is None else ABOUT | {BODY: Column("1", "number of the body")}
+        )
+        return CaseRuns(
+            self.name, columns, columns_info, {} if bodies is not None else {RUN: recording()}
+        )
+
+    @staticmethod
+    def rows(settings: Settings) -> int:
+        """See `Experiment`."""
+        return len(settings.profiles) * max(settings.body_count, 1) * 2 * settings.repeats
 
     def experiment(self) -> Experiment:
         """As the catalogue has one."""
         metrics = ("speed", "theory_speed", "followed")
-        about = {"quick": "little", "metrics": metrics, "own_figures": FIGURES}
+        options = {"quick": "little", "metrics": metrics, "own_figures": FIGURES}
         return Experiment(
-            self.name, self.run, SETTABLE, f"The {self.name}", "What is done.", **about
+            self.name, self.run, self.rows, SETTABLE, f"The {self.name}", "What is done.", **options
         )
 
 
 def pretend(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Every experiment is one that simulates and draws nothing from now on."""
-    made = {name: Fake(name) for name in EXPERIMENTS}
-    for name, fake in made.items():
+    fakes = {name: Fake(name) for name in EXPERIMENTS}
+    for name, fake in fakes.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
     monkeypatch.setattr(plots, "figures_of_experiment", lambda outcome, lines: [])
-    return made
+    return fakes
 
 
 def made_up(
@@ -144,11 +155,11 @@ def made_up(
     for row in rows:
         row |= {name: value(row) if callable(value) else value for name, value in measured.items()}
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    about = columns_about(experiment)
+    columns_info = columns_about(experiment)
     return CaseRuns(
         experiment,
         columns,
-        {name: about.get(name, Column("1", "")) for name in columns},
+        {name: columns_info.get(name, Column("1", "")) for name in columns},
         recordings or {},
     )
 

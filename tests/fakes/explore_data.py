@@ -42,7 +42,7 @@ def falling(seconds: float = 0.5) -> Recording:
     for _ in range(round(seconds / 0.01)):
         mujoco.mj_step(model, data, round(0.01 / model.opt.timestep))
         rows.append((data.time, data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()))
-    time, qpos, qvel, ctrl = (np.array(each) for each in zip(*rows, strict=True))
+    time, qpos, qvel, ctrl = (np.array(column) for column in zip(*rows, strict=True))
     return Recording(
         time, qpos, qvel, ctrl, model_hash=model_hash(model), metadata={"case": "dropped"}
     )
@@ -52,19 +52,20 @@ def posed(recording: Recording, sample: int) -> mujoco.MjData:
     """MuJoCo's data of the robot in a sample of a recording."""
     data = mujoco.MjData(load_robot().model)
     data.qpos[:], data.qvel[:], data.ctrl[:] = (
-        each[sample] for each in (recording.qpos, recording.qvel, recording.ctrl)
+        column[sample] for column in (recording.qpos, recording.qvel, recording.ctrl)
     )
     mujoco.mj_forward(data.model, data)
     return data
 
 
-def table(columns: dict[str, tuple[object, dict[str, str]]], **about: str) -> pa.Table:
+def table(columns: dict[str, tuple[object, dict[str, str]]], **metadata: str) -> pa.Table:
     """A table of columns with metadata; name -> (values, metadata)."""
     arrays = {name: pa.array(values) for name, (values, _) in columns.items()}
     fields = [
-        pa.field(name, arrays[name].type, metadata=about) for name, (_, about) in columns.items()
+        pa.field(name, arrays[name].type, metadata=field_metadata)
+        for name, (_, field_metadata) in columns.items()
     ]
-    return pa.table(arrays, schema=pa.schema(fields, metadata=about))
+    return pa.table(arrays, schema=pa.schema(fields, metadata=metadata))
 
 
 def atlas(out: Path) -> tuple[Path, dict[str, np.ndarray]]:
@@ -80,7 +81,7 @@ def atlas(out: Path) -> tuple[Path, dict[str, np.ndarray]]:
         "shake": shake,
         "price": random.uniform(3, 9, 11),
     }
-    about = {
+    metadata_of_columns = {
         "row": {"role": "index", "unit": "1"},
         "cell": {"role": "index", "unit": "1"},
         "frequency": {
@@ -99,10 +100,10 @@ def atlas(out: Path) -> tuple[Path, dict[str, np.ndarray]]:
         },
     }
     objective = {"metric": "price", "direction": "minimize"}
-    columns = {name: (values[name], about[name]) for name in values}
+    columns = {name: (values[name], metadata_of_columns[name]) for name in values}
     out.mkdir(parents=True)
-    made = table(columns, atlas=json.dumps({"objective": objective, "measures": MEASURES}))
-    pq.write_table(made, out / "atlas.parquet")
+    atlas_table = table(columns, atlas=json.dumps({"objective": objective, "measures": MEASURES}))
+    pq.write_table(atlas_table, out / "atlas.parquet")
     (out / "run.json").write_text(json.dumps({"kind": "search"}))
     (out / "search.yaml").write_text(
         "robot: nermo_lite\ngait: lateral_walk\nrun: {cycles: 8, warmup_cycles: 2}\nset: {}\n"

@@ -57,53 +57,53 @@ class PointMass:
         key = (
             key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
         )
-        drawn, left = jax.random.split(key)
-        body = self._drawn(drawn)
-        seen, known = self._sensed(body)
+        body_key, tick_key = jax.random.split(key)
+        body = self._drawn(body_key)
+        observation, privileged = self._sensed(body)
         zero, no = jnp.zeros(self.worlds), jnp.zeros(self.worlds, bool)
         tick = jax.random.randint(
-            left, (self.worlds,), 0, EPISODE
+            tick_key, (self.worlds,), 0, EPISODE
         )  # episodes do not end all at once
         return State(
-            seen,
-            known,
+            observation,
+            privileged,
             zero,
             {"near": zero, "push": zero},
             no,
             no,
-            seen,
-            known,
+            observation,
+            privileged,
             body,
             tick,
-            jax.random.key_data(left),
+            jax.random.key_data(tick_key),
         )
 
     def _step(self, state: State, action: Any) -> State:
         push = jnp.clip(action, -1.0, 1.0)
-        place, speed = state.body[:, :2], state.body[:, 2:]
+        position, speed = state.body[:, :2], state.body[:, 2:]
         speed = 0.98 * speed + 2.0 * self.step_seconds * push
-        place = place + self.step_seconds * speed
-        body = jnp.concatenate([place, speed], axis=-1)
-        terms = {"near": -(place**2).sum(axis=-1), "push": -0.05 * (push**2).sum(axis=-1)}
-        terminated, tick = jnp.abs(place).max(axis=-1) > LIMIT, state.tick + 1
+        position = position + self.step_seconds * speed
+        body = jnp.concatenate([position, speed], axis=-1)
+        terms = {"near": -(position**2).sum(axis=-1), "push": -0.05 * (push**2).sum(axis=-1)}
+        terminated, tick = jnp.abs(position).max(axis=-1) > LIMIT, state.tick + 1
         truncated = (tick >= EPISODE) & ~terminated
         final = self._sensed(body)
-        drawn, left = jax.random.split(jax.random.wrap_key_data(state.key))
-        ended = terminated | truncated
-        body = jnp.where(ended[:, None], self._drawn(drawn), body)
-        seen, known = self._sensed(body)
+        key, next_key = jax.random.split(jax.random.wrap_key_data(state.key))
+        is_end = terminated | truncated
+        body = jnp.where(is_end[:, None], self._drawn(key), body)
+        observation, privileged = self._sensed(body)
         reward = self.step_seconds * (terms["near"] + terms["push"]) - 5.0 * terminated
         return State(
-            seen,
-            known,
+            observation,
+            privileged,
             reward,
             terms,
             terminated,
             truncated,
             *final,
             body,
-            jnp.where(ended, 0, tick),
-            jax.random.key_data(left),
+            jnp.where(is_end, 0, tick),
+            jax.random.key_data(next_key),
         )
 
     def _drawn(self, key: Any) -> Any:

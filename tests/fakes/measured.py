@@ -31,7 +31,7 @@ def write_log(
     seconds: float = 6.0,
     rate: float = 100.0,
     delay: float = 0.0,
-    late: dict[str, float] | None = None,
+    delays: dict[str, float] | None = None,
     noise: float = 0.002,
     lost: float = 0.0,
     quantum: float = 0.0,
@@ -49,25 +49,26 @@ def write_log(
     names = [model.actuator(i).name.removesuffix("_servo") for i in range(model.nu)]
     joints = [int(model.jnt_qposadr[model.actuator_trnid[i, 0]]) for i in range(model.nu)]
     places = {
-        each: int(model.sensor_adr[model.sensor(each).id]) for each in ("gyro", "accelerometer")
+        sensor_name: int(model.sensor_adr[model.sensor(sensor_name).id])
+        for sensor_name in ("gyro", "accelerometer")
     }
     every, rows = round(1 / rate / model.opt.timestep), []
-    history = {each: [] for each in names}
+    history = {servo: [] for servo in names}
     data.ctrl[:] = commanded(0.0, model)
     mujoco.mj_step(model, data, nstep=1000)  # it comes to rest on its feet
     for step in range(round(seconds / model.opt.timestep)):
         now = step * model.opt.timestep
         data.ctrl[:] = commanded(max(0.0, now - delay), model)
-        for each, joint in zip(names, joints, strict=True):
-            history[each].append(data.qpos[joint])
+        for servo, joint in zip(names, joints, strict=True):
+            history[servo].append(data.qpos[joint])
         if step % every == 0:
             angles = []
-            for each in names:
-                back = round((late or {}).get(each, 0.0) / model.opt.timestep)
-                angles.append(history[each][max(0, len(history[each]) - 1 - back)])
+            for servo in names:
+                back = round((delays or {}).get(servo, 0.0) / model.opt.timestep)
+                angles.append(history[servo][max(0, len(history[servo]) - 1 - back)])
             angles = np.array(angles) + noise * random.standard_normal(model.nu)
             angles = np.round(angles / quantum) * quantum if quantum else angles
-            gyro, felt = (data.sensordata[at : at + 3] for at in places.values())
+            gyro, felt = (data.sensordata[address : address + 3] for address in places.values())
             turn = data.xmat[torso].reshape(3, 3)
             yaw = np.arctan2(-turn[0, 1], turn[1, 1])
             imu = [
@@ -88,16 +89,20 @@ def write_log(
             if random.random() >= lost:
                 rows.append(row)
         mujoco.mj_step(model, data)
-    columns = ["t_ms", *(f"cmd_{each}" for each in names), *(f"pos_{each}" for each in names)]
+    columns = [
+        "t_ms",
+        *(f"cmd_{servo}" for servo in names),
+        *(f"pos_{servo}" for servo in names),
+    ]
     columns += ["gx", "gy", "gz", "ax", "ay", "az", "x", "y", "heading"]
     csv = folder / f"{name}.csv"
     csv.write_text(
         "\n".join([",".join(columns), *(",".join(f"{v:.5g}" for v in row) for row in rows)]) + "\n"
     )
     lines = ["time: {column: t_ms, unit: ms}", "channels:"]
-    for each in names:
-        lines.append(f"  cmd_{each}: {{quantity: command, of: {each}, unit: deg}}")
-        lines.append(f"  pos_{each}: {{quantity: angle, of: {each}, unit: deg}}")
+    for servo in names:
+        lines.append(f"  cmd_{servo}: {{quantity: command, of: {servo}, unit: deg}}")
+        lines.append(f"  pos_{servo}: {{quantity: angle, of: {servo}, unit: deg}}")
     lines += [
         "  gyro: {quantity: gyro, columns: [gx, gy, gz], unit: deg/s}",
         "  accelerometer: {quantity: accelerometer, columns: [ax, ay, az], unit: g}",

@@ -37,50 +37,52 @@ class Walks:
     def __getstate__(self):
         return self.__dict__ | {"_simulator": None}
 
-    def run(self, values, run, **more):
+    def run(self, values, run, **options):
         import ray
 
         from nermo_mjx.rollout import Setup, Simulator
 
         self._simulator = self._simulator or Simulator(Setup(**WALK), self.engine)
-        about = (
+        description = (
             ray.get_runtime_context().get_node_id(),
             os.getpid(),
             float(values["spine.phase"][0]),
         )
-        told(self.log, "begun", *about)
-        result = self._simulator.run(values, run, **more)
-        told(self.log, "ended", *about)
+        told(self.log, "begun", *description)
+        result = self._simulator.run(values, run, **options)
+        told(self.log, "ended", *description)
         return result
 
 
-def drive(asked, out):
+def drive(options, out):
     """The process that hands out chunks and writes the table, on a cluster that is there, or alone."""
     from nermo_mjx.sweep import run_sweep
 
     vary = {"spine.phase": {"uniform": [-3.1, 3.1]}, "spine.amplitude": {"uniform": [0.0, 0.4]}}
-    sweep = WALK | {"run": {"cycles": asked.cycles}, "set": {"frequency": 2.0}, "plots": False}
-    sweep |= {"vary": vary, "sample": {"sobol": asked.rows}}
-    if asked.drive == "alone":
-        return run_sweep(sweep, out, engine="c", chunk=asked.chunk)
+    sweep = WALK | {"run": {"cycles": options.cycles}, "set": {"frequency": 2.0}, "plots": False}
+    sweep |= {"vary": vary, "sample": {"sobol": options.rows}}
+    if options.drive == "alone":
+        return run_sweep(sweep, out, engine="c", chunk=options.chunk)
     with ray_workers.RayWorkers(
-        asked.drive, lambda sentence: print(sentence, file=sys.stderr, flush=True)
+        options.drive, lambda sentence: print(sentence, file=sys.stderr, flush=True)
     ) as workers:
         return run_sweep(
             sweep,
             out,
             engine="c",
-            chunk=asked.chunk,
+            chunk=options.chunk,
             workers=workers,
             simulator=Walks(f"{out}.log"),
         )
 
 
-def started(asked, address):
+def started(options, address):
     """A driver process."""
-    of = [f"--{name}={getattr(asked, name)}" for name in ("rows", "chunk", "cycles")]
-    kill = ["--kill-driver"] * asked.kill_driver
-    return subprocess.Popen([sys.executable, __file__, asked.out, *of, *kill, "--drive", address])
+    flags = [f"--{name}={getattr(options, name)}" for name in ("rows", "chunk", "cycles")]
+    kill = ["--kill-driver"] * options.kill_driver
+    return subprocess.Popen(
+        [sys.executable, __file__, options.out, *flags, *kill, "--drive", address]
+    )
 
 
 def told(log, *words):
@@ -89,7 +91,7 @@ def told(log, *words):
         file.write(json.dumps(words) + "\n")
 
 
-def disturbed(asked, out, log):
+def disturbed(options, out, log):
     """The sweep while nodes go and come, and the driver once if that is asked for."""
     os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)  # before Ray is imported
     from ray.cluster_utils import Cluster
@@ -99,8 +101,8 @@ def disturbed(asked, out, log):
         [],
     )
     told(log, "driver")
-    driver, looked, draw = started(asked, cluster.address), time.monotonic(), random.Random(0)
-    kill_driver = asked.kill_driver
+    driver, last_look, draw = started(options, cluster.address), time.monotonic(), random.Random(0)
+    kill_driver = options.kill_driver
     try:
         while driver.poll() is None:
             while len(others) < 2:
@@ -112,14 +114,14 @@ def disturbed(asked, out, log):
                     print(f"a node did not start: {error}", file=sys.stderr)
             time.sleep(0.2)
             chunks = len(list(out.glob("results/*.parquet")))
-            if kill_driver and chunks * asked.chunk * 3 > asked.rows:
+            if kill_driver and chunks * options.chunk * 3 > options.rows:
                 kill_driver = False
                 driver.kill()
                 driver.wait()
                 told(log, "driver")
-                driver = started(asked, cluster.address)
-            if chunks and time.monotonic() - looked > asked.every:
-                looked = time.monotonic()
+                driver = started(options, cluster.address)
+            if chunks and time.monotonic() - last_look > options.every:
+                last_look = time.monotonic()
                 node = others.pop(draw.randrange(len(others)))
                 told(log, "killed", node.node_id)
                 cluster.remove_node(node, allow_graceful=False)
@@ -137,36 +139,39 @@ def account(log):
     A beginning that was not its chunk's last is explained if its node was killed, or its driver, and it was the last
     one of its process, or the last but one, whose result was on its way.
     """
-    killed, drivers, ended, by_chunk, by_process = set(), 0, 0, {}, {}
-    for what, *about in map(json.loads, log.read_text().splitlines()):
-        drivers, ended = drivers + (what == "driver"), ended + (what == "ended")
-        if what == "killed":
-            killed.add(about[0])
-        if what == "begun":
-            node, process, chunk = about
+    killed, drivers, ended_count, by_chunk, by_process = set(), 0, 0, {}, {}
+    for event, *entries in map(json.loads, log.read_text().splitlines()):
+        drivers, ended_count = drivers + (event == "driver"), ended_count + (event == "ended")
+        if event == "killed":
+            killed.add(entries[0])
+        if event == "begun":
+            node, process, chunk = entries
             by_chunk.setdefault(chunk, []).append((drivers, node, process))
             by_process.setdefault((drivers, node, process), []).append(chunk)
-    again = [(chunk, each) for chunk, several in by_chunk.items() for each in several[:-1]]
+    repeated = [
+        (chunk, process_id) for chunk, several in by_chunk.items() for process_id in several[:-1]
+    ]
     unexplained = [
         chunk
-        for chunk, each in again
-        if not (each[1] in killed or each[0] < drivers) or chunk not in by_process[each][-2:]
+        for chunk, process_id in repeated
+        if not (process_id[1] in killed or process_id[0] < drivers)
+        or chunk not in by_process[process_id][-2:]
     ]
     return {
         "nodes_killed": len(killed),
         "drivers_lost": drivers - 1,
         "chunks": len(by_chunk),
-        "ended": ended,
-        "in_flight": len(again),
+        "ended": ended_count,
+        "in_flight": len(repeated),
         "unexplained": len(unexplained),
         "processes": len(by_process),
     }
 
 
-def same(one, other):
+def same(first, second):
     """Whether two tables are the same bit for bit, NaN included."""
-    pairs = [(one.column(name), other.column(name)) for name in one.column_names]
-    return one.schema == other.schema and all(
+    pairs = [(first.column(name), second.column(name)) for name in first.column_names]
+    return first.schema == second.schema and all(
         a.equals(b) or a.to_numpy().tobytes() == b.to_numpy().tobytes() for a, b in pairs
     )
 
@@ -181,26 +186,29 @@ def main():
     parser.add_argument("--every", type=float, default=20.0)
     parser.add_argument("--kill-driver", action="store_true")
     parser.add_argument("--drive", help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    one, out = asked.out / "one", asked.out / ("driver" if asked.kill_driver else "nodes")
-    if asked.drive:
-        drive(asked, one if asked.drive == "alone" else out)
+    options = parser.parse_args()
+    reference, out = (
+        options.out / "one",
+        options.out / ("driver" if options.kill_driver else "nodes"),
+    )
+    if options.drive:
+        drive(options, reference if options.drive == "alone" else out)
         return 0
     from nermo_mjx.sweep import read_table
 
     log, began = Path(f"{out}.log"), time.monotonic()
-    alone = started(asked, "alone").wait()
+    exit_code = started(options, "alone").wait()
     between = time.monotonic()
-    disturbed(asked, out, log)
-    found = {
-        "same": not alone and same(read_table(one), read_table(out)),
-        "rows": asked.rows,
+    disturbed(options, out, log)
+    report = {
+        "same": not exit_code and same(read_table(reference), read_table(out)),
+        "rows": options.rows,
         **account(log),
         "one_process_s": round(between - began, 1),
         "cluster_s": round(time.monotonic() - between, 1),
     }
-    print(json.dumps(found))
-    return 0 if found["same"] and not found["unexplained"] else 1
+    print(json.dumps(report))
+    return 0 if report["same"] and not report["unexplained"] else 1
 
 
 if __name__ == "__main__":

@@ -31,13 +31,13 @@ STARTS = TUNING | {"starts": 5}
 class LoggingSimulator(FakeSimulator):
     """Reports which batch it starts; only once it runs, since it is pickled first."""
 
-    def run(self, values, run, **more):
+    def run(self, values, run, **options):
         first = [float(values[name][0]) for name in ("frequency", "spine.amplitude", "spine.phase")]
         with open(self.log, "a") as file:
             file.write(json.dumps([os.getpid(), *first]) + "\n")
         log, self.log = self.log, None
         try:
-            return super().run(values, run, **more)
+            return super().run(values, run, **options)
         finally:
             self.log = log
 
@@ -65,7 +65,7 @@ def nodes(out):
     from nermo_mjx.optimize import Tuning, run_tuning
     from nermo_mjx.sweep import run_sweep
 
-    tuning, killed, ended = Tuning.from_dict(STARTS), [], {}
+    tuning, killed, reports = Tuning.from_dict(STARTS), [], {}
     with cluster_of(2) as (cluster, others):
 
         def swept(progress):
@@ -81,8 +81,8 @@ def nodes(out):
             if progress.done >= 4 and len(others) == 2:
                 cluster.remove_node(others.pop(), allow_graceful=False)
 
-        said = []
-        with ray_workers.RayWorkers(cluster.address, said.append) as workers:
+        messages = []
+        with ray_workers.RayWorkers(cluster.address, messages.append) as workers:
             simulator = LoggingSimulator(delay=0.3, log=f"{out}/sweep.log")
             result = run_sweep(
                 SPEC,
@@ -92,22 +92,22 @@ def nodes(out):
                 simulator=simulator,
                 watch=Watch(swept),
             )
-        ended["sweep"] = {
+        reports["sweep"] = {
             "complete": result.complete,
-            "said": said,
+            "said": messages,
             "chunks_run": result.chunks_run,
         }
-        said = []
-        with ray_workers.RayWorkers(cluster.address, said.append) as workers:
+        messages = []
+        with ray_workers.RayWorkers(cluster.address, messages.append) as workers:
             problem = FakeProblem(tuning, delay=0.5, log=f"{out}/tuning.log")
             result = run_tuning(
                 tuning, f"{out}/tuning", problem=problem, workers=workers, watch=Watch(tuned)
             )
-        ended["tuning"] = {"said": said, "iterations": result.iterations_run}
+        reports["tuning"] = {"said": messages, "iterations": result.iterations_run}
         command = f"sweep {out}/sweep.yaml --out {out}/command --engine c --workers ray --json --ray-address"
         result = CliRunner().invoke(main, [*command.split(), cluster.address])
-        ended["command"] = json.loads(result.stdout) if result.exit_code == 0 else result.stderr
-    print(json.dumps(ended))
+        reports["command"] = json.loads(result.stdout) if result.exit_code == 0 else result.stderr
+    print(json.dumps(reports))
 
 
 def real(out):
@@ -115,13 +115,13 @@ def real(out):
     from nermo_mjx.experiments import run
 
     run.AT_ONCE = 1
-    done, names = [], ["balance", "body"]
+    finished, names = [], ["balance", "body"]
     with cluster_of(1) as (cluster, _), ray_workers.RayWorkers(cluster.address) as workers:
-        watch = Watch(lambda now: done.append(now.what))
-        how = {"engine": "c", "quick": True, "bodies": 3, "workers": workers, "watch": watch}
-        result = run.run_experiments(names, f"{out}/experiments", **how)
-    named = [each.name for each in result.results]
-    print(json.dumps({"names": named, "done": sorted(set(done))}))
+        watch = Watch(lambda now: finished.append(now.what))
+        options = {"engine": "c", "quick": True, "bodies": 3, "workers": workers, "watch": watch}
+        result = run.run_experiments(names, f"{out}/experiments", **options)
+    result_names = [run_result.name for run_result in result.results]
+    print(json.dumps({"names": result_names, "done": sorted(set(finished))}))
 
 
 def driver(out, log):
@@ -142,11 +142,11 @@ class Doubling:
         self.flaw, self.home = flaw, os.getpid()
 
     def stamp(self):
-        here = stamp("numbers", "c")
+        local_stamp = stamp("numbers", "c")
         return (
-            dataclasses.replace(here, package="9.9.9")
+            dataclasses.replace(local_stamp, package="9.9.9")
             if self.flaw == "code" and os.getpid() != self.home
-            else here
+            else local_stamp
         )
 
     def warm(self):
@@ -165,32 +165,34 @@ def listening():
     """Addresses at which this process and its descendants listen."""
     import psutil  # Ray brings it
 
-    found, own = set(), psutil.Process()
-    for process in (own, *own.children(recursive=True)):
+    addresses, this_process = set(), psutil.Process()
+    for process in (this_process, *this_process.children(recursive=True)):
         with contextlib.suppress(psutil.NoSuchProcess):
-            found |= {
-                each.laddr.ip
-                for each in process.net_connections("tcp")
-                if each.status == psutil.CONN_LISTEN
+            addresses |= {
+                connection.laddr.ip
+                for connection in process.net_connections("tcp")
+                if connection.status == psutil.CONN_LISTEN
             }
-    return found
+    return addresses
 
 
 def tasks():
     """Results of tasks, by the flaw of their computer."""
-    ended, said = {}, []
-    with ray_workers.RayWorkers(say=said.append) as workers:
+    outcomes, messages = {}, []
+    with ray_workers.RayWorkers(say=messages.append) as workers:
         for flaw in (None, 3, "dies", "code", "cold"):
             workers.begin(Doubling(flaw))
             try:
-                ended[str(flaw)] = dict(workers.results(((k, k) for k in range(6)), print))
+                outcomes[str(flaw)] = dict(workers.results(((k, k) for k in range(6)), print))
             except TaskFailed as error:
-                ended[str(flaw)] = f"{error.key}: {error.__cause__!r}"
+                outcomes[str(flaw)] = f"{error.key}: {error.__cause__!r}"
             except WorkersLost as error:
-                ended[str(flaw)] = str(error)
+                outcomes[str(flaw)] = str(error)
         addresses = listening()
-    print(json.dumps({"ended": ended, "said": said, "addresses": sorted(addresses)}))
+    print(json.dumps({"ended": outcomes, "said": messages, "addresses": sorted(addresses)}))
 
 
 if __name__ == "__main__":
-    {each.__name__: each for each in (nodes, driver, real, tasks)}[sys.argv[1]](*sys.argv[2:])
+    {function.__name__: function for function in (nodes, driver, real, tasks)}[sys.argv[1]](
+        *sys.argv[2:]
+    )

@@ -60,14 +60,14 @@ PLANE = '<geom type="plane" size="3 3 .1"/>'
 FAST = 'integrator="implicitfast"'
 
 
-def _free(geom: str, at: str = "0 0 .05", more: str = "") -> str:
-    return f'<body pos="{at}" {more}><freejoint/><geom {geom} mass="1"/></body>'
+def _free(geom: str, position: str = "0 0 .05", attributes: str = "") -> str:
+    return f'<body pos="{position}" {attributes}><freejoint/><geom {geom} mass="1"/></body>'
 
 
-def _hinge(joint: str = "", more: str = "", mass: str = "1") -> str:
+def _hinge(joint: str = "", elements: str = "", mass: str = "1") -> str:
     return (
         f'<body name="b"><joint name="j" axis="0 1 0" {joint}/><geom size=".05" pos="0 0 -.3" mass="{mass}" '
-        f'contype="0" conaffinity="0"/>{more}</body></worldbody>'
+        f'contype="0" conaffinity="0"/>{elements}</body></worldbody>'
     )
 
 
@@ -428,15 +428,17 @@ def compiled(cases: Sequence[Case]) -> mujoco.MjModel:
         model = mujoco.MjModel.from_xml_string(_xml(cases[0].option, cases[0].body))
     else:
         assert len({case.option for case in cases}) == 1
-        whole = mujoco.MjSpec.from_string(_xml(cases[0].option))
-        for place, case in enumerate(cases):
-            alone = compiled([case])
-            data = mujoco.MjData(alone)
-            mujoco.mj_forward(alone, data)
+        combined_spec = mujoco.MjSpec.from_string(_xml(cases[0].option))
+        for index, case in enumerate(cases):
+            single_model = compiled([case])
+            data = mujoco.MjData(single_model)
+            mujoco.mj_forward(single_model, data)
             assert data.ncon == 0
             part = mujoco.MjSpec.from_string(_xml(case.option, case.body))
-            whole.attach(part, prefix=f"{place}_", frame=whole.worldbody.add_frame())
-        model = whole.compile()
+            combined_spec.attach(
+                part, prefix=f"{index}_", frame=combined_spec.worldbody.add_frame()
+            )
+        model = combined_spec.compile()
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     model.opt.iterations, model.opt.tolerance, model.opt.ls_tolerance = 200, 0, 1e-10
     model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-13, 1000
@@ -447,13 +449,13 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
     """One case against C, or several in one model; see `Found`."""
     model, steps = compiled(cases), max(case.steps for case in cases)
     starts, owners, state_owners = [], [], []
-    for place, case in enumerate(cases):
-        alone = compiled([case])
-        data = mujoco.MjData(alone)
+    for index, case in enumerate(cases):
+        single_model = compiled([case])
+        data = mujoco.MjData(single_model)
         starts.append(
             [
-                np.array(getattr(data, name) if given is None else given, float)
-                for name, given in (
+                np.array(getattr(data, name) if arrays is None else arrays, float)
+                for name, arrays in (
                     ("qpos", case.qpos),
                     ("qvel", case.qvel),
                     ("act", case.act),
@@ -461,12 +463,19 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
                 )
             ]
         )
-        owners.append([np.full(n, place) for n in (alone.nv, alone.nv, alone.na, alone.nu)])
-        state_owners.append([np.full(n, place) for n in (alone.nq, alone.nv, alone.na)])
-    start = [np.concatenate(each) for each in zip(*starts, strict=True)]
+        owners.append(
+            [
+                np.full(n, index)
+                for n in (single_model.nv, single_model.nv, single_model.na, single_model.nu)
+            ]
+        )
+        state_owners.append(
+            [np.full(n, index) for n in (single_model.nq, single_model.nv, single_model.na)]
+        )
+    start = [np.concatenate(parts) for parts in zip(*starts, strict=True)]
     owner, state_owner = (
-        np.concatenate([np.concatenate(each) for each in zip(*each, strict=True)])
-        for each in (owners, state_owners)
+        np.concatenate([np.concatenate(parts) for parts in zip(*parts, strict=True)])
+        for parts in (owners, state_owners)
     )
     cuts = np.cumsum([model.nv, model.nv, model.na])
     size = cuts[-1] + model.nu
@@ -490,45 +499,49 @@ def check(*cases: Case, width: float = 1e-6) -> Found:
             dq, dv, da, du = jnp.split(point, cuts)
 
             def advance(state: Any, _: None) -> Any:
-                after = step(
+                new_data = step(
                     device,
                     blank.replace(qpos=state[0], qvel=state[1], act=state[2], ctrl=start[3] + du),
                 )
-                return (after.qpos, after.qvel, after.act), None
+                return (new_data.qpos, new_data.qvel, new_data.act), None
 
             first = positions(device, jnp.asarray(start[0]), dq), start[1] + dv, start[2] + da
             return jnp.concatenate(jax.lax.scan(advance, first, None, length=steps)[0])
 
-        both = jax.jit(
+        values_and_slopes = jax.jit(
             jax.value_and_grad(lambda z: (lambda e: (weights @ e, e))(ends(z)), has_aux=True),
             compiler_options=compiler_options(),
         )
-        (_, end), slopes = both(np.zeros(size))
-    end, slopes, here = np.asarray(end), np.asarray(slopes), in_c(np.zeros(size))
+        (_, end), slopes = values_and_slopes(np.zeros(size))
+    end, slopes, reference = np.asarray(end), np.asarray(slopes), in_c(np.zeros(size))
     value = max(
-        np.abs(end - here)[among].max() / max(1.0, np.abs(here[among]).max())
-        for among in (state_owner == place for place in range(len(cases)))
+        np.abs(end - reference)[is_of_case].max() / max(1.0, np.abs(reference[is_of_case]).max())
+        for is_of_case in (state_owner == index for index in range(len(cases)))
     )
     # Differences to both sides, at two widths.
     sides = np.array(
         [
             [
-                [weights @ (in_c(sign * h * each) - here) / (sign * h) for each in np.eye(size)]
+                [
+                    weights @ (in_c(sign * h * direction) - reference) / (sign * h)
+                    for direction in np.eye(size)
+                ]
                 for h in (width, width / 4)
             ]
             for sign in (1, -1)
         ]
     )
     middle = sides[:, 0].mean(axis=0)
-    scale = np.array([max(1.0, np.abs(middle[owner == place]).max()) for place in owner])
+    scale = np.array([max(1.0, np.abs(middle[owner == case_index]).max()) for case_index in owner])
     error = np.abs(slopes - middle) / scale
     converged = np.abs(sides[:, 0] - sides[:, 1]) < 1e-2 * np.maximum(1.0, np.abs(sides[:, 0]))
     jump = ~converged.any(axis=0)
     # At a kink: the derivative of one side, or between both.
     beyond = np.maximum(np.minimum(*sides[:, 0]) - slopes, slopes - np.maximum(*sides[:, 0]))
-    apart = np.where(converged, np.abs(slopes - sides[:, 0]), np.inf).min(axis=0)
+    difference = np.where(converged, np.abs(slopes - sides[:, 0]), np.inf).min(axis=0)
     settled = (
-        np.minimum(apart, np.where(converged.all(axis=0), np.maximum(beyond, 0.0), np.inf)) / scale
+        np.minimum(difference, np.where(converged.all(axis=0), np.maximum(beyond, 0.0), np.inf))
+        / scale
     )
     kink = ~jump & (error > 1e-4) & (settled < 1e-4)
     error = np.where(jump, 0.0, np.where(kink, settled, error))
@@ -545,6 +558,6 @@ if __name__ == "__main__":
     for name, case in CASES.items():
         if any(word in name for word in words):
             try:
-                print(name, *(f"{each:.1e}" for each in check(case)), flush=True)
+                print(name, *(f"{number:.1e}" for number in check(case)), flush=True)
             except Exception as error:
                 print(name, type(error).__name__, str(error)[:300], flush=True)

@@ -33,29 +33,32 @@ stiff = Controller(spine=lambda params, phase, turn_rate, feet, stance: 0.0 * ph
 class Measuring(FakeSimulator):
     """With what the stranger's metric gives."""
 
-    def run(self, values: Any, run: Any, **how: Any) -> Any:
-        result = super().run(values, run, **how)
+    def run(self, values: Any, run: Any, **options: Any) -> Any:
+        result = super().run(values, run, **options)
         result.metrics |= {"yaw_shake": result.metrics["speed"] * 2}
         return result
 
 
 @contextlib.contextmanager
-def bounded(seconds: int = 60, more: int = 1 << 30) -> Iterator[None]:
+def bounded(seconds: int = 60, additional: int = 1 << 30) -> Iterator[None]:
     """Inside of it, waiting ends in an alarm, and memory beyond what is taken now in a MemoryError."""
 
     def late(*_: Any) -> None:
         raise AssertionError("it waits")
 
-    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    before, memory = signal.signal(signal.SIGALRM, late), resource.getrlimit(resource.RLIMIT_AS)
+    used_bytes = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    former_handler, memory = (
+        signal.signal(signal.SIGALRM, late),
+        resource.getrlimit(resource.RLIMIT_AS),
+    )
     signal.alarm(seconds)
-    resource.setrlimit(resource.RLIMIT_AS, (taken + more, memory[1]))
+    resource.setrlimit(resource.RLIMIT_AS, (used_bytes + additional, memory[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, memory)
         signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, former_handler)
 
 
 def special(path: Path, kind: str) -> Path:

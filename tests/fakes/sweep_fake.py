@@ -160,7 +160,7 @@ OPTIMUM = {
 class Noisy(FakeSimulator):
     """Adds noise that depends on the run alone: 0.02 at the phases 0 and 1, which are alike."""
 
-    def run(self, values, run, **more):
+    def run(self, values, run, **options):
         alike = (
             {"spine.phase": np.minimum(values["spine.phase"], 0.0)}
             if "spine.phase" in values

@@ -46,9 +46,9 @@ class SwayLoop:
 
 def robot() -> Robot:
     """A robot whose models are the machine's: all that the engines need of one."""
-    found, model = load_robot(), mujoco.MjModel.from_xml_string(XML)
-    vars(found).update(model=model, physical=model)
-    return found
+    robot_with_model, model = load_robot(), mujoco.MjModel.from_xml_string(XML)
+    vars(robot_with_model).update(model=model, physical=model)
+    return robot_with_model
 
 
 def batch(worlds: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:

@@ -75,20 +75,25 @@ class FakeProblem:
         self.batches, self.compiled = [], 0
 
         def metrics(point):
-            apart = {"trajectory_error": (point[0] - BEST[0]) ** 2} if tuning.recording else {}
-            return {"speed": speed(*point[:2]), "roll_std": 0.1 + 0.1 * point[0] ** 2} | apart
+            errors = {"trajectory_error": (point[0] - BEST[0]) ** 2} if tuning.recording else {}
+            return {"speed": speed(*point[:2]), "roll_std": 0.1 + 0.1 * point[0] ** 2} | errors
 
         def value(point):
-            found = metrics(point)
-            return self.objective.value(found), found
+            values_of_metrics = metrics(point)
+            return self.objective.value(values_of_metrics), values_of_metrics
 
         def program(points, gradient):
             self.compiled += 1
             fell = falls(points)
-            (values, found), slope = jax.vmap(jax.value_and_grad(value, has_aux=True))(points)
+            (values, values_of_metrics), slope = jax.vmap(jax.value_and_grad(value, has_aux=True))(
+                points
+            )
             bad = lambda leaf: jnp.where(fell.reshape(-1, *[1] * (leaf.ndim - 1)), jnp.nan, leaf)  # noqa: E731
             return Evaluation(
-                bad(values), bad(slope) if gradient else None, jax.tree.map(bad, found), ~fell
+                bad(values),
+                bad(slope) if gradient else None,
+                jax.tree.map(bad, values_of_metrics),
+                ~fell,
             )
 
         self._program = jax.jit(program, static_argnums=1)
@@ -119,8 +124,9 @@ class FakeWalker:
 
     def __init__(self, falls=lambda values: False, error=None):
         self.batches, self.again, self.falls, self.error = [], [], falls, error
+        self.engine = "c"
 
-    def run(self, values, run, record=False, *, progress=None):
+    def run(self, values, run, record=False, *, progress=None, notify=None):
         if self.error is not None:
             raise self.error
         sizes = {len(column) for column in values.values()}
@@ -138,7 +144,7 @@ class FakeWalker:
         metrics = {"speed": np.where(fell, np.nan, pace), "roll_std": 0.1 + 0.1 * amplitude**2}
         trace = _glide(pace, run.duration) if record else None
         return types.SimpleNamespace(
-            metrics=metrics, status=np.where(fell, "fell", "ok"), engine="c", trace=trace
+            metrics=metrics, status=np.where(fell, "fell", "ok"), engine="c", trace=trace, steps=1
         )
 
 

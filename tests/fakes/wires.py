@@ -138,9 +138,9 @@ def bridge() -> Iterator[int]:
                     subscribers.setdefault(frame["topic"], []).append(peer)
                 elif frame["op"] == "publish":
                     assert frame["topic"] in types, "rosbridge publishes what was advertised only"
-                    for other in list(subscribers.get(frame["topic"], [])):
+                    for subscriber in list(subscribers.get(frame["topic"], [])):
                         with contextlib.suppress(ConnectionClosed):
-                            other.send(text)
+                            subscriber.send(text)
 
     with serve(handle, "127.0.0.1", 0) as server:
         thread = threading.Thread(target=server.serve_forever)

@@ -42,17 +42,17 @@ def test_the_published_order_is_that_of_the_authors_software(published) -> None:
     )
     signs = {"tail": -1.0}
     for name, column in zip(published.names, published.angles.T, strict=True):
-        wanted = (
+        expected = (
             0.0 if name == "head" else signs.get(name, 1.0) * ours.angles[:, ours.names.index(name)]
         )
-        np.testing.assert_allclose(column, wanted, atol=1e-4)
+        np.testing.assert_allclose(column, expected, atol=1e-4)
     np.testing.assert_array_equal(published.given, published.angles.astype(int))
     assert np.abs(published.given - published.angles).max() > 0.9, "cut, and not rounded"
     # His spine and tail at phase 0: 0.4 and 0.5 rad, both cosines.
     np.testing.assert_allclose(published.angles[0, [11, 8]], np.degrees([0.4, 0.5]), atol=0.01)
     row = published.to_csv().splitlines()[-1].split(",")
-    assert [float(each) for each in row[1:]] == published.given[-1].tolist()
-    assert all("." not in each for each in row[1:])
+    assert [float(cell) for cell in row[1:]] == published.given[-1].tolist()
+    assert all("." not in cell for cell in row[1:])
 
 
 @pytest.mark.release
@@ -65,36 +65,38 @@ def test_the_rigid_tail_is_given_what_is_missing() -> None:
 @pytest.mark.release
 def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
     """Three cycles: each row at its time, and after the last one the first."""
-    clock, seen = wires.Clock(), []
-    sent = send_table(
+    clock, packets = wires.Clock(), []
+    report = send_table(
         published,
-        lambda angles, given: seen.append((clock.now - 100.0, given)),
+        lambda angles, angles_of_packet: packets.append((clock.now - 100.0, angles_of_packet)),
         3 / 0.8,
         clock=clock,
         wait=clock.wait,
     )
     rows = len(published.time)
-    assert (sent.messages, sent.skipped, len(seen)) == (3 * rows, 0, 3 * rows)
+    assert (report.messages, report.skipped, len(packets)) == (3 * rows, 0, 3 * rows)
     np.testing.assert_allclose(
-        [at for at, _ in seen], np.arange(3 * rows) / published.rate, atol=1e-9
+        [time for time, _ in packets], np.arange(3 * rows) / published.rate, atol=1e-9
     )
-    np.testing.assert_array_equal([given for _, given in seen], np.tile(published.given, (3, 1)))
+    np.testing.assert_array_equal(
+        [angles_of_packet for _, angles_of_packet in packets], np.tile(published.given, (3, 1))
+    )
 
 
 def test_what_is_late_is_left_out(published) -> None:
     """After half a second in which nothing could be sent the gait is where it would be without."""
-    clock, seen = wires.Clock(jump_at=0.5, jump=0.5), []
-    sent = send_table(
+    clock, packets = wires.Clock(jump_at=0.5, jump=0.5), []
+    report = send_table(
         published,
-        lambda angles, given: seen.append((clock.now - 100.0, given)),
+        lambda angles, angles_of_packet: packets.append((clock.now - 100.0, angles_of_packet)),
         2.0,
         clock=clock,
         wait=clock.wait,
     )
-    assert sent.skipped == pytest.approx(0.5 * published.rate, abs=1)
-    for at, given in seen:
-        row = int(at * published.rate + 1e-6)
-        np.testing.assert_array_equal(given, published.given[row % len(published.time)])
+    assert report.skipped == pytest.approx(0.5 * published.rate, abs=1)
+    for time, angles_of_packet in packets:
+        row = int(time * published.rate + 1e-6)
+        np.testing.assert_array_equal(angles_of_packet, published.given[row % len(published.time)])
 
 
 @pytest.fixture(scope="module")
@@ -108,36 +110,36 @@ def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
     """A subscriber gets every message of half a second, in order: JSON lists of twelve whole degrees."""
     import paho.mqtt.client as mqtt
 
-    seen: list[bytes] = []
+    payloads: list[bytes] = []
     listening = threading.Event()
     listener = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-    listener.on_message = lambda client, data, message: seen.append(message.payload)
-    listener.on_subscribe = lambda *told: listening.set()
+    listener.on_message = lambda client, data, message: payloads.append(message.payload)
+    listener.on_subscribe = lambda *arguments: listening.set()
     listener.connect("127.0.0.1", broker)
     listener.loop_start()
     listener.subscribe("q_values")
     assert listening.wait(10)
     with connected(f"mqtt://127.0.0.1:{broker}") as send:
-        sent = send_table(published, send, 0.5)
-    wires.until(lambda: len(seen) >= sent.messages, 10.0)
+        report = send_table(published, send, 0.5)
+    wires.until(lambda: len(payloads) >= report.messages, 10.0)
     listener.disconnect()
     listener.loop_stop()
-    assert sent.messages + sent.skipped == int(np.ceil(0.5 * published.rate))
-    assert len(seen) == sent.messages
-    if not sent.skipped:
-        assert [json.loads(each) for each in seen] == published.given[: sent.messages].astype(
-            int
-        ).tolist()
-    assert seen[0] == json.dumps(published.given[0].astype(int).tolist()).encode()
+    assert report.messages + report.skipped == int(np.ceil(0.5 * published.rate))
+    assert len(payloads) == report.messages
+    if not report.skipped:
+        assert [json.loads(payload) for payload in payloads] == published.given[
+            : report.messages
+        ].astype(int).tolist()
+    assert payloads[0] == json.dumps(published.given[0].astype(int).tolist()).encode()
 
 
 def test_a_bridge_gets_radians(published) -> None:
     """By rosbridge's protocol: the topic is advertised with its type, and each message is a Float32MultiArray."""
     from websockets.sync.server import serve
 
-    seen: list[dict] = []
+    messages: list[dict] = []
     with serve(
-        lambda peer: seen.extend(json.loads(each) for each in peer), "127.0.0.1", 0
+        lambda peer: messages.extend(json.loads(entry) for entry in peer), "127.0.0.1", 0
     ) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -148,10 +150,14 @@ def test_a_bridge_gets_radians(published) -> None:
         server.shutdown()
         thread.join(10)
     topic = "/nermo/q_values"
-    assert seen[0] == {"op": "advertise", "topic": topic, "type": "std_msgs/msg/Float32MultiArray"}
-    assert seen[-1] == {"op": "unadvertise", "topic": topic}
-    assert {(each["op"], each["topic"]) for each in seen[1:-1]} == {("publish", topic)}
-    message = seen[1]["msg"]
+    assert messages[0] == {
+        "op": "advertise",
+        "topic": topic,
+        "type": "std_msgs/msg/Float32MultiArray",
+    }
+    assert messages[-1] == {"op": "unadvertise", "topic": topic}
+    assert {(entry["op"], entry["topic"]) for entry in messages[1:-1]} == {("publish", topic)}
+    message = messages[1]["msg"]
     assert message["layout"] == {"dim": [], "data_offset": 0}
     np.testing.assert_allclose(message["data"], np.radians(published.angles[0]), atol=1e-6)
 
@@ -171,8 +177,8 @@ def test_nobody_there_is_a_sentence(url: str, sentence: str) -> None:
 
 def test_the_command_sends_and_says_how_it_went(broker) -> None:
     send = ("--send", f"mqtt://127.0.0.1:{broker}", "--seconds", "0.19")
-    sent = json_of("servos", "--channels", "published", *send)["sent"]
-    assert sent["messages"] + sent["skipped"] == 6
+    report = json_of("servos", "--channels", "published", *send)["sent"]
+    assert report["messages"] + report["skipped"] == 6
 
 
 class Broker(threading.Thread):
@@ -189,8 +195,8 @@ class Broker(threading.Thread):
         self.got = peer.recv(1024)
         peer.sendall(bytes([0x20, 2, 0, 0]))
         peer.settimeout(self.life)
-        gone = threading.Timer(self.life, lambda: peer.shutdown(socket.SHUT_RDWR))
-        gone.start()
+        timer = threading.Timer(self.life, lambda: peer.shutdown(socket.SHUT_RDWR))
+        timer.start()
         while peer.recv(4096):
             pass
         peer.close()
@@ -202,16 +208,16 @@ def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
     pytest.importorskip("paho.mqtt.client")
     broker = Broker(0.5)
     url = f"mqtt://us%40er:p%2Fss@127.0.0.1:{broker.port}"
-    done = run_command(["servos", "--channels", "published", "--seconds", "2", "--send", url])
-    assert done.returncode == 1, done.stderr
-    sent, lost = map(
+    process = run_command(["servos", "--channels", "published", "--seconds", "2", "--send", url])
+    assert process.returncode == 1, process.stderr
+    sent_count, lost_count = map(
         int,
         re.search(
-            r"broker is gone: (\d+) messages were sent, (\d+) were not", done.stderr
+            r"broker is gone: (\d+) messages were sent, (\d+) were not", process.stderr
         ).groups(),
     )
-    assert sent > 3
-    assert lost > 20
+    assert sent_count > 3
+    assert lost_count > 20
     assert b"us@er\x00\x04p/ss" in broker.got
 
 

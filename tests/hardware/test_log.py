@@ -40,13 +40,13 @@ def test_values_are_in_si_units_by_sign_and_zero(tmp_path):
             "channels": {"a": servo, "track": track, "n": count},
         },
     )
-    spine, marker, counted = log.channels
+    spine, marker, count_channel = log.channels
     assert (spine.quantity, spine.of, spine.unit) == ("command", "spine", "rad")
     np.testing.assert_allclose(spine.times, 0.01 * np.arange(5), atol=1e-12)
     np.testing.assert_allclose(spine.values, -np.radians(np.arange(5)), atol=1e-12)
     np.testing.assert_allclose(marker.values, 1e-3 * np.outer(np.arange(5), [1, 2]), atol=1e-12)
     assert (marker.of, marker.unit) == ("torso", "m")
-    np.testing.assert_allclose(counted.values, 0.005 * np.arange(5), atol=1e-12)
+    np.testing.assert_allclose(count_channel.values, 0.005 * np.arange(5), atol=1e-12)
     assert log.findings == ()
     assert log.duration == pytest.approx(0.04)
     assert log.channel("position") is marker
@@ -57,7 +57,7 @@ def test_units_of_sliding_joints_and_motors_are_told(tmp_path):
     path = written(tmp_path, [(i, i, i) for i in range(3)], "t,a,b")
     slide, motor = ({"quantity": "command", "of": name, "unit": name} for name in ("mm", "mN m"))
     log = read_log(path, told(a=slide, b=motor))
-    assert [each.unit for each in log.channels] == ["m", "N m"]
+    assert [channel.unit for channel in log.channels] == ["m", "N m"]
 
 
 def test_rates_that_differ_gaps_and_late_or_doubled_stamps(tmp_path):
@@ -74,10 +74,10 @@ def test_rates_that_differ_gaps_and_late_or_doubled_stamps(tmp_path):
     assert slow.interval == pytest.approx(0.04)
     assert len(slow.times) == 22
     assert fast.gaps.round(3).tolist() == [[0.39, 0.5]]
-    found = " ".join(log.findings)
-    assert "a: 1 samples came late, by up to 0.01 s" in found
-    assert "a: 1 stamps are doubled" in found
-    assert "a: a gap of 0.11 s at 0.390 s: 10 % of the samples are missing" in found
+    text = " ".join(log.findings)
+    assert "a: 1 samples came late, by up to 0.01 s" in text
+    assert "a: 1 stamps are doubled" in text
+    assert "a: a gap of 0.11 s at 0.390 s: 10 % of the samples are missing" in text
 
 
 def test_a_second_clock(tmp_path):
@@ -102,9 +102,9 @@ def test_forms_of_csv_and_parquet(tmp_path):
     np.testing.assert_allclose(log.channels[0].values, [1.5, 2.5, 4.5])
     table = tmp_path / "log.parquet"
     pq.write_table(pa.table({"t": [0.0, 0.1, 0.2, 0.3], "a": [1.5, 2.5, None, 4.5]}), table)
-    same = read_log(table, told(a=ANGLE))
-    np.testing.assert_array_equal(same.channels[0].times, log.channels[0].times)
-    np.testing.assert_array_equal(same.channels[0].values, log.channels[0].values)
+    parquet_log = read_log(table, told(a=ANGLE))
+    np.testing.assert_array_equal(parquet_log.channels[0].times, log.channels[0].times)
+    np.testing.assert_array_equal(parquet_log.channels[0].values, log.channels[0].values)
 
 
 ROWS = [(0.01 * i, 0.1 * (i % 7)) for i in range(60)]

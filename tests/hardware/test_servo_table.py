@@ -79,10 +79,10 @@ def test_a_servo_is_where_the_leg_needs_it_at_the_end_of_stance() -> None:
     table = servo_table(Setup(gait="trot"), {"frequency": 1.0}, rate=100.0)
     half = table.angles[50]
     # The stance of front left begins at phase 0.5: its foot is half a stride ahead of its neutral place.
-    place = np.array([-0.005 - 0.03, -0.045])
+    target = np.array([-0.005 - 0.03, -0.045])
     leg = four_legs(ROBOT)
     servo = np.degrees(
-        np.asarray(inverse_kinematics(leg, np.broadcast_to(place, (4, 2)), "type3").servo)
+        np.asarray(inverse_kinematics(leg, np.broadcast_to(target, (4, 2)), "type3").servo)
     )[0]
     assert table.angles[50, 0] == pytest.approx(servo[0], abs=0.05)
     assert half[SERVOS.index("front_left_knee")] == pytest.approx(servo[1], abs=0.05)
@@ -115,12 +115,12 @@ def test_left_and_right_turns_mirror_each_other() -> None:
         for turn in (0.6, -0.6)
     ]
     left, right = (table.angles for table in tables)
-    other = [
+    opposite = [
         SERVOS.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
         for name in tables[0].names
     ]
     signs = np.array([-1.0 if name in ("spine", "neck") else 1.0 for name in tables[0].names])
-    np.testing.assert_allclose(left, signs * np.roll(right, 50, axis=0)[:, other], atol=0.02)
+    np.testing.assert_allclose(left, signs * np.roll(right, 50, axis=0)[:, opposite], atol=0.02)
     assert left[:, SERVOS.index("spine")].mean() > 5.0
 
 
@@ -187,8 +187,8 @@ def test_the_command_writes_the_table(tmp_path: Path) -> None:
     out = tmp_path / "new" / "gait.csv"
     words = f"servos --gait lateral_walk --frequency 0.5 --turn-rate 0.3 --rate 40 --cycles 2 --out {out} --json"
     command = [sys.executable, "-m", "nermo_mjx", *words.split()]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    report = json.loads(done.stdout)
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    report = json.loads(process.stdout)
     table = servo_table(
         Setup(gait="lateral_walk"), {"frequency": 0.5, "pilot.turn_rate": 0.3}, rate=40.0, cycles=2
     )
@@ -215,14 +215,14 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
     between = recorded_table(recording, setup.load(), rate=200.0)
     middle = 0.5 * (ticks.angles[:-1] + ticks.angles[1:])
     np.testing.assert_allclose(between.angles[1::2], middle, atol=1e-4)
-    sent, clock = [], iter(np.arange(10_000) * 0.001)
+    commands, clock = [], iter(np.arange(10_000) * 0.001)
     send_table(
         ticks,
-        lambda angles, given: sent.append(angles),
+        lambda angles, channels: commands.append(angles),
         clock=lambda: next(clock),
         wait=lambda seconds: None,
     )
-    assert len(sent) == len(ticks.time)  # once, and not in a loop
+    assert len(commands) == len(ticks.time)  # once, and not in a loop
 
     path, out = tmp_path / "walk.npz", tmp_path / "walk.csv"
     recording.save(path)
@@ -271,8 +271,8 @@ def test_parts_that_would_touch_are_named_with_the_time(side: int, tmp_path: Pat
     assert 0.8 < time <= 1.3  # on the way there, the last part of it
     ctrl[:, 8] = 0.0
     assert len(recorded_table(dataclasses.replace(walk, ctrl=ctrl), setup.load()).time) == 101
-    told = call("servos", "--recording", tmp_path / "bent.npz", "--out", tmp_path / "bent.csv")
-    assert (told.exit_code, f"front_{name}_foot would touch" in told.stderr) == (2, True)
+    result = call("servos", "--recording", tmp_path / "bent.npz", "--out", tmp_path / "bent.csv")
+    assert (result.exit_code, f"front_{name}_foot would touch" in result.stderr) == (2, True)
     assert not (tmp_path / "bent.csv").exists()
 
 
@@ -302,6 +302,6 @@ def test_two_arms_touch_when_their_closed_form_says() -> None:
 
 @pytest.mark.release
 def test_a_cycle_and_three_cycles_are_the_same_gait() -> None:
-    one = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5}, rate=50.0)
+    single = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5}, rate=50.0)
     three = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5}, rate=50.0, cycles=3)
-    np.testing.assert_allclose(np.tile(one.angles, (3, 1)), three.angles, atol=1e-4)
+    np.testing.assert_allclose(np.tile(single.angles, (3, 1)), three.angles, atol=1e-4)

@@ -25,26 +25,26 @@ def sines(times, k=0):
 
 def log_with(lag=0.012, seed=0, noise=0.003, quantum=0.0175, rate=100.0, **faults):
     """Commands and angles of five servos, gyro and accelerometer; a fault is a function of a servo's angles."""
-    random, times, made = np.random.default_rng(seed), np.arange(0.0, 12.0, 1.0 / rate), []
-    for k, of in enumerate(SERVOS):
-        late = faults.get(f"late_{of}", 0.0)
-        angles = sines(times - lag - late, k) + noise * random.standard_normal(len(times))
-        angles = faults.get(of, lambda values: values)(np.round(angles / quantum) * quantum)
-        made.append(Channel(f"cmd_{of}", "command", of, times, sines(times, k), "rad"))
-        made.append(Channel(f"pos_{of}", "angle", of, times, angles, "rad"))
+    random, times, channels = np.random.default_rng(seed), np.arange(0.0, 12.0, 1.0 / rate), []
+    for k, servo in enumerate(SERVOS):
+        delay = faults.get(f"late_{servo}", 0.0)
+        angles = sines(times - lag - delay, k) + noise * random.standard_normal(len(times))
+        angles = faults.get(servo, lambda values: values)(np.round(angles / quantum) * quantum)
+        channels.append(Channel(f"cmd_{servo}", "command", servo, times, sines(times, k), "rad"))
+        channels.append(Channel(f"pos_{servo}", "angle", servo, times, angles, "rad"))
     turning = np.stack(
         [sines(times, k + 7) for k in range(3)], axis=-1
     ) + 0.01 * random.standard_normal((len(times), 3))
     weight = np.array([0.0, 0.0, 9.81]) + 0.3 * random.standard_normal((len(times), 3))
-    made.append(
+    channels.append(
         Channel("gyro", "gyro", "imu", times, faults.get("gyro", lambda v: v)(turning), "rad/s")
     )
-    made.append(
+    channels.append(
         Channel(
             "acc", "accelerometer", "imu", times, faults.get("acc", lambda v: v)(weight), "m/s^2"
         )
     )
-    return Log(tuple(made), "log")
+    return Log(tuple(channels), "log")
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -106,10 +106,10 @@ def test_a_fault_is_named(case, seed):
     """And, but for those of all channels, no other channel is."""
     faults, sentence = CASES[case]
     lag = faults.get("lag", 0.012)
-    found = findings_of(log_with(**{**faults, "lag": lag, "seed": seed}))
-    assert any(re.match(sentence, each) for each in found), found
-    about = {word for each in found for word in (each.split(":")[0].split(" ")[0],)}
-    assert case in ("ahead", "saturated below", "unit") or len(about) == 1, found
+    findings = findings_of(log_with(**{**faults, "lag": lag, "seed": seed}))
+    assert any(re.match(sentence, finding) for finding in findings), findings
+    subjects = {word for finding in findings for word in (finding.split(":")[0].split(" ")[0],)}
+    assert case in ("ahead", "saturated below", "unit") or len(subjects) == 1, findings
 
 
 @pytest.mark.parametrize("lag", [-0.05, 0.0, 0.0137, 0.034, 0.12])
@@ -117,10 +117,11 @@ def test_a_fault_is_named(case, seed):
 def test_a_lag_is_found_between_samples(lag, quantum):
     """Samples are 10 ms apart, and noise and quantization are those of a servo; another rate is found, too."""
     log = log_with(lag=lag, quantum=quantum)
-    found = [
-        lag_of(log.of_quantity("angle")[of], log.of_quantity("command")[of])[0] for of in SERVOS
+    lags = [
+        lag_of(log.of_quantity("angle")[servo], log.of_quantity("command")[servo])[0]
+        for servo in SERVOS
     ]
-    np.testing.assert_allclose(found, lag, atol=1.5e-3)
+    np.testing.assert_allclose(lags, lag, atol=1.5e-3)
     fast = np.arange(0.0, 12.0, 1 / 150)
     command = Channel("cmd", "command", "spine", fast, sines(fast, 4), "rad")
     assert lag_of(log.of_quantity("angle")["spine"], command)[0] == pytest.approx(lag, abs=1.5e-3)
@@ -138,10 +139,12 @@ def test_names_and_times_in_doubt_are_named():
     assert findings_of(log) == (
         "cmd_spine is of 'spin', and pos_spine of 'spine': are both of one servo?",
     )
-    slow = tuple(dataclasses.replace(each, times=1e3 * each.times) for each in log_with().channels)
-    (found,) = findings_of(Log(slow, "log"))
+    slow = tuple(
+        dataclasses.replace(channel, times=1e3 * channel.times) for channel in log_with().channels
+    )
+    (finding,) = findings_of(Log(slow, "log"))
     assert (
-        found
+        finding
         == "cmd_hip_1, pos_hip_1, cmd_hip_2 and 9 others: a sample comes every 10 s: has the time another unit?"
     )
 
@@ -153,7 +156,7 @@ def test_an_end_that_is_reached_only_before_the_command_begins_is_not_saturated(
     angle = Channel(
         "pos", "angle", "hip", times, np.where(times < 0.1, 0.0, sines(times - 0.02) - 1.0), "rad"
     )
-    assert not any("saturated" in each for each in findings_of(Log((command, angle), "log")))
+    assert not any("saturated" in finding for finding in findings_of(Log((command, angle), "log")))
 
 
 @pytest.mark.parametrize("drift", [0.0, 2e-3, -3e-3])
@@ -165,29 +168,33 @@ def test_a_clock_that_drifts_is_found(drift):
     log = dataclasses.replace(
         log, channels=(*log.channels, Channel("yaw", "yaw", "torso", turning.times, yaw, "rad"))
     )
-    own = ("angle", "yaw")
-    moved = [
-        dataclasses.replace(each, times=each.times * (1 + drift) + 1e-4) for each in log.channels
+    quantities = ("angle", "yaw")
+    shifted = [
+        dataclasses.replace(channel, times=channel.times * (1 + drift) + 1e-4)
+        for channel in log.channels
     ]
-    both = [
-        new if each.quantity in own else each for each, new in zip(log.channels, moved, strict=True)
+    channels = [
+        new if channel.quantity in quantities else channel
+        for channel, new in zip(log.channels, shifted, strict=True)
     ]
-    found = [
-        each
-        for each in findings_of(dataclasses.replace(log, channels=tuple(both)))
-        if "clock" in each
+    findings = [
+        finding
+        for finding in findings_of(dataclasses.replace(log, channels=tuple(channels)))
+        if "clock" in finding
     ]
     if not drift:
-        assert found == []
+        assert findings == []
         return
-    scales = [float(re.search(r"scale: ([\d.]+)", each).group(1)) for each in found]
-    assert [each.split(":")[0] for each in found] == [
+    scales = [float(re.search(r"scale: ([\d.]+)", finding).group(1)) for finding in findings]
+    assert [finding.split(":")[0] for finding in findings] == [
         "pos_hip_1, pos_hip_2, pos_hip_3 and 2 others",
         "yaw",
     ]
     assert scales == pytest.approx([1 / (1 + drift)] * 2, abs=0.004 / end)
-    late = [dataclasses.replace(each, times=each.times * (1 + drift)) for each in log.channels]
-    assert findings_of(dataclasses.replace(log, channels=tuple(late))) == ()
+    delayed = [
+        dataclasses.replace(channel, times=channel.times * (1 + drift)) for channel in log.channels
+    ]
+    assert findings_of(dataclasses.replace(log, channels=tuple(delayed))) == ()
 
 
 def test_a_track_is_compared_in_its_own_frame():
@@ -196,7 +203,7 @@ def test_a_track_is_compared_in_its_own_frame():
     track = np.stack([0.1 * times, 0.02 * np.sin(times), 0.05 + 0.001 * np.sin(9 * times)], axis=-1)
     turn = np.array([[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]])
     noise = 1e-3 * np.random.default_rng(0).standard_normal((len(times), 2))
-    seen = track[:, :2] @ turn.T + [0.4, -0.7] + noise
+    measured = track[:, :2] @ turn.T + [0.4, -0.7] + noise
     twin = Log(
         (
             Channel("p", "position", "torso", times, track, "m"),
@@ -206,7 +213,7 @@ def test_a_track_is_compared_in_its_own_frame():
     )
     log = Log(
         (
-            Channel("mark", "position", "torso", times, seen, "m"),
+            Channel("mark", "position", "torso", times, measured, "m"),
             Channel("yaw", "yaw", "torso", times, track[:, 0] + 2.0, "rad"),
         ),
         "l",
@@ -215,27 +222,32 @@ def test_a_track_is_compared_in_its_own_frame():
     assert (x.name, y.name, x.unit) == ("mark x", "mark y", "m")
     assert [x.rms, y.rms] == pytest.approx([1e-3, 1e-3], rel=0.1)
     assert yaw.rms < 1e-12
-    other = dataclasses.replace(twin.channels[0], values=track * [1.0, -1.0, 1.0])
-    assert channel_differences(log, Log((other,), "mirrored"))[1].rms > 0.005, (
+    mirrored = dataclasses.replace(twin.channels[0], values=track * [1.0, -1.0, 1.0])
+    assert channel_differences(log, Log((mirrored,), "mirrored"))[1].rms > 0.005, (
         "a mirrored track is no turned one"
     )
 
 
 def test_gaps_are_not_compared():
     times = np.concatenate([np.arange(0, 2, 0.01), np.arange(3, 5, 0.01)])
-    one = Channel("a", "angle", "x", times, sines(times), "rad")
-    whole = np.arange(0, 5, 0.01)
-    other = Channel(
-        "a", "angle", "x", whole, np.where((whole > 2) & (whole < 3), 9.0, sines(whole)), "rad"
+    full = Channel("a", "angle", "x", times, sines(times), "rad")
+    full_times = np.arange(0, 5, 0.01)
+    partial = Channel(
+        "a",
+        "angle",
+        "x",
+        full_times,
+        np.where((full_times > 2) & (full_times < 3), 9.0, sines(full_times)),
+        "rad",
     )
-    assert channel_differences(Log((one,), ""), Log((other,), ""))[0].rms < 1e-9
-    assert channel_differences(Log((other,), ""), Log((one,), ""))[0].rms < 1e-9
+    assert channel_differences(Log((full,), ""), Log((partial,), ""))[0].rms < 1e-9
+    assert channel_differences(Log((partial,), ""), Log((full,), ""))[0].rms < 1e-9
 
 
 def compared(a: Channel, b: Channel) -> tuple[list[Difference], list[Difference]]:
     """B minus A, and A minus B."""
-    one, two = Log((a,), "a"), Log((b,), "b")
-    return channel_differences(two, one), channel_differences(one, two)
+    first, two = Log((a,), "a"), Log((b,), "b")
+    return channel_differences(two, first), channel_differences(first, two)
 
 
 @pytest.mark.parametrize("rates", [(100.0, 500.0), (500.0, 100.0)])
@@ -255,37 +267,41 @@ def test_two_rates_are_compared_at_the_coarser_stamps_in_either_order(rates) -> 
             "rad",
         )
 
-    (there,), (back,) = compared(channel(rates[0], 0.0), channel(rates[1], 0.1))
-    for found, sign in ((there, 1.0), (back, -1.0)):
-        assert found.rms == pytest.approx(0.1, abs=1e-9)
-        assert found.bias == pytest.approx(0.1 * sign, abs=1e-9)
-        assert found.amplitude == pytest.approx(1 / np.sqrt(2), rel=1e-3), "of the wave alone"
-        assert found.correlation == pytest.approx(1.0, abs=1e-9)
-        assert found.lag == pytest.approx(0.0, abs=1e-4)
-    assert (there.name, back.name) == (f"at {rates[1]:g} Hz", f"at {rates[0]:g} Hz")
+    (forward,), (back,) = compared(channel(rates[0], 0.0), channel(rates[1], 0.1))
+    for comparison, sign in ((forward, 1.0), (back, -1.0)):
+        assert comparison.rms == pytest.approx(0.1, abs=1e-9)
+        assert comparison.bias == pytest.approx(0.1 * sign, abs=1e-9)
+        assert comparison.amplitude == pytest.approx(1 / np.sqrt(2), rel=1e-3), "of the wave alone"
+        assert comparison.correlation == pytest.approx(1.0, abs=1e-9)
+        assert comparison.lag == pytest.approx(0.0, abs=1e-4)
+    assert (forward.name, back.name) == (f"at {rates[1]:g} Hz", f"at {rates[0]:g} Hz")
 
 
 @pytest.mark.parametrize("rates", [(100.0, 500.0), (500.0, 100.0), (100.0, 100.0), (100.0, 99.0)])
 @pytest.mark.parametrize("axes", [(2, 2), (2, 3), (3, 2)])
 def test_the_order_of_two_tracks_changes_signs_alone_in_either_order(rates, axes) -> None:
     """Noisy tracks with other stamps, frames and numbers of axes; the second one is 30 ms late."""
-    random, made = np.random.default_rng(4), list[Channel]()
-    for rate, number, late, turn in zip(rates, axes, (0.0, 0.03), (0.0, 0.7), strict=True):
+    random, channels = np.random.default_rng(4), list[Channel]()
+    for rate, number, delay, turn in zip(rates, axes, (0.0, 0.03), (0.0, 0.7), strict=True):
         count = round(4.0 * rate)
         times = np.sort((np.arange(count) + random.uniform(-0.2, 0.2, count)) / rate) + 1.0
-        phase = 3.0 * (times - late)
+        phase = 3.0 * (times - delay)
         track = np.stack([np.sin(phase), 0.5 * np.cos(1.7 * phase), 0.1 * np.sin(phase)], axis=-1)
         track[:, :2] @= np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         track += random.normal(0.0, 0.01, track.shape)
-        made.append(Channel("track", "position", "torso", times, track[:, :number], "m"))
-    there, back = compared(*made)
-    assert len(there) == len(back) == min(axes)
-    for one, other in zip(there, back, strict=True):
-        assert (other.name, other.unit, other.rms, other.amplitude) == (
-            one.name,
-            one.unit,
-            one.rms,
-            one.amplitude,
+        channels.append(Channel("track", "position", "torso", times, track[:, :number], "m"))
+    forward, back = compared(*channels)
+    assert len(forward) == len(back) == min(axes)
+    for first, second in zip(forward, back, strict=True):
+        assert (second.name, second.unit, second.rms, second.amplitude) == (
+            first.name,
+            first.unit,
+            first.rms,
+            first.amplitude,
         )
-        assert (other.bias, other.lag, other.correlation) == (-one.bias, -one.lag, one.correlation)
-    assert there[0].lag == pytest.approx(0.03, abs=0.005)
+        assert (second.bias, second.lag, second.correlation) == (
+            -first.bias,
+            -first.lag,
+            first.correlation,
+        )
+    assert forward[0].lag == pytest.approx(0.03, abs=0.005)

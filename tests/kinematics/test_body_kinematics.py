@@ -102,14 +102,14 @@ def test_hips_and_centre_of_mass_are_where_mujoco_puts_them():
     for i, angle in enumerate(theta):
         data = mujoco_at(angle)
         for side, name in enumerate(("left", "right")):
-            other = ("right", "left")[side]
+            opposite = ("right", "left")[side]
             hip = data.site(f"hip_{name}").xpos
             np.testing.assert_allclose(hips[i, side], hip, atol=1e-12)
             np.testing.assert_allclose(
                 rise[i, side], hip[2] - neutral.site(f"hip_{name}").xpos[2], atol=1e-12
             )
             diagonal = np.linalg.norm(
-                data.site(f"shoulder_{name}").xpos - data.site(f"hip_{other}").xpos
+                data.site(f"shoulder_{name}").xpos - data.site(f"hip_{opposite}").xpos
             )
             np.testing.assert_allclose(lengths[i, side], diagonal, atol=1e-12)
         np.testing.assert_allclose(com[i], data.subtree_com[0], atol=1e-10)
@@ -170,10 +170,12 @@ def test_mass_model_may_be_batched():
     batch = MassModel(
         0.1647 * scale, np.full(3, 0.1053), np.tile(FRONT_COM, (3, 1)), np.tile(REAR_COM, (3, 1))
     )
-    together = body.centre_of_mass(batch, 0.05, ROBOT)
+    batch_result = body.centre_of_mass(batch, 0.05, ROBOT)
     for i in range(3):
         single = MassModel(0.1647 * scale[i], 0.1053, np.array(FRONT_COM), np.array(REAR_COM))
-        np.testing.assert_allclose(together[i], body.centre_of_mass(single, 0.05, ROBOT), atol=1e-7)
+        np.testing.assert_allclose(
+            batch_result[i], body.centre_of_mass(single, 0.05, ROBOT), atol=1e-7
+        )
 
 
 def test_diagonal_distance_is_published_and_signed():
@@ -222,11 +224,11 @@ def test_balance_meets_its_condition_in_mujoco(feet, lift):
                 data.subtree_com[0] if point is None else ground[point], ground[f], ground[r]
             )
 
-        wanted = 0.0 if third is None else lift * np.sign(distance(0.0, point=third))
+        expected = 0.0 if third is None else lift * np.sign(distance(0.0, point=third))
         reached, ends = distance(angle), [distance(-limit), distance(limit)]
         assert abs(angle) <= limit
-        assert reached == pytest.approx(np.clip(wanted, min(ends), max(ends)), abs=1e-9)
-        solved += abs(reached - wanted) < 1e-9
+        assert reached == pytest.approx(np.clip(expected, min(ends), max(ends)), abs=1e-9)
+        solved += abs(reached - expected) < 1e-9
     # In the walking stance 0.1 rad are not enough for the diagonal, in the stance of the balance test they are.
     assert solved >= (4 if feet is BALANCING else 0)
 

@@ -182,11 +182,11 @@ def test_inverse_undoes_forward(routing, x64, tolerance):
         servo = jnp.stack([jnp.asarray(q1), knee_servo(legs, q1, theta, routing)], axis=-1)
         pose = forward(legs, servo, routing=routing)
         solution = inverse(legs, pose.foot, routing=routing)
-        again = forward(legs, solution.servo, routing=routing)
+        solved_pose = forward(legs, solution.servo, routing=routing)
         np.testing.assert_allclose(pose.knee_angle, theta, atol=tolerance)
         np.testing.assert_allclose(solution.servo, servo, atol=tolerance)
         np.testing.assert_allclose(solution.knee_angle, theta, atol=tolerance)
-        np.testing.assert_allclose(again.foot, pose.foot, atol=1e-12 if x64 else 1e-6)
+        np.testing.assert_allclose(solved_pose.foot, pose.foot, atol=1e-12 if x64 else 1e-6)
         assert pose.reachable.all()
         assert solution.reachable.all()
 
@@ -239,10 +239,10 @@ def test_unreachable_feet_go_to_the_nearest_reachable_one(geometry):
     workspace = np.asarray(kin.points(leg, q1, theta).foot).reshape(-1, 2)
     angle = np.linspace(-np.pi, np.pi, 12, endpoint=False)
     direction = np.stack([np.sin(angle), np.cos(angle)], -1)
-    wanted = np.concatenate([radius * direction for radius in (0.001, 0.004, 0.08, 0.3, 3.0)])
-    solution = inverse(leg, wanted, routing="type3")
-    ours = np.linalg.norm(solution.foot - wanted, axis=-1)
-    best = np.linalg.norm(workspace[None] - wanted[:, None], axis=-1).min(axis=1)
+    targets = np.concatenate([radius * direction for radius in (0.001, 0.004, 0.08, 0.3, 3.0)])
+    solution = inverse(leg, targets, routing="type3")
+    ours = np.linalg.norm(solution.foot - targets, axis=-1)
+    best = np.linalg.norm(workspace[None] - targets[:, None], axis=-1).min(axis=1)
     assert not solution.reachable.any()
     assert (ours < best + 1e-6).all()
     np.testing.assert_allclose(ours, best, atol=5e-4)  # the sample's spacing
@@ -307,12 +307,12 @@ def test_legs_and_batches_broadcast():
     """Four legs with a batch of feet (N, 4, 2) give what each leg gives alone, also under vmap."""
     legs = kin.four_legs(ROBOT)
     feet = np.array([0.0, -0.045]) + np.random.default_rng(2).uniform(-0.01, 0.01, (5, 4, 2))
-    together = inverse(legs, feet, routing="type2")
+    batch_result = inverse(legs, feet, routing="type2")
     mapped = jax.jit(jax.vmap(lambda foot: kin.inverse_kinematics(legs, foot, "type2")))(feet)
     for limb, geometry in enumerate((FRONT_LEG, FRONT_LEG, REAR_LEG, REAR_LEG)):
-        alone = inverse(kin.leg_of(geometry), feet[:, limb], routing="type2")
-        np.testing.assert_allclose(together.servo[:, limb], alone.servo, atol=1e-6)
-    np.testing.assert_allclose(together.servo, mapped.servo, atol=1e-6)
+        single_result = inverse(kin.leg_of(geometry), feet[:, limb], routing="type2")
+        np.testing.assert_allclose(batch_result.servo[:, limb], single_result.servo, atol=1e-6)
+    np.testing.assert_allclose(batch_result.servo, mapped.servo, atol=1e-6)
     assert jax.eval_shape(functools.partial(kin.jacobian, routing="type2"), legs, feet).shape == (
         5,
         4,

@@ -132,10 +132,12 @@ def test_servo_law_is_the_published_one():
     radius2, alpha = half**2 + offset**2, math.atan(offset / half)
     segment = SPINE_GEOMETRY.segment_length + SPINE_GEOMETRY.pulley_radius * servo / 4
     published = 2 * alpha - math.pi + np.arccos(1 - segment**2 / (2 * radius2))
-    both = np.concatenate([-servo, servo])
+    angles = np.concatenate([-servo, servo])
     with jax.enable_x64(True):
         np.testing.assert_allclose(joint_angle(servo, ROBOT), published, atol=1e-12)
-        np.testing.assert_allclose(servo_angle(joint_angle(both, ROBOT), ROBOT), both, atol=1e-12)
+        np.testing.assert_allclose(
+            servo_angle(joint_angle(angles, ROBOT), ROBOT), angles, atol=1e-12
+        )
 
 
 def test_servo_range_bends_the_joints_by_their_limit():

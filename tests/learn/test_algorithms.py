@@ -61,15 +61,17 @@ def returned(learned, episodes=64):
     state, total = environment.reset(jax.random.key(99)), np.zeros(episodes)
     state = state._replace(tick=jnp.zeros_like(state.tick))
     quiet = dataclasses.replace(learned.actor, log_std=jnp.full(2, -20.0))
-    _, found = jax.jit(functools.partial(scanned, environment))(
+    _, steps_of_scan = jax.jit(functools.partial(scanned, environment))(
         quiet, learned.statistics, state, jnp.zeros((60, episodes, 2))
     )
     running = np.ones(episodes, bool)
-    for reward, ended in zip(
-        np.asarray(found.reward), np.asarray(found.terminated | found.truncated), strict=True
+    for reward, is_end in zip(
+        np.asarray(steps_of_scan.reward),
+        np.asarray(steps_of_scan.terminated | steps_of_scan.truncated),
+        strict=True,
     ):
         total += reward * running
-        running &= ~ended
+        running &= ~is_end
     return total.mean()
 
 
@@ -79,8 +81,10 @@ def test_the_tally_leaves_out_each_worlds_first_episode():
     ends = np.array([[0, 1, 0, 0, 1, 0], [1, 0, 0, 1, 0, 1]], bool).T
     falls = np.array([[0, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 1]], bool).T
     reward, nothing = np.stack([steps, 10 * steps], axis=1), np.zeros((6, 2, 1))
-    found = Experience(nothing, nothing, reward, {"near": reward}, falls, ends & ~falls, nothing)
-    numbers = EpisodeScores.none(2).tally(found)
+    experience = Experience(
+        nothing, nothing, reward, {"near": reward}, falls, ends & ~falls, nothing
+    )
+    numbers = EpisodeScores.none(2).tally(experience)
     assert numbers["episodes"] == 3
     np.testing.assert_allclose(numbers["return"], ((3 + 4 + 5) + (20 + 30 + 40) + (50 + 60)) / 3)
     np.testing.assert_allclose(numbers["length"], (3 + 3 + 2) / 3)
@@ -91,19 +95,19 @@ def test_the_tally_leaves_out_each_worlds_first_episode():
 def test_advantages_are_sums_of_errors_up_to_the_episodes_end():
     """Against the definition, written out; a time limit is bootstrapped, a fall is not."""
     rng = np.random.default_rng(0)
-    reward, value, after = rng.normal(size=(3, 9, 5))
+    reward, value, next_value = rng.normal(size=(3, 9, 5))
     fallen = rng.random((9, 5)) < 0.2
     cut = (rng.random((9, 5)) < 0.2) & ~fallen
-    found = advantages(reward, value, after, fallen, cut, 0.9, 0.7)
+    result = advantages(reward, value, next_value, fallen, cut, 0.9, 0.7)
     for world in range(5):
         for t in range(9):
             total = 0.0
             for k in range(t, 9):
-                future = 0.0 if fallen[k, world] else 0.9 * after[k, world]
+                future = 0.0 if fallen[k, world] else 0.9 * next_value[k, world]
                 total += (0.9 * 0.7) ** (k - t) * (reward[k, world] + future - value[k, world])
                 if fallen[k, world] or cut[k, world]:
                     break
-            assert found[t, world] == pytest.approx(total, abs=1e-5)
+            assert result[t, world] == pytest.approx(total, abs=1e-5)
 
 
 def test_statistics_in_parts_are_those_of_the_whole():
@@ -123,38 +127,40 @@ def test_two_steps_on_the_clipped_objective_are_those_of_the_definition():
     ppo = PPO(epochs=2, minibatches=1, discount=0.0, trace=0.0, kl=None, entropy=0.0)
     actor = Actor(((jnp.zeros((1, 1)), jnp.zeros(1)),), jnp.full(1, np.log(std), jnp.float32))
     critic = ((jnp.zeros((1, 1)), jnp.zeros(1)),)
-    key, none = jax.random.key_data(jax.random.key(0)), jnp.zeros((), jnp.int32)
+    key, zero = jax.random.key_data(jax.random.key(0)), jnp.zeros((), jnp.int32)
     states = (descent().init(actor), descent().init(critic))
     learned = Learned(
-        actor, critic, critic, Statistics.none(1), states, jnp.float32(rate), key, none, none
+        actor, critic, critic, Statistics.none(1), states, jnp.float32(rate), key, zero, zero
     )
-    no, seen = jnp.zeros((1, 2), bool), jnp.zeros((1, 2, 1))
-    found = Experience(
-        seen,
+    no, inputs = jnp.zeros((1, 2), bool), jnp.zeros((1, 2, 1))
+    experience = Experience(
+        inputs,
         jnp.asarray(action[None, :, None], jnp.float32),
         jnp.asarray(gain[None]),
         {},
         no,
         no,
-        seen,
+        inputs,
     )
-    after, _ = jax.jit(functools.partial(ppo._updated, 1))(learned, found)
+    updated, _ = jax.jit(functools.partial(ppo._updated, 1))(learned, experience)
 
     def log_density(bias: float, log_std: float) -> np.ndarray:
         return -0.5 * ((action - np.tanh(bias)) / np.exp(log_std)) ** 2 - log_std
 
-    def loss(at: np.ndarray) -> float:
-        ratio = np.exp(log_density(*at) - log_density(0.0, np.log(std)))
+    def loss(point: np.ndarray) -> float:
+        ratio = np.exp(log_density(*point) - log_density(0.0, np.log(std)))
         return -np.minimum(ratio * gain, np.clip(ratio, 0.8, 1.2) * gain).mean()
 
-    at, mean, square = np.array([0.0, np.log(std)]), np.zeros(2), np.zeros(2)
+    point, mean, square = np.array([0.0, np.log(std)]), np.zeros(2), np.zeros(2)
     for step in (1, 2):
-        slope = np.array([(loss(at + 1e-6 * e) - loss(at - 1e-6 * e)) / 2e-6 for e in np.eye(2)])
+        slope = np.array(
+            [(loss(point + 1e-6 * e) - loss(point - 1e-6 * e)) / 2e-6 for e in np.eye(2)]
+        )
         slope /= max(1.0, float(np.linalg.norm(slope)))
         mean, square = 0.9 * mean + 0.1 * slope, 0.999 * square + 0.001 * slope**2
-        at = at - rate * mean / (1 - 0.9**step) / (np.sqrt(square / (1 - 0.999**step)) + 1e-7)
-    bias, log_std = float(after.actor.layers[0][1][0]), float(after.actor.log_std[0])
-    assert (bias, log_std) == pytest.approx(tuple(at), abs=1e-4)
+        point = point - rate * mean / (1 - 0.9**step) / (np.sqrt(square / (1 - 0.999**step)) + 1e-7)
+    bias, log_std = float(updated.actor.layers[0][1][0]), float(updated.actor.log_std[0])
+    assert (bias, log_std) == pytest.approx(tuple(point), abs=1e-4)
 
 
 def test_an_untrained_policy_does_nothing():
@@ -167,13 +173,13 @@ def test_an_untrained_policy_does_nothing():
 @pytest.mark.release
 def test_one_seed_gives_the_same_weights_bit_for_bit_and_another_does_not():
     """Also where each step is a call of the host, as on the engine c."""
-    host, again, scan, other = (
+    host, repeated, scan, other_seed = (
         trained(QUICK, PointMass(16, pure=pure), 3, seed)[0]
         for pure, seed in ((False, 0), (False, 0), (True, 0), (True, 1))
     )
-    assert bits(host) == bits(again)
+    assert bits(host) == bits(repeated)
     np.testing.assert_allclose(host.actor.layers[0][0], scan.actor.layers[0][0], atol=1e-5)
-    assert bits(scan) != bits(other)
+    assert bits(scan) != bits(other_seed)
 
 
 @pytest.mark.release
@@ -191,7 +197,7 @@ def test_the_learning_rate_holds_the_policys_change_near_its_aim():
     """By one factor per iteration, down or up, however many steps an iteration has."""
     _, rows = long_training()
     factors = np.array(
-        [after["rate"] / before["rate"] for before, after in itertools.pairwise(rows)]
+        [following["rate"] / previous["rate"] for previous, following in itertools.pairwise(rows)]
     )
     assert np.isclose(factors[:, None], [1 / 1.5, 1.0, 1.5], rtol=1e-5).any(axis=1).all()
     assert (factors != 1.0).any()

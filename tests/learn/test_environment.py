@@ -67,7 +67,7 @@ def states(environment):
     return walked(environment)
 
 
-def sensors(**given) -> Sensors:
+def sensors(**fields) -> Sensors:
     zero = {field.name: jnp.zeros(()) for field in dataclasses.fields(Sensors)}
     shapes = {
         "position": 3,
@@ -84,19 +84,19 @@ def sensors(**given) -> Sensors:
     zero |= {name: jnp.zeros(size) for name, size in shapes.items()} | {
         "orientation": jnp.array([1.0, 0, 0, 0])
     }
-    return Sensors(**(zero | given))
+    return Sensors(**(zero | fields))
 
 
 @pytest.mark.release
 def test_without_an_action_the_published_controller_walks(environment):
     """As far, and with as much work, as in a run of it: every world with the frequency, friction and mass drawn."""
     state = environment.reset(5)
-    drawn = state.privileged[:, -3:]
+    samples = state.privileged[:, -3:]
     for _ in range(20):
         state = environment.step(state, np.zeros((3, 9)))
     middle = np.array([sum(ends) / 2 for ends in RANDOMIZED.values()])
     half = np.array([ends[1] - ends[0] for ends in RANDOMIZED.values()]) / 2
-    values = dict(zip(RANDOMIZED, (middle + drawn * half).T, strict=True))
+    values = dict(zip(RANDOMIZED, (middle + samples * half).T, strict=True))
     run = Simulator(SETUP, engine="c").run(values, Run(duration=0.2))
     np.testing.assert_allclose(state.episode["distance"], run.metrics["distance"], rtol=1e-3)
     np.testing.assert_allclose(state.episode["servo_work"], run.metrics["servo_work"], rtol=1e-3)
@@ -107,12 +107,12 @@ def test_without_an_action_the_published_controller_walks(environment):
 @pytest.mark.release
 def test_a_world_does_not_depend_on_the_others_nor_on_the_number_of_threads(states):
     """Bit for bit, over the beginning of a second episode."""
-    for few, many in zip(
+    for small_batch, many_worlds in zip(
         states, walked(Environment(SETUP, worlds=40, task=TASK, threads=2)), strict=True
     ):
-        np.testing.assert_array_equal(few.observation, many.observation[:3])
-        np.testing.assert_array_equal(few.privileged, many.privileged[:3])
-        np.testing.assert_array_equal(few.reward, many.reward[:3])
+        np.testing.assert_array_equal(small_batch.observation, many_worlds.observation[:3])
+        np.testing.assert_array_equal(small_batch.privileged, many_worlds.privileged[:3])
+        np.testing.assert_array_equal(small_batch.reward, many_worlds.reward[:3])
 
 
 @pytest.mark.release
@@ -162,7 +162,7 @@ def test_staggered_worlds_do_not_end_their_episodes_together():
 def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
     """How long they are to last; steps that wait for their ends would compile physics for a minute."""
     environment = Environment(SETUP, engine="mjx", worlds=12, task=TASK, staggered=staggered)
-    whole = round(TASK.episode_length / 0.01)
+    whole_episode = round(TASK.episode_length / 0.01)
 
     @jax.jit
     def lengths():
@@ -171,12 +171,12 @@ def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
         return first.params.ticks, jax.vmap(environment._worlds.begin)(first.key).params.ticks
 
     first, later = map(np.asarray, lengths())
-    np.testing.assert_array_equal(later, whole)
+    np.testing.assert_array_equal(later, whole_episode)
     if staggered:
         assert len(set(first)) > 6
-        assert 1 <= first.min() < 8 < 14 < first.max() <= whole
+        assert 1 <= first.min() < 8 < 14 < first.max() <= whole_episode
     else:
-        np.testing.assert_array_equal(first, whole)
+        np.testing.assert_array_equal(first, whole_episode)
 
 
 @pytest.mark.release
@@ -207,17 +207,21 @@ def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(envi
     np.testing.assert_array_equal(state.terminated, [False, True, False])
     np.testing.assert_array_equal(state.terms["failed"], [0.0, 1.0, 0.0])
     np.testing.assert_allclose(state.privileged[:, height], start.privileged[:, height], rtol=0.05)
-    after = environment.step(state, np.zeros((3, 9)))
-    assert not after.terminated.any()
-    np.testing.assert_allclose(after.episode["duration"], [0.02, 0.01, 0.02], rtol=1e-5)
+    next_state = environment.step(state, np.zeros((3, 9)))
+    assert not next_state.terminated.any()
+    np.testing.assert_allclose(next_state.episode["duration"], [0.02, 0.01, 0.02], rtol=1e-5)
 
 
 def test_a_policy_sees_the_servos_currents():
     """By the data sheet: 8 mA at rest, 0.8 A at the stall torque of 0.157 N m, whichever way it acts."""
     observer = Observer(("motor_current",), (), (), False, False, delayed=0, noisy=False, dt=0.01)
     torque = jnp.zeros(10).at[:3].set(jnp.asarray([0.157, -0.157, 0.0785]))
-    found = observer.readings(sensors(servo_torque=torque)) * SENSED_READINGS["motor_current"].scale
-    np.testing.assert_allclose(found, [0.8, 0.8, 0.404, *[0.008] * (len(found) - 3)], rtol=1e-5)
+    currents = (
+        observer.readings(sensors(servo_torque=torque)) * SENSED_READINGS["motor_current"].scale
+    )
+    np.testing.assert_allclose(
+        currents, [0.8, 0.8, 0.404, *[0.008] * (len(currents) - 3)], rtol=1e-5
+    )
     assert all(name.endswith("_motor_current") for name in observer.names)
 
 
@@ -226,40 +230,40 @@ def test_readings_come_late_and_with_noise_of_the_given_size():
     observer = Observer(
         ("gyro", "action"), (), ("a",), False, False, delayed=4, noisy=False, dt=0.01
     )
-    told = Told(None, jnp.zeros(0), None, jnp.array([7.0]), Geometry())
+    channel_spec = Told(None, jnp.zeros(0), None, jnp.array([7.0]), Geometry())
     memory = observer.memory(jnp.zeros(3))
     for tick in range(1, 5):
         memory = observer.remembered(
             memory, observer.readings(sensors(gyro=jnp.full(3, float(tick))))
         )
-    seen = observer.observe(
-        Sensing(delay=0.0325), memory, sensors(gyro=jnp.full(3, 5.0)), told, None
+    observation = observer.observe(
+        Sensing(delay=0.0325), memory, sensors(gyro=jnp.full(3, 5.0)), channel_spec, None
     )
-    np.testing.assert_allclose(seen, [*[1.75 / 3.0] * 3, 7.0], rtol=1e-6)
+    np.testing.assert_allclose(observation, [*[1.75 / 3.0] * 3, 7.0], rtol=1e-6)
     noisy = dataclasses.replace(observer, delayed=0, noisy=True)
     keys = jax.random.split(jax.random.key(0), 2000)
-    many = jax.vmap(
-        lambda key: noisy.observe(Sensing(gyro_noise=0.6), memory, sensors(), told, key)
+    observations = jax.vmap(
+        lambda key: noisy.observe(Sensing(gyro_noise=0.6), memory, sensors(), channel_spec, key)
     )(keys)
-    np.testing.assert_allclose(many[:, :3].std(axis=0), 0.2, rtol=0.05)
-    np.testing.assert_array_equal(many[:, 3], 7.0)
+    np.testing.assert_allclose(observations[:, :3].std(axis=0), 0.2, rtol=0.05)
+    np.testing.assert_array_equal(observations[:, 3], 7.0)
 
 
 def test_a_policy_can_be_told_how_its_path_bends():
     """Times 0.5 m: 1 on a circle of that radius to the left, and nothing without a path."""
     for side in (1.0, -1.0):
         circle = arc(Pilot(radius=0.5, direction=side), jnp.array([0.1, -0.2, 0.0]))
-        told = Told(
+        channel_spec = Told(
             phase=None, command=jnp.zeros(0), path=circle, action=jnp.zeros(0), geometry=Geometry()
         )
         observer = Observer(
             ("curvature",), (), (), phase=False, path=True, delayed=0, noisy=False, dt=0.01
         )
         assert observer.names == ("curvature.path",)
-        np.testing.assert_allclose(observer.told(told, sensors()), [side], rtol=1e-6)
+        np.testing.assert_allclose(observer.told(channel_spec, sensors()), [side], rtol=1e-6)
     nowhere = dataclasses.replace(observer, path=False)
     assert nowhere.names == ()
-    assert nowhere.told(told._replace(path=None), sensors()).shape == (0,)
+    assert nowhere.told(channel_spec._replace(path=None), sensors()).shape == (0,)
 
 
 @pytest.mark.release
@@ -270,10 +274,10 @@ def test_actions_move_servo_targets_or_parameters_by_their_ranges():
         leg_servos(jnp.array([[0.01, -0.04]] * 4)),
     )
     action = jnp.array([0.1, 0.2, 0.3, 0.4, -0.5, 0.0, 0.0, 1.0, -1.0])
-    moved = Residual(hip=0.3, knee=0.2, spine=0.1).servo(servo, home, action)
-    np.testing.assert_allclose(moved.hip - servo.hip, [0.03, 0.06, 0.09, 0.12], atol=1e-6)
-    np.testing.assert_allclose(moved.knee - servo.knee, [-0.1, 0.0, 0.0, 0.2], atol=1e-6)
-    np.testing.assert_allclose(moved.spine, -0.1)
+    commanded_servo = Residual(hip=0.3, knee=0.2, spine=0.1).servo(servo, home, action)
+    np.testing.assert_allclose(commanded_servo.hip - servo.hip, [0.03, 0.06, 0.09, 0.12], atol=1e-6)
+    np.testing.assert_allclose(commanded_servo.knee - servo.knee, [-0.1, 0.0, 0.0, 0.2], atol=1e-6)
+    np.testing.assert_allclose(commanded_servo.spine, -0.1)
     np.testing.assert_allclose(Targets(knee=0.0).servo(servo, home, action[:5]).knee, home.knee)
     ranges = {"frequency": (0.4, 1.67), "pilot.turn_rate": (-1.0, 0.5)}
     acting = Acting(base, Modulation(ranges))
@@ -330,11 +334,11 @@ def test_a_term_that_gives_no_number_is_refused_before_anything_runs(value, mess
 def test_headway_saturates_so_that_being_stuck_costs_more_than_haste_earns():
     """Of a second: nothing at rest, nearly all of it at 0.15 m/s, and a loss of the same size backward."""
     (term,) = chosen_terms({"headway": 1.0}, ())
-    rest, slow, fast, back = (
+    standstill, slow, fast, back = (
         float(term.value(types.SimpleNamespace(seconds=1.0, speed=speed)))
         for speed in (0.0, 0.05, 0.15, -0.05)
     )
-    assert (rest, back) == (0.0, -slow)
+    assert (standstill, back) == (0.0, -slow)
     np.testing.assert_allclose(
         [slow, fast], [0.76159, 0.99505], atol=1e-4
     )  # tanh(1) and tanh(3), from tables
@@ -355,9 +359,9 @@ def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
     np.testing.assert_allclose(a.episode["distance"], b.episode["distance"], atol=1e-4)
     # The solver's verdict, of the episode.
     np.testing.assert_array_equal(b.episode["unsolved"], 0)
-    told = b.engine._replace(carry=b.engine.carry._replace(unsolved=jnp.array([7, 0])))
+    modified = b.engine._replace(carry=b.engine.carry._replace(unsolved=jnp.array([7, 0])))
     np.testing.assert_array_equal(
-        jax.jit(jax.vmap(theirs._worlds.seen))(told).episode["unsolved"], [7, 0]
+        jax.jit(jax.vmap(theirs._worlds.seen))(modified).episode["unsolved"], [7, 0]
     )
 
     with jax.enable_x64(True):
@@ -373,6 +377,6 @@ def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
             return jax.lax.scan(go, start, None, length=4)[1].sum()
 
         value, slope = jax.jit(jax.value_and_grad(total))(0.1)
-        both = jax.jit(jax.vmap(total))(jnp.array([0.1 - 1e-4, 0.1 + 1e-4]))
+        totals = jax.jit(jax.vmap(total))(jnp.array([0.1 - 1e-4, 0.1 + 1e-4]))
         assert jnp.isfinite(value)
-        assert float(slope) == pytest.approx(float(both[1] - both[0]) / 2e-4, rel=1e-3)
+        assert float(slope) == pytest.approx(float(totals[1] - totals[0]) / 2e-4, rel=1e-3)

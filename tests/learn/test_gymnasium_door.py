@@ -123,9 +123,9 @@ def test_each_world_has_its_seed(three):
     assert len(np.unique(first[0], axis=0)) == 3
     np.testing.assert_array_equal(first, episodes(np.array([1, 2, 3])))
     np.testing.assert_array_equal(first[:, [1, 0, 2]], episodes((2, 1, 3)))
-    other = episodes([1, 9, 1])
-    np.testing.assert_array_equal(other[:, [0, 2]], first[:, [0, 0]])
-    assert (other[0, 1] != first[0, 1]).any()
+    permuted = episodes([1, 9, 1])
+    np.testing.assert_array_equal(permuted[:, [0, 2]], first[:, [0, 0]])
+    assert (permuted[0, 1] != first[0, 1]).any()
     np.testing.assert_array_equal(episodes([1, None, None])[:, 0], first[:, 0])
     assert (episodes(1)[0] != first[0]).any()
     np.testing.assert_array_equal(episodes(1), episodes(np.int64(1)))
@@ -156,19 +156,19 @@ def test_an_action_beyond_its_range_is_its_end_in_all_that_follows(three, beyond
     for action in (beyond, np.sign(beyond)):
         three.reset(seed=5)
         rows.append([three.step(np.full((3, 9), action, np.float32))[:2] for _ in range(2)])
-    for (seen, reward), (expected, expected_reward) in zip(*rows, strict=True):
-        np.testing.assert_array_equal(seen, expected)
+    for (observation, reward), (expected, expected_reward) in zip(*rows, strict=True):
+        np.testing.assert_array_equal(observation, expected)
         np.testing.assert_array_equal(reward, expected_reward)
 
 
 def test_what_gymnasium_cannot_do_with_it_is_said(three):
     """Copies, and wrappers for another way of beginning episodes."""
     for copied in (pickle.dumps, copy.deepcopy):
-        for each in (three, three.environment):
+        for environment in (three, three.environment):
             with pytest.raises(
                 TypeError, match="cannot be pickled or copied: make one from its arguments"
             ):
-                copied(each)
+                copied(environment)
     with pytest.raises(ValueError, match="NEXT_STEP"):
         gymnasium.wrappers.vector.NormalizeObservation(three)
     page = Path(__file__).parents[2] / "docs" / "howto" / "environment.md"
@@ -185,9 +185,9 @@ def test_stable_baselines_takes_its_form(door):
     first, returned = env.reset(), 0.0
     assert env.action_space.shape == (9,)
     for _ in range(3):
-        observation, reward, ended, infos = env.step(np.zeros((1, 9), np.float32))
+        observation, reward, is_end, infos = env.step(np.zeros((1, 9), np.float32))
         returned += reward[0]
-    assert ended.all()
+    assert is_end.all()
     assert infos[0]["TimeLimit.truncated"]
     assert infos[0]["episode"]["r"] == pytest.approx(returned, rel=1e-5)
     assert infos[0]["episode"]["l"] == 3
@@ -208,7 +208,7 @@ def test_seeds_beyond_32_bits_are_others_and_masks_are_refused() -> None:
     np.testing.assert_array_equal(first, env.reset(seed=np.int64(0))[0])
     for seed in (2**64, -1, 0.5, "1", [], [-1]):
         refused(
-            lambda given=seed: env.reset(seed=given), "seed (is .*from 0 to 2.64|has [01] entr)"
+            lambda value=seed: env.reset(seed=value), "seed (is .*from 0 to 2.64|has [01] entr)"
         )
     refused(
         lambda: env.reset(options={"reset_mask": np.array([True, False])}),

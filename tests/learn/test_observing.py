@@ -52,8 +52,9 @@ def fallen_rays(robot, places: np.ndarray) -> np.ndarray:
     geom, down = np.zeros(1, np.int32), np.array([0.0, 0.0, -1.0])
     return np.array(
         [
-            1.0 - mujoco.mj_ray(robot.model, data, np.append(each, 1.0), down, None, 1, -1, geom)
-            for each in places
+            1.0
+            - mujoco.mj_ray(robot.model, data, np.append(position, 1.0), down, None, 1, -1, geom)
+            for position in places
         ]
     )
 
@@ -66,35 +67,36 @@ def test_heights_are_those_that_rays_meet_on_a_grid_that_turns_with_the_torso(sc
         lying = np.array(
             [np.cos(yaw / 2), 0.1, -0.05, np.sin(yaw / 2)]
         )  # leans, too: the grid stays level
-        read = sensors(
+        sensor_readings = sensors(
             position=jnp.array([x, y, 0.3]), orientation=jnp.asarray(lying / np.linalg.norm(lying))
         )
         turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, np.asarray(read.orientation, float))
+        mujoco.mju_quat2Mat(turn, np.asarray(sensor_readings.orientation, float))
         nose = -turn.reshape(3, 3)[:2, 1] / np.linalg.norm(turn.reshape(3, 3)[:2, 1])
-        left = np.array([-nose[1], nose[0]])
+        left_direction = np.array([-nose[1], nose[0]])
         met = fallen_rays(
-            robot, np.array([[x, y], *([x, y] + a * left + b * nose for a, b in SCAN_POINTS)])
+            robot,
+            np.array([[x, y], *([x, y] + a * left_direction + b * nose for a, b in SCAN_POINTS)]),
         )
-        found = height_scan(read, robot.terrain.height)
-        np.testing.assert_allclose(found, np.clip(met[1:] - met[0], -0.05, 0.05), atol=2e-6)
-        uneven |= bool(np.any(np.abs(found) > 1e-3))
+        heights = height_scan(sensor_readings, robot.terrain.height)
+        np.testing.assert_allclose(heights, np.clip(met[1:] - met[0], -0.05, 0.05), atol=2e-6)
+        uneven |= bool(np.any(np.abs(heights) > 1e-3))
     assert uneven == (scene != "flat")
 
 
 def observed_by(monkeypatch, loop, params, readings) -> list[np.ndarray]:
     """What a policy observes in a run's loop, tick by tick, not compiled; it does nothing."""
-    seen = []
+    observations = []
 
     def note(actor, statistics, observation):
-        seen.append(np.asarray(observation))
+        observations.append(np.asarray(observation))
         return jnp.zeros(9)
 
     monkeypatch.setattr(policies, "_action", note)
     state: LoopState = loop.init(params, readings[0][-1])
-    for each in readings:
-        state, _ = loop.step(params, state, each)
-    return seen
+    for reading in readings:
+        state, _ = loop.step(params, state, reading)
+    return observations
 
 
 @pytest.mark.release
@@ -108,25 +110,27 @@ def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
     places[:, 3], places[:, 6] = np.cos([0.0, 0.1, 0.2, 0.3]), np.sin([0.0, 0.1, 0.2, 0.3])
     readings = [
         jnp.tile(
-            environment.robot.sensordata_at_rest(jnp.asarray(each)), (episode.steps_per_tick, 1)
+            environment.robot.sensordata_at_rest(jnp.asarray(position)), (episode.steps_per_tick, 1)
         )
-        for each in places
+        for position in places
     ]
     params = dataclasses.replace(params, seed=jnp.zeros((), jnp.int32))  # the noise of a policy
     state, trainings = episode.init(params, readings[0][-1]), []
-    for each in readings:
-        trainings.append(np.asarray(episode.observe(params, state, each).observation))
-        state, _ = episode.step(params, state, each)
+    for reading in readings:
+        trainings.append(np.asarray(episode.observe(params, state, reading).observation))
+        state, _ = episode.step(params, state, reading)
     values = {name: value for name, value in TASK.set.items() if name.startswith("sensing")}
-    own = dataclasses.replace(params.loop, control=policy.parameters)
-    walks = observed_by(monkeypatch, loop, own, readings)
+    loop_params = dataclasses.replace(params.loop, control=policy.parameters)
+    walks = observed_by(monkeypatch, loop, loop_params, readings)
     assert policy.fixed == values
-    assert [each.astype(np.float32).tobytes() for each in walks] == [
-        each.tobytes() for each in trainings
+    assert [observation.astype(np.float32).tobytes() for observation in walks] == [
+        observation.tobytes() for observation in trainings
     ]
     heights = np.stack(trainings)[:, : len(SCAN_POINTS)]
     assert np.ptp(heights, axis=0).max() > 0.5
-    flat = observed_by(monkeypatch, ClosedLoop(Setup(physics="fast").load(), policy), own, readings)
+    flat = observed_by(
+        monkeypatch, ClosedLoop(Setup(physics="fast").load(), policy), loop_params, readings
+    )
     assert np.abs(np.stack(flat)[:, : len(SCAN_POINTS)]).max() < 0.6, "no more than noise"
 
 
@@ -135,25 +139,27 @@ def test_a_policy_that_sees_the_stairs_walks_in_a_simulator_as_in_its_environmen
     trained, tmp_path
 ):
     """From its file, without noise; a flat floor is another walk, so heights count."""
-    own = {"terrain.height": 0.012, "start.yaw": 0.05}
+    world_values = {"terrain.height": 0.012, "start.yaw": 0.05}
     task = dataclasses.replace(
-        TASK, set=own, randomize={"contact.friction": (1.0, 1.2)}, decimation=2
+        TASK, set=world_values, randomize={"contact.friction": (1.0, 1.2)}, decimation=2
     )
     environment = Environment(STAIRS, worlds=2, task=task)
-    made = dataclasses.replace(
+    loaded_policy = dataclasses.replace(
         trained[0], observer=environment.loop.observer, decimation=2, fixed={}
     )
-    (tmp_path / "policy.npz").write_bytes(made.content())
+    (tmp_path / "policy.npz").write_bytes(loaded_policy.content())
     policy = load_policy(tmp_path / "policy.npz")
     assert policy.observer.names[:2] == ("height_scan_-100_40", "height_scan_-100_0")
     state = environment.reset(3)
-    own = own | {"contact.friction": 1.1 + 0.1 * np.asarray(state.privileged)[:, -1]}
+    world_values = world_values | {
+        "contact.friction": 1.1 + 0.1 * np.asarray(state.privileged)[:, -1]
+    }
     while not np.asarray(state.truncated).any():
         state = environment.step(state, np.asarray(policy.act(state.observation)))
     simulator, run = Simulator(STAIRS, engine="c", controller=policy), Run(duration=0.3, warmup=0.0)
-    walked = simulator(own, run)
+    walked = simulator(world_values, run)
     np.testing.assert_allclose(walked["servo_work"], state.episode["servo_work"], rtol=1e-4)
-    level = simulator(own | {"terrain.height": 0.0}, run)
+    level = simulator(world_values | {"terrain.height": 0.0}, run)
     assert np.abs(level["servo_work"] / walked["servo_work"] - 1.0).min() > 1e-3
     assert {"position", "orientation"} <= needed_sensors(
         dataclasses.replace(STAIRS, controller=policy)
@@ -182,8 +188,8 @@ def nearest_step(sensors, ground):
 
 @pytest.mark.release
 def test_own_points_of_the_ground_can_be_observed_and_a_loop_without_ground_says_so():
-    own = Sensed(nearest_step, 0.01, ground=True)
-    environment = Environment(STAIRS, worlds=1, task=Task(observe=(own,)))
+    term = Sensed(nearest_step, 0.01, ground=True)
+    environment = Environment(STAIRS, worlds=1, task=Task(observe=(term,)))
     assert environment.observation_names == ("nearest_step",)
     policy = Policy.of(environment, PPO().begin(environment, 0))
     with pytest.raises(
@@ -206,7 +212,7 @@ def test_a_diverged_world_observes_no_nan(trained):
     data = jnp.full((environment.loop.steps_per_tick, environment.robot.model.nsensordata), jnp.nan)
     params, _, qpos = environment.episodes(jax.random.key(0))
     state = environment.loop.init(params, environment.robot.sensordata_at_rest(qpos))
-    seen = environment.loop.observe(params, state, data)
-    assert np.isfinite(seen.observation).all()
-    assert np.isfinite(seen.privileged).all()
+    info = environment.loop.observe(params, state, data)
+    assert np.isfinite(info.observation).all()
+    assert np.isfinite(info.privileged).all()
     assert SENSED_READINGS["height_scan"].scale == 0.01

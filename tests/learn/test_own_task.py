@@ -82,7 +82,7 @@ def small(folder: Path, **task: Any) -> Path:
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
+def training_result(tmp_path_factory):
     """A finished training of it."""
     folder = tmp_path_factory.mktemp("own")
     return run_training(small(folder), folder / "out")
@@ -90,7 +90,7 @@ def done(tmp_path_factory):
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         (
             "return m.seconds",
@@ -186,21 +186,21 @@ def done(tmp_path_factory):
     ],
 )
 def test_what_is_wrong_with_own_code_is_one_sentence_before_anything_runs(
-    tmp_path, monkeypatch, old, new, said
+    tmp_path, monkeypatch, old, new, message
 ):
     monkeypatch.chdir(tmp_path)
     assert old in RIGHT
     Path("my.py").write_text(RIGHT.replace(old, new))
-    said = said.replace("my.py': it", ".*: it")
-    with pytest.raises(SpecError, match=said) as refused:
+    message = message.replace("my.py': it", ".*: it")
+    with pytest.raises(SpecError, match=message) as refused:
         Training.from_dict({"task": USES})
     assert str(refused.value).count("\n") == 0
-    with pytest.raises(ParameterError, match=said):
+    with pytest.raises(ParameterError, match=message):
         Environment(SETUP, worlds=1, task=Task(**USES))
 
 
 @pytest.mark.parametrize(
-    ("task", "said"),
+    ("task", "message"),
     [
         ({"observe": ["gyros"]}, "did you mean 'gyro'"),
         ({"observe": ["my.py:a b"]}, "is 'my.py:a b': expected FILE.py:NAME"),
@@ -215,10 +215,10 @@ def test_what_is_wrong_with_own_code_is_one_sentence_before_anything_runs(
         ({"terminate": ["my.py:ends"]}, "did you mean 'terminations'"),
     ],
 )
-def test_names_that_are_none_are_refused(tmp_path, monkeypatch, task, said):
+def test_names_that_are_none_are_refused(tmp_path, monkeypatch, task, message):
     monkeypatch.chdir(tmp_path)
     Path("my.py").write_text(RIGHT.replace("def seen", "def gyro(s):\n    return 1.0\n\ndef seen"))
-    with pytest.raises(SpecError, match=said):
+    with pytest.raises(SpecError, match=message):
         Training.from_dict({"task": task})
 
 
@@ -327,20 +327,23 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
     Path("my.py").write_text("def always(sensors):\n    return sensors.position[2] > -1.0\n")
     fields = {"physics": "fast", "run": {"duration": 0.2, "warmup": 0.1}}
     training, ending = (
-        Training.from_dict(fields | {"task": {"terminations": of}}) for of in ([], ["my.py:always"])
+        Training.from_dict(fields | {"task": {"terminations": terminations}})
+        for terminations in ([], ["my.py:always"])
     )
-    for which, share in ((training, 1.0), (ending, 0.0)):
-        table = PolicyEvaluator(which, "c")(
+    for spec, share in ((training, 1.0), (ending, 0.0)):
+        table = PolicyEvaluator(spec, "c")(
             None, draws=Draws(2, EVALUATION_OFFSET), walkers=("alone",)
         )
         assert table["success"].to_pylist() == [bool(share)] * 2
 
 
 @pytest.mark.release
-def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_path, done):
+def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(
+    tmp_path, training_result
+):
     """Killed in its second section: the same bits. The copy is the code that counts, and changed code is refused."""
-    assert set(done.history.names) >= {"term.bending", "term.speed"}
-    assert 0.05 <= done.summary["scenes"]["flat"]["policy"]["speed"] < 1.0
+    assert set(training_result.history.names) >= {"term.bending", "term.speed"}
+    assert 0.05 <= training_result.summary["scenes"]["flat"]["policy"]["speed"] < 1.0
 
     def kill(progress):
         if progress.done > 2 * 4 * 2:
@@ -357,65 +360,67 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_
     ):
         run_training(path, out)
     code.unlink()
-    moved = Path(shutil.move(out, tmp_path / "moved"))
-    result = run_training(moved / "training.yaml", moved)
+    new_directory = Path(shutil.move(out, tmp_path / "moved"))
+    result = run_training(new_directory / "training.yaml", new_directory)
     assert result.iterations_run == 2
-    assert bits(result) == bits(done)
-    drawn = unseen_bodies(result.training, result.training.task, Draws(50, EVALUATION_OFFSET))[
+    assert bits(result) == bits(training_result)
+    speeds = unseen_bodies(result.training, result.training.task, Draws(50, EVALUATION_OFFSET))[
         "command.speed"
     ]
-    assert 0.15 < drawn.max() <= 0.2, "as at the end of the curriculum"
-    assert 0.05 <= drawn.min() < 0.08
+    assert 0.15 < speeds.max() <= 0.2, "as at the end of the curriculum"
+    assert 0.05 <= speeds.min() < 0.08
 
 
 @pytest.mark.release
-def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
+def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, training_result):
     """Its file runs no code: whoever wants to use it names the code, and it must be that of the training."""
-    code = done.out / "own_task.py"
-    named = f"{done.policy}:{code}"
+    code = training_result.out / "own_task.py"
+    named_policy = f"{training_result.policy}:{code}"
     with pytest.raises(
         ParameterError,
         match=r"observes lean of own_task.py, code that is run only where you name it",
     ):
-        load_policy(done.policy)
-    for how in ("walk", "drive"):
-        told = call(how, "--controller", done.policy)
-        assert told.exit_code in (1, 2), told.output
-        assert "observes lean of own_task.py" in told.stderr
-    other = tmp_path / "own_task.py"
-    other.write_text(code.read_text() + "\n")
+        load_policy(training_result.policy)
+    for command in ("walk", "drive"):
+        result = call(command, "--controller", training_result.policy)
+        assert result.exit_code in (1, 2), result.output
+        assert "observes lean of own_task.py" in result.stderr
+    changed_code = tmp_path / "own_task.py"
+    changed_code.write_text(code.read_text() + "\n")
     with pytest.raises(
         ParameterError, match=r"with the digest \w+; that of .* give the file with which"
     ):
-        load_policy(done.policy, str(other))
+        load_policy(training_result.policy, str(changed_code))
     with pytest.raises(ParameterError, match=r"^controller is 'away.py': away.py cannot be read"):
-        load_policy(done.policy, "away.py")
+        load_policy(training_result.policy, "away.py")
     plain = SWEEPS.parent / "tests" / "data" / "former_policy.npz"
     with pytest.raises(ParameterError, match=r"observes nothing of one's own: leave 'away.py' out"):
         load_policy(plain, "away.py")
-    policy = load_policy(done.policy, str(code))
+    policy = load_policy(training_result.policy, str(code))
     assert policy.observer.names[-1] != "lean"
     assert "lean" in policy.observer.names
     run = Run(duration=0.1, warmup=0.0)
     walked = [
-        Simulator(SETUP, engine="c", controller=each)({}, run)["distance"]
-        for each in (policy, named)
+        Simulator(SETUP, engine="c", controller=loaded)({}, run)["distance"]
+        for loaded in (policy, named_policy)
     ]
     assert walked[0] == walked[1]
     from nermo_mjx.sweep import Sweep
 
     sweep = Sweep.from_dict(
-        {"controller": named, "physics": "fast", "vary": {"contact.friction": [0.9, 1.1]}}
+        {"controller": named_policy, "physics": "fast", "vary": {"contact.friction": [0.9, 1.1]}}
     )
     assert Sweep.from_text(sweep.to_yaml()) == sweep
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("module", [False, True])
-def test_what_only_reads_runs_no_own_code_of_a_training(tmp_path, monkeypatch, done, module):
+def test_what_only_reads_runs_no_own_code_of_a_training(
+    tmp_path, monkeypatch, training_result, module
+):
     """Status, plot and page of a stranger's directory."""
     out = tmp_path / "theirs"
-    shutil.copytree(done.out, out)
+    shutil.copytree(training_result.out, out)
     canary = tmp_path / "run by mistake"
     code = (
         f"import pathlib\npathlib.Path({str(canary)!r}).write_text('run')\n"
@@ -435,8 +440,8 @@ def test_what_only_reads_runs_no_own_code_of_a_training(tmp_path, monkeypatch, d
         ("plot", out),
         ("view", out, "--no-open", "--out", tmp_path / "page.html"),
     ):
-        told = call(*words)
-        assert told.exit_code == 0, told.stderr
+        result = call(*words)
+        assert result.exit_code == 0, result.stderr
         assert not canary.exists(), f"{words[0]} ran it"
     assert "which a command that only reads does not run" in (tmp_path / "page.html").read_text()
     with trust.only_reading(), pytest.raises(ParameterError, match="does not run"):

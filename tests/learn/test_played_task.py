@@ -44,37 +44,37 @@ def way(recording) -> float:
 
 @pytest.mark.release
 def test_zero_is_the_controller_alone_and_obeys_a_command(training):
-    drawn = {
-        name: float(each[0])
-        for name, each in unseen_bodies(
+    world_values = {
+        name: float(column[0])
+        for name, column in unseen_bodies(
             training, training.task, Draws(1, EVALUATION_OFFSET)
         ).items()
     }
     slow, fast = (
-        played_task(training, "zero", seconds=4.0, values={"command.speed": each})
-        for each in (0.05, 0.15)
+        played_task(training, "zero", seconds=4.0, values={"command.speed": speed})
+        for speed in (0.05, 0.15)
     )
     assert way(slow) == pytest.approx(4.0 * 0.05, rel=0.15)
     assert way(fast) > 1.35 * way(slow), "as far as the stride lasts"
     uncommanded = Training.from_dict(FILE | {"randomize": {"start.phase": [0.0, 1.0]}})
     walk = played_task(uncommanded, "zero", seconds=0.5)
-    start = {"start.phase": drawn["start.phase"]}
-    alone = (
+    start = {"start.phase": world_values["start.phase"]}
+    reference_walk = (
         Simulator(training.setup, engine="c")
         .run(start, Run(duration=0.5, warmup=0.0), record=True)
         .recording()
     )
-    np.testing.assert_allclose(walk.qpos, alone.qpos, atol=1e-5)
+    np.testing.assert_allclose(walk.qpos, reference_walk.qpos, atol=1e-5)
 
 
 @pytest.mark.release
 def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
-    one, again = (
+    first, repeated = (
         played_task(training, "random", scene="planks", values={"terrain.height": 0.003})
         for _ in range(2)
     )
-    np.testing.assert_array_equal(one.qpos, again.qpos)
-    assert np.ptp(np.diff(one.ctrl[5:, 0])) > 0.02
+    np.testing.assert_array_equal(first.qpos, repeated.qpos)
+    assert np.ptp(np.diff(first.ctrl[5:, 0])) > 0.02
     environment = training.environment("c")
     policy = RandomPolicy(**vars(Policy.of(environment, PPO().begin(environment, 0))))
     states = [SimpleNamespace(tick=tick, action=jnp.zeros(9)) for tick in range(200)]
@@ -85,7 +85,7 @@ def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--policy", "gone.npz"], "controller is 'gone.npz': it cannot be read"),
         (["--policy", "none"], "controller is 'none': it cannot be read"),
@@ -103,18 +103,18 @@ def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
         (["--video", "a.txt"], "a video ends in"),
     ],
 )
-def test_what_cannot_be_played_is_one_sentence(tmp_path, options, said):
+def test_what_cannot_be_played_is_one_sentence(tmp_path, options, message):
     path = tmp_path / "training.yaml"
     path.write_text(Training.from_dict(FILE).to_yaml())
     result = call("play", path, *options)
-    assert (result.exit_code != 0, said in result.stderr) == (True, True), result.stderr
+    assert (result.exit_code != 0, message in result.stderr) == (True, True), result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
 
 
 def test_what_is_of_a_training_is_refused_for_a_recording(tmp_path):
     (tmp_path / "walk.npz").touch()
-    told = call("play", tmp_path / "walk.npz", "--policy", "zero").stderr
-    assert "--policy has no effect without a training." in told
+    messages = call("play", tmp_path / "walk.npz", "--policy", "zero").stderr
+    assert "--policy has no effect without a training." in messages
 
 
 @pytest.fixture(scope="module")
@@ -131,10 +131,10 @@ def at_work(tmp_path_factory, training):
 @pytest.mark.usefixtures("drawing")
 def test_a_video_shows_the_policy_of_each_checkpoint(at_work):
     videos = sorted(at_work.glob("videos/*"))
-    assert [each.name for each in videos] == ["000000000008.mp4", "000000000016.mp4"]
-    frames = [iio.imread(each) for each in videos]
-    assert [len(each) for each in frames] == [13, 13]
-    assert all(each.std() > 10 for each in frames)
+    assert [video.name for video in videos] == ["000000000008.mp4", "000000000016.mp4"]
+    frames = [iio.imread(video) for video in videos]
+    assert [len(images) for images in frames] == [13, 13]
+    assert all(images.std() > 10 for images in frames)
 
 
 @pytest.mark.release
@@ -156,8 +156,8 @@ def test_a_page_follows_a_training_until_it_has_ended(at_work, tmp_path, monkeyp
 
     monkeypatch.setattr("time.sleep", slept)
     page = tmp_path / "page.html"
-    told = json_of("view", at_work, "--follow", "--out", page, "--no-open")
-    assert (told["page"], told["complete"], told["iterations"]) == (str(page), True, 2)
+    output = json_of("view", at_work, "--follow", "--out", page, "--no-open")
+    assert (output["page"], output["complete"], output["iterations"]) == (str(page), True, 2)
     assert page.read_text() == f"page {len(pages)}"
     assert (pages[0], pages[1], pages[-1]) == (20.0, 20.0, None)
 

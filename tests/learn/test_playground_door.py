@@ -50,13 +50,13 @@ def test_it_steps_under_jit_vmap_and_scan_and_begins_again_where_its_first_data_
         return jax.lax.scan(step, state, None, length=5)
 
     last, rewards = walk(first)
-    again, same = walk(last.replace(data=first.data, obs=first.obs))
+    restarted, restarted_rewards = walk(last.replace(data=first.data, obs=first.obs))
     np.testing.assert_allclose(last.data.time, 0.05, rtol=1e-5)
     assert (np.abs(last.data.qpos - first.data.qpos).max(axis=1) > 1e-4).all()
-    np.testing.assert_array_equal(rewards, same)
-    np.testing.assert_array_equal(last.data.qpos, again.data.qpos)
+    np.testing.assert_array_equal(rewards, restarted_rewards)
+    np.testing.assert_array_equal(last.data.qpos, restarted.data.qpos)
     on, _ = walk(last)
-    assert (np.abs(on.data.qpos - again.data.qpos).max(axis=1) > 1e-4).all()
+    assert (np.abs(on.data.qpos - restarted.data.qpos).max(axis=1) > 1e-4).all()
 
 
 STOCK = """
@@ -84,5 +84,5 @@ def test_playgrounds_environments_keep_their_physics_whichever_module_is_importe
         subprocess.run([sys.executable, "-c", code], text=True, capture_output=True)
         for code in (STOCK, OURS + STOCK)
     ]
-    assert [each.returncode for each in ran] == [0, 0], ran[-1].stderr
+    assert [process.returncode for process in ran] == [0, 0], ran[-1].stderr
     assert ran[0].stdout.splitlines()[-1] == ran[1].stdout.splitlines()[-1]

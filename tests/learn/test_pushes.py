@@ -35,15 +35,19 @@ def test_there_is_one_push_in_each_interval_at_a_random_moment_in_a_random_direc
         pushes = Pushes(jnp.float32(2.0), jnp.float32(0.3), seed)
         return jax.vmap(lambda tick: pushes.at(tick, 0.01))(jnp.arange(60))
 
-    found = np.asarray(jax.jit(jax.vmap(forces))(jnp.arange(500))).reshape(1000, 30, 2)
-    acts = np.linalg.norm(found, axis=-1) > 0
+    push_forces = np.asarray(jax.jit(jax.vmap(forces))(jnp.arange(500))).reshape(1000, 30, 2)
+    acts = np.linalg.norm(push_forces, axis=-1) > 0
     begin = acts.argmax(axis=1)
     np.testing.assert_array_equal(acts, (np.arange(30) - begin[:, None]) // 10 == 0)
     np.testing.assert_array_equal(np.bincount(begin) > 20, [True] * 21)
-    at = found[np.arange(1000), begin]
-    np.testing.assert_allclose(np.linalg.norm(at, axis=1), 2.0, rtol=1e-6)
-    np.testing.assert_allclose(found[acts].reshape(1000, 10, 2), at[:, None].repeat(10, axis=1))
-    turns = np.bincount(((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi)) % 1 * 8).astype(int))
+    first_forces = push_forces[np.arange(1000), begin]
+    np.testing.assert_allclose(np.linalg.norm(first_forces, axis=1), 2.0, rtol=1e-6)
+    np.testing.assert_allclose(
+        push_forces[acts].reshape(1000, 10, 2), first_forces[:, None].repeat(10, axis=1)
+    )
+    turns = np.bincount(
+        ((np.arctan2(first_forces[:, 1], first_forces[:, 0]) / (2 * np.pi)) % 1 * 8).astype(int)
+    )
     assert turns.min() > 90, "of 125 in each eighth of the circle"
     assert abs(np.corrcoef(begin[::2], begin[1::2])[0, 1]) < 0.15, "of one interval and the next"
 
@@ -51,22 +55,24 @@ def test_there_is_one_push_in_each_interval_at_a_random_moment_in_a_random_direc
 @pytest.mark.release
 def test_a_push_moves_the_robot_as_the_same_push_does_in_a_drive():
     environment = Environment(SETUP, worlds=2, task=STILL, threads=1)
-    state, told = environment.reset(4), []
+    state, worlds_of_steps = environment.reset(4), []
     block = environment._worlds.session._blocks[0]
     forces, torso = block.batch.bind("xfrc_applied"), environment.robot.model.body("torso").id
     pushes = environment._worlds.drawn[0][0].loop.push
     drives = [Driving(SETUP), Driving(SETUP)]
     for tick in range(40):
         for world, drive in enumerate(drives):
-            one = jax.tree.map(lambda leaf, world=world: leaf[world], pushes)
-            now, before = (np.asarray(one.at(jnp.int32(each), 0.01)) for each in (tick, tick - 1))
-            if now.any() and not (tick and (now == before).all()):
+            push = jax.tree.map(lambda leaf, world=world: leaf[world], pushes)
+            now, previous = (
+                np.asarray(push.at(jnp.int32(index), 0.01)) for index in (tick, tick - 1)
+            )
+            if now.any() and not (tick and (now == previous).all()):
                 drive.push(torso, (*now.tolist(), 0.0), 0.1)
-                told.append(world)
+                worlds_of_steps.append(world)
             drive.tick()
         state = environment.step(state, np.zeros((2, environment.action_size)))
         assert not np.delete(forces.reshape(2, -1), [6 * torso, 6 * torso + 1], axis=1).any()
-    assert {0, 1} == set(told)
+    assert {0, 1} == set(worlds_of_steps)
     for world, drive in enumerate(drives):
         calm = Driving(SETUP)
         for _ in range(40):
@@ -79,8 +85,8 @@ def test_a_push_moves_the_robot_as_the_same_push_does_in_a_drive():
 @pytest.mark.release
 def test_a_pushed_world_does_not_depend_on_the_others_nor_on_the_number_of_threads():
     """Bit for bit, over the beginning of a second episode, with forces and intervals of its own."""
-    drawn = {"push.force": (0.5, 2.0), "push.interval": (0.2, 0.4), "contact.friction": (1.0, 1.6)}
-    task = Task(randomize=drawn, episode_length=0.4)
+    ranges = {"push.force": (0.5, 2.0), "push.interval": (0.2, 0.4), "contact.friction": (1.0, 1.6)}
+    task = Task(randomize=ranges, episode_length=0.4)
 
     def walked(worlds, threads, seed=3):
         environment = Environment(SETUP, worlds=worlds, task=task, threads=threads)
@@ -90,15 +96,15 @@ def test_a_pushed_world_does_not_depend_on_the_others_nor_on_the_number_of_threa
             states.append(environment.step(states[-1], action))
         return np.stack([state.privileged[:3] for state in states])
 
-    few = walked(3, 1)
-    np.testing.assert_array_equal(few, walked(40, 2))
-    np.testing.assert_array_equal(few, walked(3, 1))
-    assert (few != walked(3, 1, seed=4)).any()
+    small_batch = walked(3, 1)
+    np.testing.assert_array_equal(small_batch, walked(40, 2))
+    np.testing.assert_array_equal(small_batch, walked(3, 1))
+    assert (small_batch != walked(3, 1, seed=4)).any()
 
 
 @pytest.mark.release
 def test_a_push_is_the_same_on_mjx():
-    ways = {}
+    distances = {}
     for engine in ("c", "mjx"):
         simulator = Simulator(SETUP, engine=engine)
         batch = simulator.prepare({"start.phase": [0.0, 0.5]}, Run(duration=0.3))
@@ -107,11 +113,11 @@ def test_a_push_is_the_same_on_mjx():
             pushes = Pushes(
                 np.full(2, force, real), np.full(2, 0.2, real), np.array([3, 4], np.int32)
             )
-            there = dataclasses.replace(
+            mjx_batch = dataclasses.replace(
                 batch, params=dataclasses.replace(batch.params, push=pushes)
             )
-            ways[engine, force] = simulator.run_batch(there, record=True).trace.qpos[:, 29]
-    by = {engine: ways[engine, 3.0] - ways[engine, 0.0] for engine in ("c", "mjx")}
+            distances[engine, force] = simulator.run_batch(mjx_batch, record=True).trace.qpos[:, 29]
+    by = {engine: distances[engine, 3.0] - distances[engine, 0.0] for engine in ("c", "mjx")}
     assert (np.linalg.norm(by["c"][:, :2], axis=1) > 0.003).all()
     np.testing.assert_allclose(by["mjx"][:, :2], by["c"][:, :2], atol=1e-5)
 
@@ -126,10 +132,11 @@ def test_an_evaluation_pushes_policy_and_controller_alike_unless_it_says_otherwi
     pushed, calm = table(), table(evaluate={"bodies": 4, "set": {"push.force": 0.0}})
     never = table(task={}, randomize={})
     # An untrained policy leaves the controller as it is.
-    policy, alone = (
-        pushed[pushed.controller == who].distance.to_numpy() for who in ("policy", "alone")
+    policy, controller_distances = (
+        pushed[pushed.controller == controller].distance.to_numpy()
+        for controller in ("policy", "alone")
     )
-    np.testing.assert_allclose(policy, alone, atol=2e-4)
+    np.testing.assert_allclose(policy, controller_distances, atol=2e-4)
     assert (np.abs(pushed.distance - never.distance) > 1e-3).all()
     np.testing.assert_allclose(calm.distance, never.distance, atol=1e-5)
     np.testing.assert_array_equal(pushed["push.interval"][:4], pushed["push.interval"][4:])
@@ -137,12 +144,12 @@ def test_an_evaluation_pushes_policy_and_controller_alike_unless_it_says_otherwi
 
 
 def test_pushes_out_of_range_and_of_walks_that_are_not_pushed_are_refused():
-    for task, said in (
+    for task, message in (
         ({"push.force": 11.0}, "push.force is 11"),
         ({"push.force": 1.0, "push.interval": 0.1}, "push.interval is 0.1"),
         ({"push.speed": 1.0}, "push.speed"),
     ):
-        with pytest.raises(ParameterError, match=said):
+        with pytest.raises(ParameterError, match=message):
             Environment(SETUP, worlds=1, task=Task(set=task))
     with pytest.raises(ParameterError, match="a walk that is played is not pushed"):
         played_task(Training.from_dict(TRAINING), "zero", values={"push.force": 1.0})

@@ -47,13 +47,16 @@ def test_the_search_of_the_how_to_finds_a_gait_within_its_bounds_and_the_legs_re
 @pytest.mark.release
 def test_the_search_counts_a_way_beside_the_path(howto):
     """Ten times as far in a corridor of a tenth of the width."""
-    place = howto.Place("planks", (0.004,))
-    ground = howto.Ground("stiff", (place,))
+    test_place = howto.Place("planks", (0.004,))
+    ground = howto.Ground("stiff", (test_place,))
     gait = howto.gaits().loc["stiff", "begin"].dropna().to_dict()
     run = Run(duration=1.0, warmup=0.5)
     wide, narrow = (
-        ground.walk(where, [gait], np.random.default_rng(0), run).aside.item()
-        for where in (place, dataclasses.replace(place, corridor=0.1 * place.corridor))
+        ground.walk(variant, [gait], np.random.default_rng(0), run).aside.item()
+        for variant in (
+            test_place,
+            dataclasses.replace(test_place, corridor=0.1 * test_place.corridor),
+        )
     )
     assert wide > 0.0
     assert narrow == pytest.approx(10.0 * wide)
@@ -62,11 +65,11 @@ def test_the_search_counts_a_way_beside_the_path(howto):
 @pytest.mark.release
 def test_the_gaits_of_the_page_differ_in_the_spine_alone(howto):
     """One frequency, the same bodies around the default one as in the training file, the same walks of each seed."""
-    found = howto.gaits()
-    found = found[found.index.get_level_values("seed").str.isdigit()]
-    assert len(found) == 15
-    assert set(found.frequency) == {howto.FREQUENCY}
-    assert not found.loc[["stiff", "passive"], list(howto.BENDING)].notna().any(axis=None)
+    gaits = howto.gaits()
+    gaits = gaits[gaits.index.get_level_values("seed").str.isdigit()]
+    assert len(gaits) == 15
+    assert set(gaits.frequency) == {howto.FREQUENCY}
+    assert not gaits.loc[["stiff", "passive"], list(howto.BENDING)].notna().any(axis=None)
     training = Training.from_file(ROOT / "sweeps" / "train_terrains.yaml")
     for scene in training.scenes:
         assert {name: tuple(scene.task.randomize[name]) for name in howto.BODIES} == howto.BODIES
@@ -75,17 +78,17 @@ def test_the_gaits_of_the_page_differ_in_the_spine_alone(howto):
         assert low < operator.attrgetter(name)(default) < high
     walks = pd.read_csv(FOLDER / "seeds.csv", dtype={"seed": str})
     walks = walks[walks.seed.str.isdigit()]
-    assert {*walks.groupby(["spine", "seed"]).groups} == {*found.index}
+    assert {*walks.groupby(["spine", "seed"]).groups} == {*gaits.index}
     assert all(
-        sorted(each.scene) == sorted(place.scene for place in howto.PLACES)
-        for _, each in walks.groupby(["spine", "seed"])
+        sorted(walks_of_seed.scene) == sorted(test_place.scene for test_place in howto.PLACES)
+        for _, walks_of_seed in walks.groupby(["spine", "seed"])
     )
 
 
 @pytest.mark.release
 def test_a_gait_of_the_page_climbs_the_spiral_stair(howto):
     """On steps of 10 mm, on drawn bodies that the table does not have: the free spine passes 96 to 100 % there."""
-    spiral = next(place for place in howto.PLACES if place.scene == "spiral_stairs")
+    spiral = next(test_place for test_place in howto.PLACES if test_place.scene == "spiral_stairs")
     ground = howto.Ground("free", (spiral,))
     walks = howto.measured(ground, howto.gaits().loc["free", "0"].dropna().to_dict(), seed=100)
     assert walks.successes.item() >= 43  # of 48

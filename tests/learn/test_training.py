@@ -67,8 +67,8 @@ SPEC = {
 EFFORT = ("environment_cpu", "learner_cpu", "wall_seconds")
 
 
-def train(out, more=None, **how):
-    return run_training(SPEC | (more or {}), out, environment=PointMass(8, pure=False), **how)
+def train(out, fields=None, **options):
+    return run_training(SPEC | (fields or {}), out, environment=PointMass(8, pure=False), **options)
 
 
 def lasting(out):
@@ -82,7 +82,7 @@ def bits(result):
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
+def training_result(tmp_path_factory):
     """A finished training."""
     out = tmp_path_factory.mktemp("training") / "out"
     return train(out)
@@ -104,10 +104,12 @@ def policy():
 
 
 @pytest.mark.release
-def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, monkeypatch):
+def test_its_page_has_curves_evaluation_and_the_policy_in_3d(
+    tmp_path, training_result, monkeypatch
+):
     """Of an unfinished training what there is; the directory is only read."""
     out = tmp_path / "walker"
-    shutil.copytree(done.out, out)
+    shutil.copytree(training_result.out, out)
     page = show(out).html
     assert [f'alt="{name}"' in page for name in ("curves", "rewards", "evaluation")] == [
         True,
@@ -115,7 +117,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
         False,
     ]
     assert "<iframe" not in page
-    assert ['http-equiv="refresh"' in each for each in (page, trained(out, reload=20.0).html)] == [
+    assert ['http-equiv="refresh"' in text for text in (page, trained(out, reload=20.0).html)] == [
         False,
         True,
     ]
@@ -123,23 +125,25 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     numbers["electrical_cost_of_transport"] = 91.23
     (out / "policy.npz").touch()
     (out / "evaluation.parquet").touch()
-    before = sorted(each.name for each in out.rglob("*"))
-    for name, found in {
+    former_names = sorted(path.name for path in out.rglob("*"))
+    for name, replacement in {
         "load_policy": None,
         "recorded": [("flat", falling())],
         "parquet_table": None,
         "summary_of": {"flat": {"policy": numbers, "alone": numbers | {"success": 0.5}}},
     }.items():
-        monkeypatch.setattr(f"nermo_mjx.view.trained.{name}", lambda *_, found=found: found)
+        monkeypatch.setattr(
+            f"nermo_mjx.view.trained.{name}", lambda *_, replacement=replacement: replacement
+        )
     monkeypatch.setattr("nermo_mjx.view.trained.training_figures", lambda _: [])
     page = show(out)
     assert "The policy on flat</h2><iframe" in page.html
     row = "".join(
-        f"<td>{each}</td>" for each in ("flat", "policy", "98", "123.4", "1.10", "5.43", "91.2")
+        f"<td>{cell}</td>" for cell in ("flat", "policy", "98", "123.4", "1.10", "5.43", "91.2")
     )
     assert row in page.html
     assert page.samples == 50
-    assert sorted(each.name for each in out.rglob("*")) == before
+    assert sorted(path.name for path in out.rglob("*")) == former_names
     run = CliRunner().invoke(
         main, ["view", str(out), "--out", str(tmp_path / "page.html"), "--no-open", "--json"]
     )
@@ -147,7 +151,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
 
 
 @pytest.mark.release
-def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
+def test_a_killed_training_ends_with_the_same_numbers(tmp_path, training_result):
     """Killed in its first section, and again in its second: weights, moments and history, bit for bit."""
     for stop in (2, 5):
 
@@ -159,16 +163,16 @@ def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
             train(tmp_path, watch=Watch(progress=kill))
     result = train(tmp_path)
     assert result.iterations_run == 4
-    assert bits(result) == bits(done)
-    np.testing.assert_equal(lasting(tmp_path).to_pydict(), lasting(done.out).to_pydict())
+    assert bits(result) == bits(training_result)
+    np.testing.assert_equal(lasting(tmp_path).to_pydict(), lasting(training_result.out).to_pydict())
     assert result.summary["steps"] == SPEC["steps"]
     # Nothing is left to do: the same call changes nothing.
     assert train(tmp_path).iterations_run == 0
 
 
 @pytest.mark.release
-def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
-    out = Path(shutil.copytree(done.out, tmp_path / "copy"))
+def test_another_training_is_refused_and_more_steps_are_not(tmp_path, training_result):
+    out = Path(shutil.copytree(training_result.out, tmp_path / "copy"))
     with pytest.raises(
         WrongDirectory, match=r"holds another training, with another seed \(0 there, 3 here\)"
     ):
@@ -177,13 +181,15 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
         train(out, {"randomize": {"start.phase": [0.0, 0.5]}})
     longer = train(out, {"steps": 8 * 4 * 9})
     assert longer.iterations_run == 2
-    np.testing.assert_equal(lasting(out).slice(0, 7).to_pydict(), lasting(done.out).to_pydict())
+    np.testing.assert_equal(
+        lasting(out).slice(0, 7).to_pydict(), lasting(training_result.out).to_pydict()
+    )
 
 
 @pytest.mark.release
 def test_a_resolved_file_is_the_same_training():
     """With all defaults written out, in every form."""
-    given = {
+    fields = {
         "task": {
             "action": {"modulation": {"ranges": {"frequency": [0.5, 1.2]}}},
             "set": {"command.speed": 0.1},
@@ -194,10 +200,10 @@ def test_a_resolved_file_is_the_same_training():
         "algorithm": {"ppo": {"hidden": [8]}},
         "set": {"contact.friction": 1.2},
     }
-    for training in (Training.from_dict(given), *map(Training.from_file, SHIPPED)):
-        again = Training.from_text(training.to_yaml())
-        assert again == training
-        assert again.digest() == training.digest()
+    for training in (Training.from_dict(fields), *map(Training.from_file, SHIPPED)):
+        reloaded = Training.from_text(training.to_yaml())
+        assert reloaded == training
+        assert reloaded.digest() == training.digest()
 
 
 @pytest.mark.release
@@ -228,7 +234,9 @@ def evaluated(policy):
         "evaluate": {"bodies": 8, "distance": 0.0},
     }
     narrow = [scenes[0] | {"corridor": 0.01}, scenes[1]]
-    trainings = [Training.from_dict(fields | {"scenes": each}) for each in (scenes, narrow)]
+    trainings = [
+        Training.from_dict(fields | {"scenes": scene_list}) for scene_list in (scenes, narrow)
+    ]
     return [PolicyEvaluator(training, "c")(policy[0]).to_pandas() for training in trainings]
 
 
@@ -275,10 +283,10 @@ def test_an_evaluation_gives_nothing_that_the_policy_is_not_trained_with(
     task, name, value, sentence, section
 ):
     """It would be left out without a word."""
-    there = {section: {name: value if section == "set" else [0.0, value]}}
+    evaluation = {section: {name: value if section == "set" else [0.0, value]}}
     with pytest.raises(SpecError, match=rf"evaluate.{section}.{name}.* {sentence}"):
-        Training.from_dict({"task": {"set": task}, "evaluate": there})
-    Training.from_dict({"task": {"set": task | {name: value}}, "evaluate": there})
+        Training.from_dict({"task": {"set": task}, "evaluate": evaluation})
+    Training.from_dict({"task": {"set": task | {name: value}}, "evaluate": evaluation})
 
 
 def test_an_evaluation_has_physics_of_its_own():
@@ -314,7 +322,7 @@ def choosing(policy, tmp_path):
         50: (0.85, 0.85),
     }
     walked = []
-    after = {
+    policies_by_steps = {
         steps: dataclasses.replace(
             policy[0], about={"trained": {"steps": steps, "training": "0a1b"}}
         )
@@ -325,69 +333,85 @@ def choosing(policy, tmp_path):
         walked.append(policy.about["trained"]["steps"])
         return dict(zip(("planks", "ramp"), shares[walked[-1]], strict=True))
 
-    with RunDirectory(tmp_path, "training") as held:
+    with RunDirectory(tmp_path, "training") as directory:
         yield (
-            lambda warned=None: BestPolicy(held, walks, ([] if warned is None else warned).append),
-            after,
+            lambda warned=None: BestPolicy(
+                directory, walks, ([] if warned is None else warned).append
+            ),
+            policies_by_steps,
             walked,
         )
 
 
 def _policy_after(robot, learned):
     """A policy of the robot, after the steps of another environment's training."""
-    about = {"trained": {"steps": int(learned.steps), "training": "0a1b"}}
-    return Policy.of(robot, PPO().begin(robot, 0), about)
+    description = {"trained": {"steps": int(learned.steps), "training": "0a1b"}}
+    return Policy.of(robot, PPO().begin(robot, 0), description)
 
 
-def chosen(found):
-    return found.about["trained"]["steps"]
+def chosen(policy):
+    return policy.about["trained"]["steps"]
 
 
 def test_the_best_of_all_checkpoints_is_the_policy(choosing, tmp_path):
     """Of equals the earliest; each walks once, also when the training is resumed."""
-    begin, after, walked = choosing
-    assert [chosen(begin().of(after[steps])) for steps in (0, 10, 20, 30)] == [0, 10, 10, 10]
-    assert (tmp_path / "policy.npz").read_bytes() == after[10].content()
-    assert begin().of(after[30]).content() == after[10].content()
+    begin, policies_by_steps, walked = choosing
+    assert [chosen(begin().of(policies_by_steps[steps])) for steps in (0, 10, 20, 30)] == [
+        0,
+        10,
+        10,
+        10,
+    ]
+    assert (tmp_path / "policy.npz").read_bytes() == policies_by_steps[10].content()
+    assert begin().of(policies_by_steps[30]).content() == policies_by_steps[10].content()
     assert walked == [0, 10, 20, 30]
     table = pq.read_table(tmp_path / "validation.parquet").to_pydict()
     assert table == {"steps": walked, "planks": [0.5, 0.8, 0.8, 0.6], "ramp": [1.0] * 4}
-    assert chosen(begin().of(after[40])) == 40
+    assert chosen(begin().of(policies_by_steps[40])) == 40
 
 
 def test_what_counts_is_success_where_it_fails_most(choosing):
     """As in the summary; the mean decides between equals."""
-    begin, after, _ = choosing
-    assert [chosen(begin().of(after[steps])) for steps in (10, 50, 20, 40)] == [10, 50, 50, 40]
+    begin, policies_by_steps, _ = choosing
+    assert [chosen(begin().of(policies_by_steps[steps])) for steps in (10, 50, 20, 40)] == [
+        10,
+        50,
+        50,
+        40,
+    ]
 
 
 def test_a_choice_by_other_rules_stands(choosing, tmp_path):
     """A directory's policy was once the best by the mean: it is kept until a checkpoint is better than it."""
-    begin, after, _ = choosing
+    begin, policies_by_steps, _ = choosing
     warned = []
     for steps in (50, 10):
-        begin(warned).of(after[steps])
-    (tmp_path / "policy.npz").write_bytes(after[10].content())
-    assert [chosen(begin(warned).of(after[steps])) for steps in (10, 30, 40)] == [10, 10, 40]
+        begin(warned).of(policies_by_steps[steps])
+    (tmp_path / "policy.npz").write_bytes(policies_by_steps[10].content())
+    assert [chosen(begin(warned).of(policies_by_steps[steps])) for steps in (10, 30, 40)] == [
+        10,
+        10,
+        40,
+    ]
     assert not warned
 
 
 def test_a_choice_that_was_killed_is_made_again(choosing, tmp_path):
     """Between the policy's file and the table: the same policy walks once more. Without its file, it begins anew."""
-    begin, after, walked = choosing
+    begin, policies_by_steps, walked = choosing
     table, warned = tmp_path / "validation.parquet", []
     for steps in (0, 10, 30):
-        begin(warned).of(after[steps])
-    before = table.read_bytes()
-    begin(warned).of(after[40])
-    whole = table.read_bytes()
-    table.write_bytes(before)
-    assert chosen(begin(warned).of(after[40])) == 40
+        begin(warned).of(policies_by_steps[steps])
+    table_bytes = table.read_bytes()
+    begin(warned).of(policies_by_steps[40])
+    complete_table = table.read_bytes()
+    table.write_bytes(table_bytes)
+    assert chosen(begin(warned).of(policies_by_steps[40])) == 40
     assert walked == [0, 10, 30, 40, 40]
-    assert table.read_bytes() == whole
+    assert table.read_bytes() == complete_table
     assert not warned
     (tmp_path / "policy.npz").unlink()
-    assert chosen(begin(warned).of(after[20])) == 20
+    assert chosen(begin(warned).of(policies_by_steps[20])) == 20
     assert "the choice begins anew" in warned[0]
 
 
@@ -405,8 +429,12 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "nermo_mjx.learn.run._Learning._policy", lambda self, learned: _policy_after(robot, learned)
     )
-    whole = run_training(SPEC | fields, tmp_path / "whole", environment=point)
-    assert (whole.iterations_run, whole.summary["policy_steps"], whole.summary["complete"]) == (
+    complete_result = run_training(SPEC | fields, tmp_path / "whole", environment=point)
+    assert (
+        complete_result.iterations_run,
+        complete_result.summary["policy_steps"],
+        complete_result.summary["complete"],
+    ) == (
         6,
         192,
         True,
@@ -425,8 +453,8 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
         killed.setattr(TrainingDirectory, "keep", stopped)
         with pytest.raises(KeyboardInterrupt):
             run_training(SPEC | fields, tmp_path / "killed", environment=point)
-    again = run_training(SPEC | fields, tmp_path / "killed", environment=point)
-    assert (again.iterations_run, bits(again)) == (0, bits(whole))
+    repeated = run_training(SPEC | fields, tmp_path / "killed", environment=point)
+    assert (repeated.iterations_run, bits(repeated)) == (0, bits(complete_result))
     for name in ("policy.npz", "validation.parquet"):
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
@@ -443,12 +471,12 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     )
     assert successes(plain, policy[0]) == {"flat": 1.0}
     limit = float(speeds.speed.iloc[1:3].mean())
-    asked = PolicyEvaluator(
+    evaluator = PolicyEvaluator(
         Training.from_dict(fields | {"until": {"success": 1.0, "speed": limit}})
     )
     assert speeds.success.all()
     assert limit > 0.0
-    assert successes(asked, policy[0]) == {"flat": 0.5}
+    assert successes(evaluator, policy[0]) == {"flat": 0.5}
 
 
 @pytest.mark.parametrize(
@@ -459,23 +487,28 @@ def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool)
     """So that trainings with other counts are paired, and a page shows a walk of the evaluation."""
     randomize = {"start.yaw": [-0.3, 0.3], "start.x": [0.8, 1.6], "start.phase": [0.0, 1.0]}
     training = Training.from_dict({"randomize": randomize, "task": {"bodies": identified}})
-    many, one = (unseen_bodies(training, training.task, Draws(count, key)) for count in (200, 1))
+    many_walks, one_walk = (
+        unseen_bodies(training, training.task, Draws(count, key)) for count in (200, 1)
+    )
     for count in (100, 3, 1):
-        few = unseen_bodies(training, training.task, Draws(count, key))
-        assert few.keys() == many.keys()
-        for name, column in few.items():
-            np.testing.assert_array_equal(column, many[name][:count], err_msg=name)
-    assert one.keys() == many.keys() >= randomize.keys()
-    other = unseen_bodies(
+        smaller_walks = unseen_bodies(training, training.task, Draws(count, key))
+        assert smaller_walks.keys() == many_walks.keys()
+        for name, column in smaller_walks.items():
+            np.testing.assert_array_equal(column, many_walks[name][:count], err_msg=name)
+    assert one_walk.keys() == many_walks.keys() >= randomize.keys()
+    other_key = unseen_bodies(
         training, training.task, Draws(200, EVALUATION_OFFSET + _VALIDATION_OFFSET - key)
     )
     for name, (low, high) in randomize.items():
-        drawn = (many[name] - low) / (high - low)
-        assert drawn.min() >= 0.0
-        assert drawn.max() <= 1.0
-        assert kstest(drawn, "uniform").pvalue > 1e-3
-        assert not set(many[name]) & set(other[name])
-    assert abs(np.corrcoef([many[name] for name in randomize])[np.triu_indices(3, 1)]).max() < 0.25
+        fractions = (many_walks[name] - low) / (high - low)
+        assert fractions.min() >= 0.0
+        assert fractions.max() <= 1.0
+        assert kstest(fractions, "uniform").pvalue > 1e-3
+        assert not set(many_walks[name]) & set(other_key[name])
+    assert (
+        abs(np.corrcoef([many_walks[name] for name in randomize])[np.triu_indices(3, 1)]).max()
+        < 0.25
+    )
 
 
 @pytest.mark.release
@@ -530,10 +563,10 @@ def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_p
         "c",
         "--json",
     ]
-    for args, told in ((walk, 0), ([*walk, "--physics", "fast"], 1), (sweep, 1)):
+    for args, count in ((walk, 0), ([*walk, "--physics", "fast"], 1), (sweep, 1)):
         result = CliRunner().invoke(main, args)
         assert result.exit_code == 0, result.output
-        assert result.stderr.count(sentence) == told
+        assert result.stderr.count(sentence) == count
         assert "Warning" not in result.stderr
         assert ".py" not in result.stderr
         json.loads(result.stdout)
@@ -558,7 +591,7 @@ def test_a_policys_evaluation_is_made_again_from_its_file(tmp_path):
     out = tmp_path / "out"
     result = run_training(fields, out, engine="c")
     assert result.summary["judged"] == {"physics": "fast", "timestep": pytest.approx(0.01 / 3)}
-    again = """
+    program = """
 import sys, json
 from nermo_mjx.learn import load_policy
 policy = load_policy(sys.argv[1] + "/policy.npz")
@@ -572,14 +605,16 @@ found = Simulator(setup, engine="c").run({"contact.friction": table["contact.fri
 for name in ("speed", "distance", "servo_work"):
     np.testing.assert_array_equal(found.metrics[name], table[name].to_numpy(), err_msg=name)
 """
-    subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", again, str(out)], check=True)
+    subprocess.run(
+        [sys.executable, "-W", "error::UserWarning", "-c", program, str(out)], check=True
+    )
 
 
 @pytest.mark.release
 def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):
     """As a directory from before has it."""
-    before = pa.Table.from_pandas(evaluated[0].drop(columns=["cross_track_peak", "slip"]))
-    assert summary_of(before)["flat"]["alone"]["distance"] > 0.0
+    former_table = pa.Table.from_pandas(evaluated[0].drop(columns=["cross_track_peak", "slip"]))
+    assert summary_of(former_table)["flat"]["alone"]["distance"] > 0.0
 
 
 @pytest.mark.release
@@ -587,16 +622,20 @@ def test_another_policys_weights_compile_nothing(policy, compilations):
     """They are parameters of a program: one policy of a training after the other walks, or several in one batch."""
     policy, run = policy[0], Run(duration=0.1, warmup=0.0)
     layers = tuple((-weights, bias) for weights, bias in policy.actor.layers)
-    other = dataclasses.replace(policy, actor=dataclasses.replace(policy.actor, layers=layers))
+    second_policy = dataclasses.replace(
+        policy, actor=dataclasses.replace(policy.actor, layers=layers)
+    )
     simulator = Simulator(engine="c", controller=policy)
-    one = simulator({}, run)["servo_work"]
+    first_work = simulator({}, run)["servo_work"]
     compilations.clear()
-    two = simulator({}, run, policy=other.parameters)["servo_work"]
+    two = simulator({}, run, policy=second_policy.parameters)["servo_work"]
     assert compilations == []
-    assert abs(two - one) > 1e-3 * one
-    both = jax.tree.map(lambda *leaves: np.stack(leaves), policy.parameters, other.parameters)
+    assert abs(two - first_work) > 1e-3 * first_work
+    policies = jax.tree.map(
+        lambda *leaves: np.stack(leaves), policy.parameters, second_policy.parameters
+    )
     np.testing.assert_array_equal(
-        simulator({}, run, policy=both)["servo_work"], np.concatenate([one, two])
+        simulator({}, run, policy=policies)["servo_work"], np.concatenate([first_work, two])
     )
 
 
@@ -604,10 +643,12 @@ def test_a_policys_file_is_the_policy(policy, tmp_path):
     """Its numbers, its parameters' names, and the same bytes again; nothing in it is code."""
     policy, path = policy[0], tmp_path / "policy.npz"
     path.write_bytes(policy.content())
-    found = load_policy(path)
-    seen = np.random.default_rng(0).normal(size=(5, len(policy.observer.names))).astype(np.float32)
-    np.testing.assert_array_equal(found.act(seen), policy.act(seen))
-    assert found.content() == policy.content()
+    loaded = load_policy(path)
+    observations = (
+        np.random.default_rng(0).normal(size=(5, len(policy.observer.names))).astype(np.float32)
+    )
+    np.testing.assert_array_equal(loaded.act(observations), policy.act(observations))
+    assert loaded.content() == policy.content()
     assert "frequency" in Setup(controller=str(path)).defaults()
     with np.load(path, allow_pickle=False) as file:
         assert json.loads(file["about"].tobytes())["actions"] == list(Residual().names)
@@ -625,14 +666,14 @@ def test_worlds_are_divided_in_shares():
         parts = int(random.integers(2, 9))
         worlds = int(random.integers(parts, 300))
         assert divided(worlds, [1.0] * parts) == [
-            len(each) for each in np.array_split(np.arange(worlds), parts)
+            len(split) for split in np.array_split(np.arange(worlds), parts)
         ]
         shares = random.uniform(0.05, 10.0, parts)
-        found = np.array(divided(worlds, shares.tolist()))
-        assert found.sum() == worlds
-        assert found.min() >= 1
+        counts = np.array(divided(worlds, shares.tolist()))
+        assert counts.sum() == worlds
+        assert counts.min() >= 1
         exact = worlds * shares / shares.sum()
-        assert (np.abs(found - exact) < 1.0).all() or exact.min() < 1.0
+        assert (np.abs(counts - exact) < 1.0).all() or exact.min() < 1.0
     training = Training.from_dict(
         {"worlds": 40, "scenes": [{"scene": "ramp"}, {"scene": "rough", "share": 3}]}
     )
@@ -649,53 +690,59 @@ def test_a_mixture_is_its_parts_side_by_side():
     ]
     parts = [(Setup(physics="fast"), tasks[0]), (Setup(physics="fast", pilot="arc"), tasks[1])]
     mixture, key = Mixture(parts, worlds=3, threads=2), jax.random.key(5)
-    alone = [
+    environments = [
         Environment(*part[:1], worlds=n, task=part[1])
         for part, n in zip(parts, (2, 1), strict=True)
     ]
-    states = [each.reset(jax.random.fold_in(key, i)) for i, each in enumerate(alone)]
+    states = [
+        environment.reset(jax.random.fold_in(key, i)) for i, environment in enumerate(environments)
+    ]
     state, action = mixture.reset(key), np.linspace(-1, 1, 27).reshape(3, 9).astype(np.float32)
     for _ in range(4):
         state = mixture.step(state, action)
         states = [
-            each.step(own, part)
-            for each, own, part in zip(alone, states, (action[:2], action[2:]), strict=True)
+            environment.step(part_state, part)
+            for environment, part_state, part in zip(
+                environments, states, (action[:2], action[2:]), strict=True
+            )
         ]
     for name in ("observation", "reward", "truncated", "final_observation", "status"):
-        together = np.concatenate([np.asarray(getattr(each, name)) for each in states])
-        np.testing.assert_array_equal(getattr(state, name), together)
-    told = dict(zip(mixture.privileged_names, state.privileged.T, strict=True))
-    assert told["part.0"].tolist() == [1, 1, 0]
-    assert told["part.1"].tolist() == [0, 0, 1]
-    assert told["drawn.contact.friction"].astype(bool).tolist() == [True, True, False]
+        expected = np.concatenate([np.asarray(getattr(part_state, name)) for part_state in states])
+        np.testing.assert_array_equal(getattr(state, name), expected)
+    privileged = dict(zip(mixture.privileged_names, state.privileged.T, strict=True))
+    assert privileged["part.0"].tolist() == [1, 1, 0]
+    assert privileged["part.1"].tolist() == [0, 0, 1]
+    assert privileged["drawn.contact.friction"].astype(bool).tolist() == [True, True, False]
 
 
 @pytest.mark.release
 def test_parts_that_do_not_wait_for_each_other_step_as_together():
     """What a policy collects in a mixture, against its steps of all worlds at once; episodes end in between."""
     task = Task(episode_length=0.02, observe=("gyro", "action"), randomize={})
-    other = dataclasses.replace(task, randomize={"contact.friction": (1.0, 1.2)})
+    other_task = dataclasses.replace(task, randomize={"contact.friction": (1.0, 1.2)})
     mixture = Mixture(
-        [(Setup(physics="fast"), task), (Setup(physics="fast"), other)], worlds=3, threads=2
+        [(Setup(physics="fast"), task), (Setup(physics="fast"), other_task)], worlds=3, threads=2
     )
     learned, key, steps = PPO(std=0.5).begin(mixture, 0), jax.random.key(7), 3
-    after, found = collector(mixture, steps)(
+    final_state, experience = collector(mixture, steps)(
         learned.actor, learned.statistics, mixture.reset(4), key
     )
     state = mixture.reset(4)
     noise = np.asarray(jax.random.normal(key, (steps, 3, 9), np.float32))
     for t in range(steps):
-        seen = np.concatenate([state.observation, state.privileged], axis=1)
-        np.testing.assert_array_equal(found.seen[t], seen)
+        observations = np.concatenate([state.observation, state.privileged], axis=1)
+        np.testing.assert_array_equal(experience.seen[t], observations)
         # An untrained policy's mean is zero.
-        np.testing.assert_allclose(found.action[t], 0.5 * noise[t], rtol=1e-6)
-        state = mixture.step(state, found.action[t])
-        np.testing.assert_array_equal(found.reward[t], state.reward)
-        np.testing.assert_array_equal(found.truncated[t], state.truncated)
-        then = np.concatenate([state.final_observation, state.final_privileged], axis=1)
-        np.testing.assert_array_equal(found.then[t], then)
-    assert found.truncated.any()
-    np.testing.assert_array_equal(after.privileged, state.privileged)
+        np.testing.assert_allclose(experience.action[t], 0.5 * noise[t], rtol=1e-6)
+        state = mixture.step(state, experience.action[t])
+        np.testing.assert_array_equal(experience.reward[t], state.reward)
+        np.testing.assert_array_equal(experience.truncated[t], state.truncated)
+        final_observations = np.concatenate(
+            [state.final_observation, state.final_privileged], axis=1
+        )
+        np.testing.assert_array_equal(experience.then[t], final_observations)
+    assert experience.truncated.any()
+    np.testing.assert_array_equal(final_state.privileged, state.privileged)
 
 
 def test_a_policy_follows_another_path(policy, tmp_path):
@@ -727,11 +774,11 @@ def test_onnx_acts_as_the_policy_does(policy):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
     session = runtime.InferenceSession(export(policy[0]), providers=["CPUExecutionProvider"])
-    seen = (
+    observations = (
         np.random.default_rng(0).normal(size=(5, len(policy[0].observer.names))).astype(np.float32)
     )
-    (action,) = session.run(None, {"observation": seen})
-    np.testing.assert_allclose(action, policy[0].act(seen), atol=1e-5)
+    (action,) = session.run(None, {"observation": observations})
+    np.testing.assert_allclose(action, policy[0].act(observations), atol=1e-5)
     facts = session.get_modelmeta().custom_metadata_map
     assert json.loads(facts["observation"]) == list(policy[0].observer.names)
 
@@ -789,14 +836,16 @@ def test_a_training_of_the_robot_survives_a_kill_of_the_command(tmp_path):
         time.sleep(0.002)
     killed.kill()
     assert killed.wait() == -signal.SIGKILL
-    begun = pq.read_table(tmp_path / "killed" / "history.parquet").num_rows
-    assert begun < 8
+    iterations = pq.read_table(tmp_path / "killed" / "history.parquet").num_rows
+    assert iterations < 8
     subprocess.run(command("killed"), check=True)
     np.testing.assert_equal(
         lasting(tmp_path / "killed").to_pydict(), lasting(tmp_path / "whole").to_pydict()
     )
-    whole, again = (load_policy(tmp_path / out / "policy.npz") for out in ("whole", "killed"))
-    assert whole.content() == again.content()
+    complete_policy, resumed_policy = (
+        load_policy(tmp_path / out / "policy.npz") for out in ("whole", "killed")
+    )
+    assert complete_policy.content() == resumed_policy.content()
     tables = [
         pq.read_table(tmp_path / out / "validation.parquet").to_pydict()
         for out in ("whole", "killed")

@@ -31,22 +31,24 @@ def driven() -> Recording:
 
 def told(recording: Recording, driven: Any = None, **setup: Any) -> Recording:
     """The same with another setup, or another course."""
-    about = dict(recording.metadata)
-    about["setup"] = {**about["setup"], **setup}
-    about["driven"] = {**about["driven"], **(driven or {})}
-    return dataclasses.replace(recording, metadata=about)
+    metadata = dict(recording.metadata)
+    metadata["setup"] = {**metadata["setup"], **setup}
+    metadata["driven"] = {**metadata["driven"], **(driven or {})}
+    return dataclasses.replace(recording, metadata=metadata)
 
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    "named", ["own.py:stiff", "{0}/own.py:stiff", "own:stiff", "own.under:stiff"]
+    "reference", ["own.py:stiff", "{0}/own.py:stiff", "own:stiff", "own.under:stiff"]
 )
 @pytest.mark.parametrize("form", ["npz", "jsonl"])
 def test_replay_runs_no_code_that_a_drive_names(
-    named: str, form: str, driven: Any, tmp_path: Path, canary: Path
+    reference: str, form: str, driven: Any, tmp_path: Path, canary: Path
 ):
     """Not even where its setup is refused afterwards; nor do its metrics run, or another file of the same name."""
-    theirs = told(driven, controller=named.format(tmp_path), pilot="straight", metrics=["own.py"])
+    theirs = told(
+        driven, controller=reference.format(tmp_path), pilot="straight", metrics=["own.py"]
+    )
     path = tmp_path / f"drive.{form}"
     if form == "npz":
         theirs.save(path)

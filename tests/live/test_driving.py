@@ -46,18 +46,18 @@ def running() -> Driving:
 
 
 def walked(
-    driving: Driving, ticks: int, commands=(), after=lambda: None
+    driving: Driving, ticks: int, commands=(), callback=lambda: None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions (ticks, nq) and servo targets (ticks, n_servos) under commands; `after` is called after each tick."""
     driving.reset()
     for tick in range(ticks):
-        for at, switch in commands:
-            if at == tick:
+        for tick_of_switch, switch in commands:
+            if tick_of_switch == tick:
                 driving.command(switch)
         driving.tick()
-        after()
-    made = driving.recording()
-    return made.qpos, made.ctrl
+        callback()
+    recording = driving.recording()
+    return recording.qpos, recording.ctrl
 
 
 @pytest.mark.release
@@ -90,11 +90,11 @@ def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_b
         (150, Switch(0, spine="none", blend=0.3)),
     ]
     first = walked(running, 250, commands)
-    again = list(running.commands)
-    assert [tick for tick, _ in again] == [50, 80, 120, 150]
+    switch_commands = list(running.commands)
+    assert [tick for tick, _ in switch_commands] == [50, 80, 120, 150]
     steady = np.abs(np.diff(walked(running, 250)[1], axis=0)).max()
-    for one, other in zip(first, walked(running, 250, again), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for first_array, second_array in zip(first, walked(running, 250, switch_commands), strict=True):
+        np.testing.assert_array_equal(first_array, second_array)
     assert np.abs(np.diff(first[1], axis=0)).max() < 2 * steady
     spine = first[1][:, running.simulator.robot.servos.index("spine")]
     assert np.ptp(spine[:50]) == 0 < np.ptp(spine[100:150])
@@ -112,15 +112,15 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
         values = dict(values_of(driving.control))
         return [float(np.asarray(values[name])[0]) for name in ("duty", "stride")]
 
-    seen: dict[str, list[list[float]]] = {}
+    readings: dict[str, list[list[float]]] = {}
     for name, commands in {
         "gait": [(20, gait)],
         "both": [(20, gait), (50, stride), (60, stride)],
     }.items():
-        seen[name] = []
-        walked(running, 200, commands, lambda name=name: seen[name].append(now(running)))
-    duty, stride = np.array(seen["both"]).T
-    np.testing.assert_allclose(duty, np.array(seen["gait"])[:, 0], atol=1e-6)
+        readings[name] = []
+        walked(running, 200, commands, lambda name=name: readings[name].append(now(running)))
+    duty, stride = np.array(readings["both"]).T
+    np.testing.assert_allclose(duty, np.array(readings["gait"])[:, 0], atol=1e-6)
     assert duty[20] == 0.5 < duty[82] < 0.6 < duty[-1] == pytest.approx(0.68)
     assert stride[49] == 1.0 > stride[56] > stride[-1] == pytest.approx(0.8)
     running.command(gait)
@@ -154,7 +154,7 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
     ],
 )
 def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
-    before = walked(running, 30)[1]
+    reference = walked(running, 30)[1]
     with pytest.raises(ParameterError, match=sentence):
         running.command(switch)
     assert running.commands == []
@@ -162,20 +162,20 @@ def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
     with pytest.raises(ParameterError):
         running.command(switch)
     running.tick()
-    np.testing.assert_array_equal(running.recording().ctrl[0], before[0])
+    np.testing.assert_array_equal(running.recording().ctrl[0], reference[0])
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory) -> Iterator[LiveDrive]:
     """One that runs in a thread."""
-    made = LiveDrive(
+    live_drive = LiveDrive(
         Driving(Setup(pilot="open_loop"), {"frequency": 0.8}),
         tmp_path_factory.mktemp("drive") / "drive.npz",
     )
-    thread = threading.Thread(target=made.run)
+    thread = threading.Thread(target=live_drive.run)
     thread.start()
-    yield made
-    made.over = True
+    yield live_drive
+    live_drive.over = True
     thread.join(30)
 
 
@@ -185,14 +185,14 @@ def page(drive):
     with socket(drive) as opened:
         said(
             opened,
-            wanted=lambda told: not told["paused"] and told["speed"] == 1.0,
+            condition=lambda state: not state["paused"] and state["speed"] == 1.0,
             pause=False,
             speed=1.0,
         )
         opened.send('{"reset": true}')
-        while isinstance(told := opened.recv(timeout=30), bytes) or "restart" not in told:
-            if isinstance(told, bytes):
-                opened.send(json.dumps({"shown": int.from_bytes(told[:4], "little")}))
+        while isinstance(state := opened.recv(timeout=30), bytes) or "restart" not in state:
+            if isinstance(state, bytes):
+                opened.send(json.dumps({"shown": int.from_bytes(state[:4], "little")}))
         yield opened
 
 
@@ -202,18 +202,18 @@ def socket(drive: LiveDrive, **headers):
     return connect(address, origin=origin, compression=None, additional_headers=headers)
 
 
-def said(page, text: str | bytes = "", wanted=None, **message) -> dict:
+def said(page, text: str | bytes = "", condition=None, **message) -> dict:
     """The first state after a message that has the values of the message, or what is wanted."""
     page.send(text or json.dumps(message))
-    wanted = wanted or (
-        lambda told: all(told.get(name, value) == value for name, value in message.items())
+    condition = condition or (
+        lambda state: all(state.get(name, value) == value for name, value in message.items())
     )
     while True:
-        told = page.recv(timeout=30)
-        if isinstance(told, bytes):
-            page.send(json.dumps({"shown": int.from_bytes(told[:4], "little")}))
-        elif "restart" not in (found := json.loads(told)) and wanted(found):
-            return found
+        state = page.recv(timeout=30)
+        if isinstance(state, bytes):
+            page.send(json.dumps({"shown": int.from_bytes(state[:4], "little")}))
+        elif "restart" not in (message_of_page := json.loads(state)) and condition(message_of_page):
+            return message_of_page
 
 
 def status(address: str, **headers) -> int:
@@ -259,11 +259,11 @@ def test_only_its_own_page_gets_in(drive):
     ],
 )
 def test_garbage_is_refused_in_a_sentence_and_changes_nothing(drive, page, message, sentence):
-    before = len(drive.driving.commands), len(drive.driving.pushes), drive.speed
-    told = said(page, message, lambda told: "refused" in told)["refused"]
-    assert sentence in told
-    assert told.endswith(".")
-    assert (len(drive.driving.commands), len(drive.driving.pushes), drive.speed) == before
+    counts = len(drive.driving.commands), len(drive.driving.pushes), drive.speed
+    refusal = said(page, message, lambda state: "refused" in state)["refused"]
+    assert sentence in refusal
+    assert refusal.endswith(".")
+    assert (len(drive.driving.commands), len(drive.driving.pushes), drive.speed) == counts
     assert not drive.paused
 
 
@@ -285,9 +285,9 @@ def closed(page) -> int:
 def paused(drive: LiveDrive) -> bool:
     """Whether it pauses soon, and stands still then."""
     until(lambda: drive.paused, 10.0)
-    before = drive.driving.ticks
+    ticks = drive.driving.ticks
     time.sleep(0.2)
-    return drive.paused and drive.driving.ticks == before
+    return drive.paused and drive.driving.ticks == ticks
 
 
 def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
@@ -298,7 +298,7 @@ def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
     assert paused(drive)
     with socket(drive) as third:
         assert said(third, speed=1.0)["paused"]
-        said(third, wanted=lambda told: not told["paused"], pause=False)
+        said(third, condition=lambda state: not state["paused"], pause=False)
 
 
 @pytest.mark.release
@@ -314,13 +314,15 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
             driving.push(1, (1.5, 0.0, 0.5), 0.2)
         driving.tick()
     recording = Recording.load(driving.recording().save(tmp_path / "drive.npz"))
-    again = replayed(recording)
-    assert difference(recording, again) is None
+    replayed_recording = replayed(recording)
+    assert difference(recording, replayed_recording) is None
     assert json_of("replay", tmp_path / "drive.npz")["equal"]
     # What happened mattered.
     calm = dict(recording.metadata["driven"]) | {"pushes": []}
-    other = Recording(**{**vars(recording), "metadata": {**recording.metadata, "driven": calm}})
-    assert difference(recording, replayed(other)) == pytest.approx(0.71)
+    calm_recording = Recording(
+        **{**vars(recording), "metadata": {**recording.metadata, "driven": calm}}
+    )
+    assert difference(recording, replayed(calm_recording)) == pytest.approx(0.71)
     with pytest.raises(RecordingError, match="not of a drive"):
         replayed(Recording(**{**vars(recording), "metadata": {}}))
     table = json_of("servos", "--recording", tmp_path / "drive.npz", "--out", tmp_path / "t.csv")
@@ -347,10 +349,10 @@ def test_a_sweep_walks_as_was_driven(tmp_path):
     assert walked.time[last] == pytest.approx(recorded.time[last])
     assert np.linalg.norm(recorded.qpos[last, :2]) > 0.05
     np.testing.assert_allclose(walked.qpos[last, :3], recorded.qpos[last, :3], atol=1e-4)
-    many = dict(recorded.metadata["driven"]) | {
+    driven = dict(recorded.metadata["driven"]) | {
         "commands": [[9 * k, {"at": 0.0, "set": {"stride": 0.9}}] for k in range(9)]
     }
-    Recording(**{**vars(recorded), "metadata": {**recorded.metadata, "driven": many}}).save(file)
+    Recording(**{**vars(recorded), "metadata": {**recorded.metadata, "driven": driven}}).save(file)
     refused = call("replay", file, "--sweep", tmp_path / "none.yaml")
     assert (refused.exit_code, "schedule has 9 switches: allowed are 8" in refused.stderr) == (
         2,
@@ -387,21 +389,21 @@ def test_any_error_of_a_message_is_a_refusal(drive, page, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(drive.driving, "command", failing)
-        told = said(page, '{"set": {"stride": 0.8}}', lambda told: "refused" in told)
-        assert told["refused"] == "that failed: ZeroDivisionError('of a cycle')."
+        answer = said(page, '{"set": {"stride": 0.8}}', lambda state: "refused" in state)
+        assert answer["refused"] == "that failed: ZeroDivisionError('of a cycle')."
         patched.setattr(drive.driving, "push", failing)
         push = '{"push": {"body": 1, "force": [1, 0, 0], "seconds": 0.1}}'
-        assert "that failed" in said(page, push, lambda told: "refused" in told)["refused"]
+        assert "that failed" in said(page, push, lambda state: "refused" in state)["refused"]
     assert said(page, speed=1.0)["speed"] == 1.0
 
 
 def test_a_switch_that_comes_due_is_refused_as_a_command_is_and_the_drive_goes_on(drive, page):
     drive.driving._due = [Switch(0.0, values={"stride": 1.2, "stance.max_stride": 0.08})]
     assert (
-        "stride is 1.2" in said(page, '{"speed": 1.0}', lambda told: "refused" in told)["refused"]
+        "stride is 1.2" in said(page, '{"speed": 1.0}', lambda state: "refused" in state)["refused"]
     )
-    before = drive.driving.ticks
-    until(lambda: drive.driving.ticks > before + 5)
+    ticks = drive.driving.ticks
+    until(lambda: drive.driving.ticks > ticks + 5)
 
 
 @pytest.mark.release
@@ -410,14 +412,14 @@ def test_a_switch_that_comes_due_is_refused_as_a_command_is_and_the_drive_goes_o
     [
         "garbage",
         *(
-            pytest.param(each, marks=pytest.mark.release)
-            for each in ('{"set": {"stride": 0.8}}', '{"shown": 1}')
+            pytest.param(message, marks=pytest.mark.release)
+            for message in ('{"set": {"stride": 0.8}}', '{"shown": 1}')
         ),
     ],
 )
 def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(drive, message):
     with socket(drive) as first:
-        said(first, wanted=lambda told: not told["paused"], pause=False, speed=1.0)
+        said(first, condition=lambda state: not state["paused"], pause=False, speed=1.0)
         stop = threading.Event()
 
         def flood() -> None:
@@ -428,7 +430,7 @@ def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(
         sender = threading.Thread(target=flood)
         sender.start()
         time.sleep(1.0)
-        before = drive.driving.ticks
+        ticks = drive.driving.ticks
         with socket(drive) as second:
             until(
                 lambda: (
@@ -436,13 +438,13 @@ def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(
                 ),
                 10,
             )
-            until(lambda: drive.driving.ticks > before + 30, 10)
+            until(lambda: drive.driving.ticks > ticks + 30, 10)
             stop.set()
             said(second, speed=0.5)
         sender.join(10)
-    said_again = socket(drive)
-    said(said_again, wanted=lambda told: not told["paused"], pause=False, speed=1.0)
-    said_again.close()
+    second_socket = socket(drive)
+    said(second_socket, condition=lambda state: not state["paused"], pause=False, speed=1.0)
+    second_socket.close()
 
 
 def test_connections_that_do_not_get_in_make_room_for_those_that_do(drive, page):
@@ -452,9 +454,9 @@ def test_connections_that_do_not_get_in_make_room_for_those_that_do(drive, page)
     assert len(drive._connections) <= MAX_CONNECTIONS
     said(page, speed=1.0)
     with socket(drive) as second:
-        said(second, wanted=lambda told: not told["paused"], pause=False)
-    for each in idle:
-        each.close()
+        said(second, condition=lambda state: not state["paused"], pause=False)
+    for connection in idle:
+        connection.close()
 
 
 @pytest.mark.parametrize(
@@ -520,20 +522,20 @@ def test_the_token_is_not_in_the_process_list(tmp_path, monkeypatch):
 def recorded(tmp_path, running):
     """A drive that runs with a page and a file."""
     running.reset()
-    made = LiveDrive(running, tmp_path / "d.npz")
-    thread = threading.Thread(target=made.run)
+    live_drive = LiveDrive(running, tmp_path / "d.npz")
+    thread = threading.Thread(target=live_drive.run)
     thread.start()
-    with socket(made) as page:
+    with socket(live_drive) as page:
         said(page, speed=1.0)
-        yield made, page, thread
-    made.over = True
+        yield live_drive, page, thread
+    live_drive.over = True
     thread.join(30)
 
 
 @pytest.mark.release
 def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
     """Copies of the file, as a killed process or a power cut would leave it: each makes the samples that were."""
-    made, page, thread = recorded
+    live_drive, page, thread = recorded
     copies, journal = list[tuple[int, bytes]](), tmp_path / "d.jsonl"
     for k in range(6):
         page.send(
@@ -546,18 +548,21 @@ def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
         push = {"body": 1, "force": [1.0, 0.0, 0.0], "seconds": 0.1}
         page.send(json.dumps({"push": push} if k == 3 else {"speed": 1.0}))
         time.sleep(0.4)
-        ticks = made.driving.ticks
+        ticks = live_drive.driving.ticks
         copies.append((ticks, journal.read_bytes()))
-    made.over = True
+    live_drive.over = True
     thread.join(30)
     recording = Recording.load(tmp_path / "d.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["d.npz"]
     for k, (ticks, content) in enumerate(copies):
         torn = content + (b"\0" * 4096 if k % 2 else b'{"commands": [[1')
         (tmp_path / "cut.jsonl").write_bytes(torn)
-        again = replayed(tmp_path / "cut.jsonl")
-        assert ticks - 100 <= len(again.time) <= len(recording.time)
-        assert difference(recording.between(0.0, again.time[-1]), again) is None
+        replayed_recording = replayed(tmp_path / "cut.jsonl")
+        assert ticks - 100 <= len(replayed_recording.time) <= len(recording.time)
+        assert (
+            difference(recording.between(0.0, replayed_recording.time[-1]), replayed_recording)
+            is None
+        )
     assert len(recording.metadata["driven"]["commands"]) == 6
     answer = call("replay", tmp_path / "cut.jsonl", "--record", tmp_path / "cut.npz", "--quiet")
     assert answer.exit_code == 0, answer.stderr
@@ -566,8 +571,8 @@ def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
 
 @pytest.mark.release
 def test_a_full_disk_stops_time_until_there_is_room(recorded, tmp_path):
-    made, page, _ = recorded
-    journal = made._journal
+    live_drive, page, _ = recorded
+    journal = live_drive._journal
     real = journal._file
 
     class Full:
@@ -578,23 +583,23 @@ def test_a_full_disk_stops_time_until_there_is_room(recorded, tmp_path):
             return getattr(real, name)
 
     journal._file = Full()
-    told = said(page, '{"set": {"stride": 0.8}}', lambda told: "refused" in told)["refused"]
+    refusal = said(page, '{"set": {"stride": 0.8}}', lambda state: "refused" in state)["refused"]
     assert (
-        told
+        refusal
         == f"{tmp_path / 'd.jsonl'} cannot be written (No space left on device): time stands still until it can be."
     )
-    assert paused(made)
-    said(page, '{"pause": false}', lambda told: "refused" in told)
+    assert paused(live_drive)
+    said(page, '{"pause": false}', lambda state: "refused" in state)
     journal._file = real
     until(lambda: journal.error is None)
-    said(page, wanted=lambda told: not told["paused"], pause=False)
+    said(page, condition=lambda state: not state["paused"], pause=False)
     until(lambda: len(replayed(tmp_path / "d.jsonl").metadata["driven"]["commands"]) == 1)
 
 
 @pytest.mark.release
 def test_where_the_recording_cannot_be_written_the_journal_stays(recorded, tmp_path, monkeypatch):
-    made, page, thread = recorded
-    until(lambda: made.driving.ticks > 20)
+    live_drive, page, thread = recorded
+    until(lambda: live_drive.driving.ticks > 20)
 
     def failing(self, path):
         raise RecordingError(f"{path}: the recording cannot be written (No space left on device).")
@@ -602,19 +607,19 @@ def test_where_the_recording_cannot_be_written_the_journal_stays(recorded, tmp_p
     monkeypatch.setattr(Recording, "save", failing)
     said(page, reset=True)
     until((tmp_path / "d-2.jsonl").exists)
-    until(lambda: made.driving.ticks > 20)
-    made.over = True
+    until(lambda: live_drive.driving.ticks > 20)
+    live_drive.over = True
     thread.join(30)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d-2.jsonl", "d.jsonl"]
-    assert "d-2.jsonl, for `nermo-mjx replay`" in made.failure
+    assert "d-2.jsonl, for `nermo-mjx replay`" in live_drive.failure
     for name in ("d.jsonl", "d-2.jsonl"):
         assert len(replayed(tmp_path / name).time) > 20
 
 
 @pytest.mark.release
 def test_a_file_that_exists_is_never_replaced(tmp_path, running):
-    kept = {name: tmp_path / name for name in ("d.npz", "d-2.npz", "e.jsonl", "f-3.jsonl")}
-    for path in kept.values():
+    existing = {name: tmp_path / name for name in ("d.npz", "d-2.npz", "e.jsonl", "f-3.jsonl")}
+    for path in existing.values():
         path.write_text("mine")
     for name, why in (("d.npz", "d.npz exists;"), ("e.npz", r"e.jsonl exists .nermo-mjx replay")):
         answer = call("drive", "--no-browser", "--record", tmp_path / name)
@@ -624,13 +629,13 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
     assert free(tmp_path / "d.npz", first=False).name == "d-3.npz"
     assert free(tmp_path / "f.npz").name == "f.npz"
     running.reset()
-    made = LiveDrive(running, tmp_path / "f.npz")
-    made._began = True
+    live_drive = LiveDrive(running, tmp_path / "f.npz")
+    live_drive._began = True
     (tmp_path / "f.npz").write_text("mine")  # meanwhile
-    made.driving.tick()
-    made.run(0.2)
-    assert made.files == [tmp_path / "f-2.npz"]
-    assert all(path.read_text() == "mine" for path in (*kept.values(), tmp_path / "f.npz"))
+    live_drive.driving.tick()
+    live_drive.run(0.2)
+    assert live_drive.files == [tmp_path / "f-2.npz"]
+    assert all(path.read_text() == "mine" for path in (*existing.values(), tmp_path / "f.npz"))
 
 
 @pytest.mark.release
@@ -639,8 +644,8 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
     [
         signal.SIGKILL,
         *(
-            pytest.param(each, marks=pytest.mark.release)
-            for each in (signal.SIGHUP, signal.SIGUSR1)
+            pytest.param(number, marks=pytest.mark.release)
+            for number in (signal.SIGHUP, signal.SIGUSR1)
         ),
     ],
 )
@@ -667,20 +672,22 @@ def test_a_drive_outlives_every_signal(number, tmp_path):
                 page.send('{"set": {"stride": 0.8}}')
                 driven = 0.0
                 while driven < 1.5:
-                    told = page.recv(timeout=10)
-                    if isinstance(told, bytes):
-                        driven = float(np.frombuffer(told, "<f4", 1, 4)[0])
-                        page.send(json.dumps({"shown": int.from_bytes(told[:4], "little")}))
+                    packet = page.recv(timeout=10)
+                    if isinstance(packet, bytes):
+                        driven = float(np.frombuffer(packet, "<f4", 1, 4)[0])
+                        page.send(json.dumps({"shown": int.from_bytes(packet[:4], "little")}))
                 process.send_signal(number)
                 process.wait(30)
         finally:
             process.kill()
-    left = tmp_path / ("d.jsonl" if number == signal.SIGKILL else "d.npz")
-    assert [path.name for path in tmp_path.iterdir()] == [left.name]
+    remaining_file = tmp_path / ("d.jsonl" if number == signal.SIGKILL else "d.npz")
+    assert [path.name for path in tmp_path.iterdir()] == [remaining_file.name]
     assert process.returncode == (-9 if number == signal.SIGKILL else 0)
-    again = replayed(left if number == signal.SIGKILL else Recording.load(left))
-    assert again.time[-1] > driven - 1.0
-    assert again.metadata["driven"]["commands"][0][1]["set"] == {"stride": 0.8}
+    replayed_recording = replayed(
+        remaining_file if number == signal.SIGKILL else Recording.load(remaining_file)
+    )
+    assert replayed_recording.time[-1] > driven - 1.0
+    assert replayed_recording.metadata["driven"]["commands"][0][1]["set"] == {"stride": 0.8}
 
 
 @pytest.mark.release
@@ -717,8 +724,8 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
             "navigator.getGamepads = () => [window.pad], 1)"
         )
         tab.wait('viewer.drive.state.values["pilot.turn_rate"] < -0.7')
-        before = tab.evaluate("yaw()")
-        tab.wait(f"yaw() < {before - 10}")
+        initial_yaw = tab.evaluate("yaw()")
+        tab.wait(f"yaw() < {initial_yaw - 10}")
         tab.evaluate(
             "(window.pad = {connected: true, axes: [0, 0], buttons: [{pressed: true}]}, 1)"
         )
@@ -750,17 +757,17 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
         tab.key(" ")
         tab.wait("viewer.drive.state.paused")
         # What comes long after the last row is joined to it by no line.
-        joined = """((later) => {
+        check_script = """((later) => {
             const {clip} = viewer.drive, before = clip.time.length, row = new Float32Array(clip.width);
             row[0] = clip.end + later;
             clip.append(row);
             return [clip.time.length - before, clip.lines.every(({values}) => Number.isNaN(values.at(-2)))];
         })"""
-        assert tab.evaluate(f"{joined}(0.09)") == [1, False]
-        assert tab.evaluate(f"{joined}(0.2)") == [2, True]
+        assert tab.evaluate(f"{check_script}(0.09)") == [1, False]
+        assert tab.evaluate(f"{check_script}(0.2)") == [2, True]
         assert tab.complaints() == []
         loaded = tab.requests() if module is chromium else []
-        assert [each for each in loaded if not each.startswith(drive.address)] == []
+        assert [url for url in loaded if not url.startswith(drive.address)] == []
     assert paused(drive)
     path = drive.driving.recording().save(Path(drive.record).with_name("browser.npz"))
     recording = Recording.load(path)

@@ -79,11 +79,11 @@ def driving() -> RobotDriving:
     return RobotDriving(Setup(), channels=CHANNELS, rate=100.0)
 
 
-def stamped(seconds: float, **more: Any) -> dict[str, Any]:
+def stamped(seconds: float, **fields: Any) -> dict[str, Any]:
     return {
         "header": {"stamp": {"sec": int(seconds), "nanosec": round(1e9 * (seconds % 1.0))}},
         **AUTHORS,
-        **more,
+        **fields,
     }
 
 
@@ -92,18 +92,18 @@ def test_the_authors_message_is_read_by_meaning() -> None:
     measured = Measured(robot, CHANNELS, clock=clock)
     assert not measured.told
     measured.receive(AUTHORS)
-    found = robot.sensors(measured.sensordata)
+    sensors = robot.sensors(measured.sensordata)
     legs = dict(
         zip((channel.servo for channel in CHANNELS), AUTHORS["servo_pos_leg"], strict=False)
     )
     for name, angle in {**legs, "spine": 0.35, "neck": -0.1}.items():
-        assert found.servo_angle[robot.servos.index(name)] == pytest.approx(angle, abs=1e-12)
-    np.testing.assert_array_equal(found.foot_force, [1.0, 0.0, 0.5, 2.0])
-    np.testing.assert_array_equal(found.position, [1.0, -2.0, 0.05])
-    np.testing.assert_array_equal(found.orientation, [1.0, 0.0, 0.0, 0.0])
-    np.testing.assert_array_equal(found.linear_velocity, [0.01, -0.02, 0.03])
-    np.testing.assert_array_equal(found.accelerometer, [0.0, 0.1, 9.8])
-    np.testing.assert_array_equal(found.gyro, [0.4, 0.5, 0.6])
+        assert sensors.servo_angle[robot.servos.index(name)] == pytest.approx(angle, abs=1e-12)
+    np.testing.assert_array_equal(sensors.foot_force, [1.0, 0.0, 0.5, 2.0])
+    np.testing.assert_array_equal(sensors.position, [1.0, -2.0, 0.05])
+    np.testing.assert_array_equal(sensors.orientation, [1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(sensors.linear_velocity, [0.01, -0.02, 0.03])
+    np.testing.assert_array_equal(sensors.accelerometer, [0.0, 0.1, 9.8])
+    np.testing.assert_array_equal(sensors.gyro, [0.4, 0.5, 0.6])
     imu = {"position", "orientation", "linear_velocity", "accelerometer", "gyro"}
     assert measured.told == imu | {"servo_angle", "foot_force"}
     measured.receive({"imu_sensor": AUTHORS["imu_sensor"]})
@@ -121,9 +121,9 @@ def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
     assert np.degrees(measured.pose[robot.servos.index("spine")]) == pytest.approx(10.0)
     assert np.degrees(measured.pose[robot.servos.index("tail")]) == pytest.approx(5.0)
     data = measured.sensordata.copy()
-    told = sensor_message(robot, CHANNELS, data, 2.25)
-    assert np.degrees(told["servo_pos_aux"]) == pytest.approx([-5.0, 0.0, 0.0, 10.0], abs=1e-4)
-    assert told["header"]["stamp"] == {"sec": 2, "nanosec": 250_000_000}
+    message = sensor_message(robot, CHANNELS, data, 2.25)
+    assert np.degrees(message["servo_pos_aux"]) == pytest.approx([-5.0, 0.0, 0.0, 10.0], abs=1e-4)
+    assert message["header"]["stamp"] == {"sec": 2, "nanosec": 250_000_000}
 
 
 @pytest.mark.parametrize(
@@ -152,10 +152,10 @@ def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
 )
 def test_what_is_no_measurement_is_left_out_and_counted(message: Any, why: str) -> None:
     measured = Measured(load_robot(), CHANNELS)
-    before = measured.sensordata
+    sensordata = measured.sensordata
     measured.receive(message)
     assert measured.counts == {"taken": 0, why: 1}
-    assert measured.sensordata is before
+    assert measured.sensordata is sensordata
     assert not measured.told
 
 
@@ -221,16 +221,16 @@ def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_los
 
 @pytest.mark.release
 def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(driving) -> None:
-    both = Together(driving, values={"start.phase": 0.5})
-    away = both.measured.pose.copy()
-    both.walk(2.0)
-    steps = np.abs(np.diff([np.zeros(12), *both.commands], axis=0))[1:]
+    link_pair = Together(driving, values={"start.phase": 0.5})
+    start_pose = link_pair.measured.pose.copy()
+    link_pair.walk(2.0)
+    steps = np.abs(np.diff([np.zeros(12), *link_pair.commands], axis=0))[1:]
     begins = int(np.argmax(steps.max(axis=1) > APPROACH_RAD_PER_SECOND * driving.dt + 1e-5))
     assert begins > 20, "the poses at phases 0 and 1/2 are that far apart"
     assert steps[:begins].max() <= APPROACH_RAD_PER_SECOND * driving.dt + 1e-5
-    assert np.abs(both.commands[0][[0, 2, 4, 6]] - away[:4]).max() < 1e-4
+    assert np.abs(link_pair.commands[0][[0, 2, 4, 6]] - start_pose[:4]).max() < 1e-4
     assert driving.driven.walked == pytest.approx(
-        (len(both.commands) - begins) * driving.dt, abs=0.05
+        (len(link_pair.commands) - begins) * driving.dt, abs=0.05
     )
     top = np.radians(np.degrees(driving.batch.params.servo.top_speed[0])) * driving.dt
     assert steps.max() <= top + 1e-5
@@ -238,23 +238,27 @@ def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(drivi
 
 @pytest.mark.release
 def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> None:
-    both = Together(driving)
-    both.walk(1.0)
-    both.silent, sent, before = True, len(both.commands), both.body.about["distance"]
-    both.walk(2.0)
-    assert len(both.commands) - sent <= both.measured.watchdog / driving.dt + 2
+    link_pair = Together(driving)
+    link_pair.walk(1.0)
+    link_pair.silent, command_count, distance = (
+        True,
+        len(link_pair.commands),
+        link_pair.body.about["distance"],
+    )
+    link_pair.walk(2.0)
+    assert len(link_pair.commands) - command_count <= link_pair.measured.watchdog / driving.dt + 2
     assert driving.driven.holds == 1
     assert driving.driven.held == pytest.approx(2.0, abs=0.05), "with the wait at the start"
-    assert both.body.about["distance"] - before < 0.05
-    assert both.body.about["tilt"] < 0.2
-    both.silent = False
-    both.walk(1.0)
-    assert both.body.about["distance"] > before + 0.03
-    assert np.abs(np.diff(both.commands, axis=0)).max() < 0.2, (
+    assert link_pair.body.about["distance"] - distance < 0.05
+    assert link_pair.body.about["tilt"] < 0.2
+    link_pair.silent = False
+    link_pair.walk(1.0)
+    assert link_pair.body.about["distance"] > distance + 0.03
+    assert np.abs(np.diff(link_pair.commands, axis=0)).max() < 0.2, (
         "no jump: where it was, slowly to where it held"
     )
-    both.silent = True
-    both.walk(ANSWER_SECONDS + 0.5)
+    link_pair.silent = True
+    link_pair.walk(ANSWER_SECONDS + 0.5)
     assert driving.driven.ended == "no message of the robot for 5 s"
 
 
@@ -265,30 +269,32 @@ def test_after_a_pause_the_robot_is_approached_from_where_it_is(
     driving, watched: bool, silent: bool
 ) -> None:
     """Its power was off meanwhile, or somebody has moved it; whether or not the loop has looked after it."""
-    both = Together(driving)
-    both.walk(2.0)
+    link_pair = Together(driving)
+    link_pair.walk(2.0)
     assert driving.driven.walked > 1.0
-    rest = np.array(Measured(both.body.robot, CHANNELS).sensordata)
+    rest_sensors = np.array(Measured(link_pair.body.robot, CHANNELS).sensordata)
     for k in range(300):
-        both.clock.now += driving.dt
+        link_pair.clock.now += driving.dt
         if not silent or k > 200:
-            both.measured.receive(sensor_message(both.body.robot, CHANNELS, rest, both.clock()))
+            link_pair.measured.receive(
+                sensor_message(link_pair.body.robot, CHANNELS, rest_sensors, link_pair.clock())
+            )
         if watched:
             driving.watch()
-    sent = len(both.commands)
+    command_count = len(link_pair.commands)
     driving.step()
-    assert len(both.commands) == sent + 1
+    assert len(link_pair.commands) == command_count + 1
     assert (
-        np.abs(driving.pose - both.measured.pose).max()
+        np.abs(driving.pose - link_pair.measured.pose).max()
         <= APPROACH_RAD_PER_SECOND * driving.dt + 1e-6
     )
 
 
 @pytest.mark.release
 def test_a_robot_that_is_silent_during_a_pause_ends_the_drive(driving) -> None:
-    both = Together(driving)
-    both.walk(0.5)
-    both.clock.now += ANSWER_SECONDS + 0.1
+    link_pair = Together(driving)
+    link_pair.walk(0.5)
+    link_pair.clock.now += ANSWER_SECONDS + 0.1
     with pytest.raises(SendError, match="no message of the robot for 5 s"):
         driving.watch()
 
@@ -297,8 +303,8 @@ def test_a_robot_that_is_silent_during_a_pause_ends_the_drive(driving) -> None:
 def test_a_page_that_is_closed_ends_the_drive_of_a_robot(driving, monkeypatch) -> None:
     """As `drive --help` says; one that only pauses does not, and one that comes back in time goes on."""
     driving.reset()
-    both = Together(driving)
-    both.walk(0.5)
+    link_pair = Together(driving)
+    link_pair.walk(0.5)
     drive = LiveDrive(driving)
     monkeypatch.setattr(driving, "operator", lambda: drive.away)
     drive._began = drive.paused = True
@@ -314,24 +320,26 @@ def test_a_page_that_is_closed_ends_the_drive_of_a_robot(driving, monkeypatch) -
 def test_the_journal_of_a_robots_drive_has_its_samples(driving, tmp_path) -> None:
     """What it measured, no command makes again."""
     driving.reset()
-    both = Together(driving)
+    link_pair = Together(driving)
     journal = Journal(tmp_path / "d.jsonl", driving)
     for _ in range(60):
-        both.tell()
+        link_pair.tell()
         driving.tick()
-        both.body.tick(both.clock())
-        both.clock.now += driving.dt
+        link_pair.body.tick(link_pair.clock())
+        link_pair.clock.now += driving.dt
     journal.end(keep=True)
-    made, again = driving.recording(), replayed(tmp_path / "d.jsonl")
+    recording, replayed_recording = driving.recording(), replayed(tmp_path / "d.jsonl")
     for name in ("time", "qpos", "qvel", "ctrl"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(made, name))
-    np.testing.assert_array_equal(again.sensors["position"], made.sensors["position"])
+        np.testing.assert_array_equal(getattr(replayed_recording, name), getattr(recording, name))
+    np.testing.assert_array_equal(
+        replayed_recording.sensors["position"], recording.sensors["position"]
+    )
 
 
 @pytest.mark.release
 def test_an_operator_who_is_away_is_as_silent_as_a_robot(driving) -> None:
-    both = Together(driving)
-    both.walk(0.5)
+    link_pair = Together(driving)
+    link_pair.walk(0.5)
     driving.step(operator=0.1)
     walked = driving.driven.walked
     driving.step(operator=0.3)
@@ -356,34 +364,36 @@ def test_a_command_beyond_the_limits_of_a_servo_is_sent_at_its_limit() -> None:
         "spine": {"channel": 0, "direction": -1, "zero": 90, "low": 80, "high": 100},
         "neck": {"channel": 1},
     }
-    robot, sent, drive = load_robot(), list[list[float]](), Posed("mqtt://localhost")
+    robot, angles_of_commands, drive = load_robot(), list[list[float]](), Posed("mqtt://localhost")
     measured = Measured(robot, read_channels(wired))
-    drive.connect(measured, sent.append)
+    drive.connect(measured, angles_of_commands.append)
     for spine, neck in ((5.0, 40.0), (25.0, 40.0), (-25.0, 40.0)):
         drive.pose = np.zeros(len(robot.servos))
         drive.pose[[robot.servos.index(name) for name in ("spine", "neck")]] = np.radians(
             [spine, neck]
         )
         drive._send(measured)
-    np.testing.assert_allclose(sent, [[85.0, 40.0], [80.0, 40.0], [100.0, 40.0]], atol=1e-3)
+    np.testing.assert_allclose(
+        angles_of_commands, [[85.0, 40.0], [80.0, 40.0], [100.0, 40.0]], atol=1e-3
+    )
     assert (drive.driven.sent, drive.driven.limited) == (3, 2)
 
 
 @pytest.mark.release
 def test_limits_of_channels_are_kept_and_commands_come_at_their_rate(driving) -> None:
     narrow = dataclasses.replace(
-        CHANNELS, servos=tuple(dataclasses.replace(each, low=-5.0, high=5.0) for each in CHANNELS)
+        CHANNELS, servos=tuple(dataclasses.replace(servo, low=-5.0, high=5.0) for servo in CHANNELS)
     )
-    both = Together(driving, narrow, rate=30.0)
-    both.walk(2.0)
-    assert np.abs(np.degrees(both.commands)).max() <= 5.0 + 1e-4
+    link_pair = Together(driving, narrow, rate=30.0)
+    link_pair.walk(2.0)
+    assert np.abs(np.degrees(link_pair.commands)).max() <= 5.0 + 1e-4
     assert driving.driven.limited > 20
-    assert len(both.commands) == pytest.approx(60, abs=2)
+    assert len(link_pair.commands) == pytest.approx(60, abs=2)
 
 
 @pytest.mark.release
 def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
-    both = Together(driving)
+    link_pair = Together(driving)
 
     def fail(message: Any) -> None:
         raise NotSentError("a:1: the MQTT broker is gone")
@@ -391,30 +401,30 @@ def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
     driving._publish = fail
 
     def wait(seconds: float) -> None:
-        both.clock.wait(seconds)
-        both.measured.receive(AUTHORS)
+        link_pair.clock.wait(seconds)
+        link_pair.measured.receive(AUTHORS)
 
     driven = driving.run(None, wait)
     assert driven.ended == "a:1: the MQTT broker is gone"
     assert driven.unsent == pytest.approx(
-        (ANSWER_SECONDS - both.measured.watchdog) / driving.dt, rel=0.02
+        (ANSWER_SECONDS - link_pair.measured.watchdog) / driving.dt, rel=0.02
     )
 
 
 @pytest.mark.release
 def test_an_angle_that_is_not_a_number_is_not_sent(driving, monkeypatch) -> None:
-    both = Together(driving)
-    both.walk(0.5)
-    sent = len(both.commands)
+    link_pair = Together(driving)
+    link_pair.walk(0.5)
+    command_count = len(link_pair.commands)
     monkeypatch.setattr(driving, "targets", lambda readings: np.full(10, np.nan))
     driving.step()
     assert driving.driven.ended == "the controller asks for an angle that is not a number"
-    assert len(both.commands) == sent
+    assert len(link_pair.commands) == command_count
 
 
 @pytest.mark.release
 def test_a_robot_leaves_out_commands_that_are_none(driving) -> None:
-    both = Together(driving)
+    link_pair = Together(driving)
     for message in (
         None,
         "abc",
@@ -423,9 +433,9 @@ def test_a_robot_leaves_out_commands_that_are_none(driving) -> None:
         {"data": None},
         [0.0] * 12,
     ):
-        both.body.receive(message)
-    both.body.tick(both.clock())
-    assert both.body.about["commands"] == {
+        link_pair.body.receive(message)
+    link_pair.body.tick(link_pair.clock())
+    assert link_pair.body.about["commands"] == {
         "garbage": 3,
         "of a wrong size": 1,
         "not finite": 1,
@@ -438,29 +448,33 @@ def test_a_robot_leaves_out_commands_that_are_none(driving) -> None:
 def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) -> None:
     """And the recording has what the robot measured. A reset leads the robot back slowly; no page is no message."""
     driving.reset()
-    both = Together(driving)
-    sent = both.commands
+    link_pair = Together(driving)
+    commands = link_pair.commands
 
     def drive(seconds: float) -> None:
         for _ in range(round(seconds / driving.dt)):
-            both.tell()
+            link_pair.tell()
             driving.tick()
-            both.body.tick(both.clock())
-            both.clock.now += driving.dt
+            link_pair.body.tick(link_pair.clock())
+            link_pair.clock.now += driving.dt
 
     drive(2.0)
-    made = driving.recording()
-    assert both.body.about["distance"] > 0.1
-    walked = np.linalg.norm((made.qpos[-1] - made.qpos[0])[:2])
-    assert walked == pytest.approx(both.body.about["distance"], rel=0.1)
-    np.testing.assert_allclose(made.ctrl[-1][[0, 8]], [sent[-1][0], sent[-1][11]], atol=1e-5)
-    np.testing.assert_array_equal(made.sensors["position"][-1], both.measured.sensordata[:3])
+    recording = driving.recording()
+    assert link_pair.body.about["distance"] > 0.1
+    walked = np.linalg.norm((recording.qpos[-1] - recording.qpos[0])[:2])
+    assert walked == pytest.approx(link_pair.body.about["distance"], rel=0.1)
+    np.testing.assert_allclose(
+        recording.ctrl[-1][[0, 8]], [commands[-1][0], commands[-1][11]], atol=1e-5
+    )
+    np.testing.assert_array_equal(
+        recording.sensors["position"][-1], link_pair.measured.sensordata[:3]
+    )
     assert driving.driven.walked > 1.9
     with pytest.raises(RecordingError, match="the recording is not of a drive"):
-        replayed(made)
+        replayed(recording)
     driving.reset()
     drive(0.5)
-    assert np.abs(np.diff(sent, axis=0)).max() < 0.2, (
+    assert np.abs(np.diff(commands, axis=0)).max() < 0.2, (
         "no jump, but for what servos differ from what they were told"
     )
     monkeypatch.setattr(driving, "operator", lambda: 0.3)
@@ -480,14 +494,16 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
     channels = dataclasses.replace(
         CHANNELS, servos=tuple(dataclasses.replace(c, **turned) for c in CHANNELS)
     )
-    both = Together(driving, channels)
-    log = both.measured.log = LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
-    both.commands.clear()
-    both.walk(4.0)
+    link_pair = Together(driving, channels)
+    log = link_pair.measured.log = LinkLog(
+        tmp_path / "robot.csv", channels, link_pair.body.robot, link_pair.clock
+    )
+    link_pair.commands.clear()
+    link_pair.walk(4.0)
     log.end()
     assert log.error is None
-    found = read_log(log.path, log.about)
-    assert {each.quantity for each in found.channels} >= {
+    measured_log = read_log(log.path, log.about)
+    assert {servo_channel.quantity for servo_channel in measured_log.channels} >= {
         "command",
         "angle",
         "gyro",
@@ -495,19 +511,21 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
         "position",
         "yaw",
     }
-    commands = np.degrees(both.commands)
-    for of, channel in found.of_quantity("command").items():
-        at = [each.servo for each in channels].index(of)
-        sent = -(commands[:, at] - 90.0) if signed else commands[:, at]
-        np.testing.assert_allclose(np.degrees(channel.values), sent, atol=1e-3)
-    angles = found.of_quantity("angle")["spine"]
+    commands = np.degrees(link_pair.commands)
+    for servo, channel in measured_log.of_quantity("command").items():
+        column = [servo_channel.servo for servo_channel in channels].index(servo)
+        expected_angles = -(commands[:, column] - 90.0) if signed else commands[:, column]
+        np.testing.assert_allclose(np.degrees(channel.values), expected_angles, atol=1e-3)
+    angles = measured_log.of_quantity("angle")["spine"]
     assert len(angles.times) > 390
     np.testing.assert_allclose(
-        angles.values[-1], both.measured.pose[both.body.robot.servos.index("spine")], atol=1e-6
+        angles.values[-1],
+        link_pair.measured.pose[link_pair.body.robot.servos.index("spine")],
+        atol=1e-6,
     )
-    assert findings_of(found) == ()
+    assert findings_of(measured_log) == ()
     with pytest.raises(FileExistsError):
-        LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
+        LinkLog(tmp_path / "robot.csv", channels, link_pair.body.robot, link_pair.clock)
 
 
 @pytest.mark.release
@@ -533,14 +551,16 @@ def test_a_log_on_a_full_disk_is_told_and_the_drive_goes_on(driving, monkeypatch
 @pytest.mark.release
 def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) -> None:
     """However late its messages come: what is lost or overtaken is missing, and the others are 10 ms apart."""
-    both = Together(driving, delay=0.05, loss=0.02)
-    log = both.measured.log = LinkLog(tmp_path / "robot.csv", CHANNELS, both.body.robot, both.clock)
-    both.walk(3.0)
+    link_pair = Together(driving, delay=0.05, loss=0.02)
+    log = link_pair.measured.log = LinkLog(
+        tmp_path / "robot.csv", CHANNELS, link_pair.body.robot, link_pair.clock
+    )
+    link_pair.walk(3.0)
     log.end()
     times = read_log(log.path, log.about).channel("angle", "spine").times
-    apart = np.diff(times) / both.body.dt
-    np.testing.assert_allclose(apart, np.round(apart), atol=1e-6)
-    assert (np.round(apart) > 1).sum() > 10
+    intervals = np.diff(times) / link_pair.body.dt
+    np.testing.assert_allclose(intervals, np.round(intervals), atol=1e-6)
+    assert (np.round(intervals) > 1).sum() > 10
 
 
 @pytest.mark.release
@@ -569,29 +589,33 @@ def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) 
     ],
 )
 def test_a_drive_is_judged_in_sentences(driven, factor, sentences) -> None:
-    found = driven.failures(factor)
-    assert len(found) == len(sentences)
-    assert all(each.startswith(sentence) for each, sentence in zip(found, sentences, strict=True))
-    assert not any("{" in each or "None" in each for each in driven.sentences())
+    failures = driven.failures(factor)
+    assert len(failures) == len(sentences)
+    assert all(
+        text.startswith(sentence) for text, sentence in zip(failures, sentences, strict=True)
+    )
+    assert not any("{" in text or "None" in text for text in driven.sentences())
 
 
 @pytest.mark.release
 def test_sentences_of_both_sides(driving) -> None:
-    both = Together(driving)
-    both.measured.receive("garbage")
-    both.walk(1.0)
+    link_pair = Together(driving)
+    link_pair.measured.receive("garbage")
+    link_pair.walk(1.0)
     walked, heard = driving.driven.sentences()
     assert (
         walked
-        == f"It walked for {driving.driven.walked:.1f} s, and {len(both.commands)} commands were sent."
+        == f"It walked for {driving.driven.walked:.1f} s, and {len(link_pair.commands)} commands were sent."
     )
     assert (
         heard
-        == f"{both.measured.counts['taken']} messages of the robot were taken; left out: 1 garbage."
+        == f"{link_pair.measured.counts['taken']} messages of the robot were taken; left out: 1 garbage."
     )
-    there, taken = both.body.sentences()
-    assert there.startswith("The simulated robot was there for ")
-    assert re.fullmatch(r"\d+ commands were taken, the last one \d\.\d s before the end\.", taken)
+    body_sentences, command_sentence = link_pair.body.sentences()
+    assert body_sentences.startswith("The simulated robot was there for ")
+    assert re.fullmatch(
+        r"\d+ commands were taken, the last one \d\.\d s before the end\.", command_sentence
+    )
 
 
 @pytest.mark.release
@@ -600,10 +624,10 @@ def test_a_robot_that_says_nothing_is_told_at_the_start(
     heard, driving, monkeypatch, tmp_path
 ) -> None:
     """And in the end, by the exit code; the log is there all the same."""
-    told = []
+    messages = []
 
     @contextlib.contextmanager
-    def linked(url, topic, kind, where, receive, field):
+    def linked(url, topic, kind, link_address, receive, field):
         if heard:
             receive(AUTHORS)
         yield lambda message: None
@@ -612,19 +636,19 @@ def test_a_robot_that_says_nothing_is_told_at_the_start(
     monkeypatch.setattr("nermo_mjx.live.wire.SILENCE_SECONDS", 0.05)
     monkeypatch.setattr(driving, "needed", set())
     monkeypatch.setattr(driving, "_log", tmp_path / "robot.csv")
-    token = MESSAGE_HANDLER.set(told.append)
+    token = MESSAGE_HANDLER.set(messages.append)
     try:
         with driving.reach():
             driving.run(0.3)
     finally:
         MESSAGE_HANDLER.reset(token)
-    assert told[0] == "connected: waiting for the robot's messages on sensors_mouse."
-    assert told[1].startswith(
+    assert messages[0] == "connected: waiting for the robot's messages on sensors_mouse."
+    assert messages[1].startswith(
         "the robot tells accelerometer, "
         if heard
         else "no message on sensors_mouse in 0.05 s: open"
     )
-    never = [each for each in driving.failures() if "never answered" in each]
+    never = [text for text in driving.failures() if "never answered" in text]
     assert bool(never) is not heard
     assert (len((tmp_path / "robot.csv").read_text().splitlines()) > 10) is not heard, (
         "nothing is sent into silence"
@@ -688,11 +712,11 @@ def test_two_processes_walk_together(wire, channels) -> None:
         .recording()
         .sensors["position"]
     )
-    measured, sent = Measured(load_robot(), CHANNELS), list[float]()
+    measured, times = Measured(load_robot(), CHANNELS), list[float]()
     with (
         linked(wire, "listener", ROS_TYPE, SENSORS_TOPIC, measured.receive) as _,
         linked(
-            wire, "listener", ROS_TYPE, TOPIC, lambda message: sent.append(time.monotonic())
+            wire, "listener", ROS_TYPE, TOPIC, lambda message: times.append(time.monotonic())
         ) as _,
         process(
             "--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels
@@ -713,7 +737,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
     assert served["commands"]["taken"] > 750
     assert served["commands"]["lost"] > 0
     assert served["tilt"] < 0.2
-    if (gap := np.quantile(np.diff(sent), 0.99)) > 0.04:
+    if (gap := np.quantile(np.diff(times), 0.99)) > 0.04:
         pytest.skip(f"this machine is too busy for real time: commands were {gap:.3f} s apart")
     assert served["distance"] == pytest.approx(
         np.linalg.norm((history[-1] - history[0])[:2]), rel=0.05
@@ -724,7 +748,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
 def test_when_either_side_is_killed_the_other_stops(wire, channels, driving, monkeypatch) -> None:
     """The controller, and the robot stands still upright; then the robot, and the next controller holds and ends."""
     measured, commands = Measured(load_robot(), CHANNELS), []
-    place = lambda: measured.robot.sensors(measured.sensordata)  # noqa: E731
+    position_of_robot = lambda: measured.robot.sensors(measured.sensordata)  # noqa: E731
 
     def taken(message: Any) -> None:
         angles = message["data"] if isinstance(message, dict) else np.radians(message)
@@ -736,17 +760,17 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, driving, mon
         process("--serve", wire, "--channels", channels) as robot,
     ):
         until(lambda: measured.told)
-        start = place().position
+        start = position_of_robot().position
         with process(*walking(wire, channels)) as drive:
-            until(lambda: np.linalg.norm(place().position - start) > 0.1)
+            until(lambda: np.linalg.norm(position_of_robot().position - start) > 0.1)
             drive.kill()
             drive.wait()
         time.sleep(1.0)
-        stood, number = place().position, len(commands)
+        stood, number = position_of_robot().position, len(commands)
         time.sleep(1.0)
         assert len(commands) == number, "nobody commands"
-        assert np.linalg.norm(place().position - stood) < 0.002, "it stands"
-        assert place().position[2] > 0.04, "upright"
+        assert np.linalg.norm(position_of_robot().position - stood) < 0.002, "it stands"
+        assert position_of_robot().position[2] > 0.04, "upright"
 
         mine, driven = Measured(load_robot(), CHANNELS), []
         with linked(wire, TOPIC, ROS_TYPE, SENSORS_TOPIC, mine.receive) as publish:
@@ -755,7 +779,7 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, driving, mon
             driving.connect(mine, publish)
             thread = threading.Thread(target=lambda: driven.append(driving.run()))
             thread.start()
-            until(lambda: np.linalg.norm(place().position - stood) > 0.05)
+            until(lambda: np.linalg.norm(position_of_robot().position - stood) > 0.05)
             robot.kill()
             robot.wait()
             killed = time.monotonic()
@@ -793,8 +817,8 @@ def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
         ) as drive,
     ):
         assert drive.stderr is not None
-        where = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))
-        begin = where.removesuffix("/").rpartition("/")[0]
+        url = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))
+        begin = url.removesuffix("/").rpartition("/")[0]
 
         def show(page: Any, seconds: float) -> None:
             end = time.monotonic() + seconds
@@ -803,7 +827,7 @@ def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
                     if isinstance(message := page.recv(timeout=0.1), bytes):
                         page.send(json.dumps({"shown": int.from_bytes(message[:4], "little")}))
 
-        with connect(f"ws{where[4:]}socket", origin=begin, max_size=None) as page:
+        with connect(f"ws{url[4:]}socket", origin=begin, max_size=None) as page:
             until(lambda: show(page, 0.2) or np.ptp(commands[-50:] or [0]) > 5.0)
             time.sleep(1.0)  # hangs
             number = len(commands)

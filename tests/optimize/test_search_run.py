@@ -1,4 +1,4 @@
-# Tests of optimize/run.py, optimize/methods.py
+# Tests of optimize/search_run.py, optimize/search_directory.py, optimize/search_results.py
 """Searches over a fake robot in closed form: what they find, that they repeat, and that a kill costs one batch."""
 
 import importlib.util

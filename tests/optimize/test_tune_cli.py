@@ -1,4 +1,4 @@
-# Tests of optimize/run.py, cli/jobs.py
+# Tests of optimize/tuning_run.py, cli/jobs.py
 """`nermo-mjx tune`, as a user and as a script meet them."""
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         made["problems"].append(FakeProblem(tuning, **made["options"]))
         return made["problems"][-1]
 
-    monkeypatch.setattr("nermo_mjx.optimize.run.WalkProblem", problem)
-    monkeypatch.setattr("nermo_mjx.optimize.run.Simulator", lambda *_: made["walker"])
-    monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.WalkProblem", problem)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.Simulator", lambda *_: made["walker"])
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
     return made
 
 
@@ -194,7 +194,7 @@ def test_other_code_is_wrong_use_until_it_is_accepted(
     assert call("tune", spec, "--out", out).exit_code == 1
     fakes["options"] = {}
     here = stamp("another model", "c")
-    monkeypatch.setattr("nermo_mjx.optimize.run.stamp", lambda *_: here)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.stamp", lambda *_: here)
     refused = call("tune", spec, "--out", out)
     assert (refused.exit_code, refused.stdout) == (2, "")
     assert re.search(

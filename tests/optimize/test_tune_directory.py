@@ -1,4 +1,4 @@
-# Tests of optimize/directory.py
+# Tests of optimize/tuning_directory.py, optimize/tuning_history.py, optimize/directory.py
 """A tuning's directory: which code made it, that it can be moved, and that damage costs no more than an iteration."""
 
 import dataclasses
@@ -15,15 +15,11 @@ import pytest
 from fakes.tune_fake import SPEC, FakeProblem
 from test_tune_run import lasting, same, tune
 
-from nermo_mjx.optimize import Tuning, read_history, run, run_tuning
-from nermo_mjx.optimize.directory import (
-    TuningDirectory,
-    TuningHistory,
-    history_columns,
-    load_tuning,
-)
-from nermo_mjx.optimize.figures import tuning_figures
-from nermo_mjx.optimize.methods import initial_state
+from nermo_mjx.optimize import Tuning, read_history, run_tuning, tuning_run
+from nermo_mjx.optimize.tuner import initial_state
+from nermo_mjx.optimize.tuning_directory import TuningDirectory, load_tuning
+from nermo_mjx.optimize.tuning_figures import tuning_figures
+from nermo_mjx.optimize.tuning_history import TuningHistory, history_columns
 from nermo_mjx.robot import load_robot
 from nermo_mjx.runs import DirectoryError, Interrupted, OtherCode, Watch, codes_of
 from nermo_mjx.runs.checkpoints import KEPT
@@ -39,9 +35,9 @@ def other_code(monkeypatch):
     """From here on, another version runs."""
 
     def upgrade(package="9.9.9"):
-        real = run.stamp
+        real = tuning_run.stamp
         monkeypatch.setattr(
-            run, "stamp", lambda *known: dataclasses.replace(real(*known), package=package)
+            tuning_run, "stamp", lambda *known: dataclasses.replace(real(*known), package=package)
         )
 
     return upgrade

@@ -1,24 +1,26 @@
-# Tests of optimize/figures.py
+# Tests of optimize/tuning_figures.py, optimize/landscape.py
 """Pictures of a tuning: which figures there are, that they show the history's numbers, and the landscape."""
 
 import shutil
 
 import matplotlib
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from fakes.tune_fake import SPEC, FakeProblem, FakeWalker, speed
 from matplotlib.collections import PathCollection
 from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
 
-from nermo_mjx.optimize import Tuning, figures, run_tuning
-from nermo_mjx.optimize.directory import TuningHistory
-from nermo_mjx.optimize.figures import MOST_STARTS, Landscape, Traces, landscape_runs, path_figure
-from nermo_mjx.optimize.methods import Tuner, initial_state
+from nermo_mjx.optimize import Tuning, run_tuning
+from nermo_mjx.optimize import tuning_figures as figures
+from nermo_mjx.optimize.landscape import Landscape, grid_axes, landscape_sweep, simulated_landscape
+from nermo_mjx.optimize.tuner import Tuner, initial_state
+from nermo_mjx.optimize.tuning_figures import MOST_STARTS, Traces, path_figure
+from nermo_mjx.optimize.tuning_history import TuningHistory
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs.rows import part_files
+from nermo_mjx.runs.job import SILENT
+from nermo_mjx.sweep import read_table
 
 #: A start that walks over the bound of the circle.
 ROUND = {
@@ -234,73 +236,49 @@ def test_many_starts_are_thinned_and_the_best_is_among_them():
 # --- the landscape behind the paths
 
 
+def walked(tuning, out, walker):
+    """The landscape of a tuning whose best point does not matter."""
+    return simulated_landscape(tuning, {}, out, lambda: walker, SILENT)
+
+
 @pytest.mark.release
-def test_the_landscape_is_walked_once_in_one_batch(drawn):
+def test_the_landscape_is_a_sweep_of_the_grid(drawn):
     """17 x 16 walks of both parameters, the circle's end being its beginning; values are the objective's."""
-    result, walker = drawn
-    assert walker.batches == [(17 * 16, False)]
-    (part,) = part_files(result.out)
-    table = pq.read_table(part)
+    result, _ = drawn
+    table = read_table(next((result.out / "landscape").iterdir()))
     amplitude, phase = (table.column(name).to_numpy() for name in result.tuning.names)
     np.testing.assert_allclose([amplitude.min(), amplitude.max()], [0.0004, 0.3996])
     np.testing.assert_allclose([phase.min(), phase.max()], [-np.pi, np.pi * 7 / 8], rtol=1e-6)
+    landscape = walked(result.tuning, result.out, None)
     expected = -np.asarray(speed(amplitude, phase)) / 0.1 + 2 * (0.1 + 0.1 * amplitude**2)
-    np.testing.assert_allclose(table.column("objective").to_numpy(), expected, rtol=1e-5)
-    landscape = figures.landscape_of(result.tuning, table)
-    assert landscape.value.shape == (17, 17)
+    np.testing.assert_allclose(landscape.value[:, :-1].ravel(), expected, rtol=1e-5)
     np.testing.assert_array_equal(landscape.value[:, 0], landscape.value[:, -1])
+    assert landscape.walks == "272 walks, engine c"
 
 
-def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undrawn):
-    """It is read where it is right; for another objective or body, or from a damaged file, it is made anew."""
+def test_a_stored_landscape_is_simulated_again_only_for_another_walk(again, undrawn):
+    """The path over the landscape does not matter; the walk, and the values of other parameters do."""
     walker = FakeWalker()
-    out = again(walker).out
     again(walker)
-    assert len(walker.batches) == 1
+    before = len(walker.batches)
+    again(walker)
+    assert len(walker.batches) == before
     np.testing.assert_array_equal(undrawn[0].value, undrawn[1].value)
-    (kept,) = part_files(out)
-    for change, known in (
-        ({"optimizer": "sgd", "seed": 9, "starts": 3}, True),
-        ({"set": {"frequency": 0.7}}, False),
-    ):
-        other = Tuning.from_dict(SPEC | change)
-        assert (
-            figures.stored_landscape(other, landscape_runs(out, other, {})) is not None
-        ) is known
-    kept.write_text("damaged")
-    again(walker)
-    assert len(walker.batches) == 2
-    assert (out / "results.aside" / f"{kept.name}.aside-1").read_text() == "damaged"
+
+    def digest(change, best=None):
+        return landscape_sweep(Tuning.from_dict(SPEC | change), best or {}).digest()
+
+    assert digest({}) == digest({"optimizer": "sgd", "seed": 9, "starts": 3})
+    assert digest({}) != digest({"set": {"frequency": 0.7}})
+    three = {"tune": SPEC["tune"] | {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}}
+    assert digest(three, {"duty": 0.6}) != digest(three, {"duty": 0.5})
 
 
-def test_other_parameters_stand_where_they_are_told_to(tmp_path):
-    """With three parameters, the landscape is that of the first two, and the third has one value."""
-    seen = []
-
-    class Watched(FakeWalker):
-        def run(self, values, run, record=False, **more):
-            seen.append(values)
-            return super().run(values, run, record, **more)
-
-    tuning = Tuning.from_dict(
-        SPEC | {"tune": SPEC["tune"] | {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}}
-    )
-    table = figures.simulate(tuning, {"duty": 0.6}, Watched())
-    assert set(seen[0]["duty"]) == {0.6}
-    assert set(seen[0]) == {"spine.amplitude", "spine.phase", "duty", "frequency"}
-    one, other = (landscape_runs(tmp_path, tuning, {"duty": duty}).group for duty in (0.6, 0.5))
-    assert one != other
-    assert figures.landscape_of(tuning, table).value.shape == (17, 17)
-
-
-def test_one_parameter_has_a_line_for_a_landscape():
+def test_one_parameter_has_a_line_for_a_landscape(tmp_path):
     """The objective over the only parameter, with the points that were visited on it."""
-    walker, traces = (
-        FakeWalker(),
-        traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}}),
-    )
-    landscape = figures.landscape_of(traces.tuning, figures.simulate(traces.tuning, {}, walker))
-    assert walker.batches == [(37, False)]
+    traces = traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}})
+    landscape = walked(traces.tuning, tmp_path, FakeWalker())
+    assert landscape.value.shape == (37,)
     assert landscape.axes["spine.amplitude"][np.argmin(landscape.value)] == pytest.approx(
         2.5 / 10.4, abs=0.02
     )
@@ -313,20 +291,19 @@ def test_one_parameter_has_a_line_for_a_landscape():
     np.testing.assert_allclose(visited[:, :, 1], traces.column("objective"))
 
 
-def test_where_a_walk_falls_the_landscape_is_empty():
-    """Fallen walks are NaN in the table, and leave a hole in the contours."""
+def test_where_a_walk_falls_the_landscape_is_empty(tmp_path):
+    """Fallen walks are NaN, and leave a hole in the contours."""
     traces, walker = traces_of(), FakeWalker(falls=lambda values: values["spine.amplitude"] > 0.3)
-    table = figures.simulate(traces.tuning, {}, walker)
-    fell = table.column("spine.amplitude").to_numpy() > 0.3
-    assert (np.array(table.column("status").to_pylist()) == np.where(fell, "fell", "ok")).all()
-    assert (np.isnan(table.column("objective").to_numpy()) == fell).all()
-    ax = path_figure(traces, figures.landscape_of(traces.tuning, table)).axes[0]
+    landscape = walked(traces.tuning, tmp_path / "some", walker)
+    fell = landscape.axes["spine.amplitude"] > 0.3
+    assert (np.isnan(landscape.value) == fell[:, None]).all()
+    ax = path_figure(traces, landscape).axes[0]
     filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
     assert max(
         path.vertices[:, 0].max() for path in filled.get_paths() if len(path.vertices)
     ) < np.degrees(0.31)
-    nothing = figures.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
-    path_figure(traces, figures.landscape_of(traces.tuning, nothing))
+    nothing = walked(traces.tuning, tmp_path / "none", FakeWalker(falls=lambda values: True))
+    path_figure(traces, nothing)
 
 
 def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
@@ -343,7 +320,7 @@ def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
     """Contours of the grid's values; a start that walks over the bound of the circle is drawn on both sides of it."""
     traces = traces_of(ROUND)
     assert np.ptp(traces.column("spine.phase")) > 5.0, "it comes back at the other bound"
-    axes = figures.grid_axes(traces.tuning)
+    axes = grid_axes(traces.tuning)
     value = -np.asarray(speed(axes["spine.amplitude"][:, None], axes["spine.phase"][None]))
     figure = path_figure(traces, Landscape(axes, value, "289 walks, engine c"))
     ax = figure.axes[0]
@@ -370,4 +347,4 @@ def test_what_is_not_asked_for_or_not_real_is_not_made(again, undrawn):
     assert not (result.out / "plots").exists()
     result = again()
     assert undrawn == [None]
-    assert not (result.out / "results").exists()
+    assert not (result.out / "landscape").exists()

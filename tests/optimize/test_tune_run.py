@@ -1,4 +1,4 @@
-# Tests of optimize/run.py
+# Tests of optimize/tuning_run.py
 """Running a tuning: convergence, bounds, worlds that fall, the files, and going on after every kind of stop."""
 
 import json
@@ -18,8 +18,8 @@ from fakes.sweep_fake import FakeSimulator
 from fakes.tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
 from nermo_mjx.optimize import Tuning, read_history, run_tuning
-from nermo_mjx.optimize.directory import load_tuning
-from nermo_mjx.optimize.methods import Tuner, initial_state
+from nermo_mjx.optimize.tuner import Tuner, initial_state
+from nermo_mjx.optimize.tuning_directory import load_tuning
 from nermo_mjx.runs import JobFailed
 from nermo_mjx.runs.job import SILENT, Interrupted, Watch
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost

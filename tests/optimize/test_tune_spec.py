@@ -1,4 +1,4 @@
-# Tests of optimize/spec.py
+# Tests of optimize/tuning_spec.py
 """Tuning files: what is read, and that everything wrong is refused with file, line, field and what is allowed."""
 
 import math
@@ -11,7 +11,7 @@ from command import refused
 from conftest import shared_simulator
 
 from nermo_mjx.optimize import Tuning, run_tuning
-from nermo_mjx.optimize.run import tuning_forecasts
+from nermo_mjx.optimize.tuning_run import tuning_forecasts
 from nermo_mjx.rollout import Run
 from nermo_mjx.sweep import SpecError
 

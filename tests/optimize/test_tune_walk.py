@@ -10,7 +10,7 @@ import pytest
 
 from nermo_mjx.optimize import read_history, run_tuning
 from nermo_mjx.optimize.problems import Reference, WalkProblem
-from nermo_mjx.optimize.spec import Tuning
+from nermo_mjx.optimize.tuning_spec import Tuning
 from nermo_mjx.rollout import Run
 from nermo_mjx.runs import Watch
 

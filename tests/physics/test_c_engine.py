@@ -59,12 +59,12 @@ def same(left: dict[str, np.ndarray], right: dict[str, np.ndarray]) -> None:
 def test_neither_the_batch_nor_the_place_in_it_changes_a_bit(simulator, walks) -> None:
     """Alone, in a small batch, and in the whole one in another order."""
     sim = simulator(spine="stride_extension")
-    whole = sim.run(walks, RUN).metrics
-    assert len(np.unique(whole["speed"])) == WORLDS
+    reference = sim.run(walks, RUN).metrics
+    assert len(np.unique(reference["speed"])) == WORLDS
     order = np.random.default_rng(0).permutation(WORLDS)
-    same(sim.run(some(walks, order), RUN).metrics, some(whole, order))
+    same(sim.run(some(walks, order), RUN).metrics, some(reference, order))
     for ids in ([7], [3, 40, 11, 12, 30]):
-        same(sim.run(some(walks, np.array(ids)), RUN).metrics, some(whole, np.array(ids)))
+        same(sim.run(some(walks, np.array(ids)), RUN).metrics, some(reference, np.array(ids)))
 
 
 @pytest.mark.release
@@ -72,11 +72,11 @@ def test_the_number_of_lanes_changes_no_bit(
     simulator, walks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The other tests simulate 8 lanes, and users 32."""
-    few = some(walks, np.arange(3))
-    expected = simulator(spine="stride_extension").run(few, RUN).metrics
+    selection = some(walks, np.arange(3))
+    expected = simulator(spine="stride_extension").run(selection, RUN).metrics
     assert c_engine.BLOCK_WORLDS == 8
     monkeypatch.setattr(c_engine, "BLOCK_WORLDS", 32)
-    same(Simulator(Setup(spine="stride_extension"), "c").run(few, RUN).metrics, expected)
+    same(Simulator(Setup(spine="stride_extension"), "c").run(selection, RUN).metrics, expected)
 
 
 @pytest.mark.release
@@ -124,35 +124,41 @@ RUNS = {
 
 
 def simulated(
-    sim: Simulator, walks: dict[str, np.ndarray], run: Run, ids: np.ndarray, how: str
+    sim: Simulator, walks: dict[str, np.ndarray], run: Run, ids: np.ndarray, saved_data: str
 ) -> RunResult:
     """Some of the walks, `plain`, `recorded`, or with a `series` or `both`; `run` has one length for each walk."""
-    lengths = {name: each[ids] for name, each in vars(run).items() if each is not None}
-    save = Saving(("position_y",), rate=50.0) if how in ("series", "both") else None
-    return sim.run(some(walks, ids), Run(**lengths), record=how in ("recorded", "both"), save=save)
+    lengths = {name: column[ids] for name, column in vars(run).items() if column is not None}
+    save = Saving(("position_y",), rate=50.0) if saved_data in ("series", "both") else None
+    return sim.run(
+        some(walks, ids), Run(**lengths), record=saved_data in ("recorded", "both"), save=save
+    )
 
 
-def assert_same_run(found: RunResult, place: int, plain: RunResult, kept: RunResult) -> None:
+def assert_same_run(result: RunResult, index: int, plain: RunResult, recorded: RunResult) -> None:
     """A run in company is the same as alone, `plain` and with both a recording and series."""
-    same({name: column[place : place + 1] for name, column in found.metrics.items()}, plain.metrics)
-    assert found.status[place] == plain.status[0]
-    assert found.ticks[place] == plain.ticks[0]
-    if found.series is not None:
-        left, right = found.series.take(slice(place, place + 1)), kept.series
+    same(
+        {name: column[index : index + 1] for name, column in result.metrics.items()}, plain.metrics
+    )
+    assert result.status[index] == plain.status[0]
+    assert result.ticks[index] == plain.ticks[0]
+    if result.series is not None:
+        left, right = result.series.take(slice(index, index + 1)), recorded.series
         assert left.count == right.count
         for name, values in right.values.items():
             np.testing.assert_array_equal(left.values[name][:, : int(left.count[0])], values)
-    if found.trace is not None:
-        left, right = found.recording(place), kept.recording()
+    if result.trace is not None:
+        left, right = result.recording(index), recorded.recording()
         for name in ("time", "qpos", "qvel", "ctrl"):
             np.testing.assert_array_equal(getattr(left, name), getattr(right, name), err_msg=name)
 
 
 @pytest.fixture(scope="module")
-def alone(on_threads, walks) -> Callable[[str, int, str], RunResult]:
-    """`alone(run, i, how)`: a walk that nothing shares its batch with."""
+def single_run(on_threads, walks) -> Callable[[str, int, str], RunResult]:
+    """`single_run(run, i, saved_data)`: a walk that nothing shares its batch with."""
     return functools.cache(
-        lambda run, i, how: simulated(on_threads(1), walks, RUNS[run], np.array([i]), how)
+        lambda run, i, saved_data: simulated(
+            on_threads(1), walks, RUNS[run], np.array([i]), saved_data
+        )
     )
 
 
@@ -166,13 +172,15 @@ def alone(on_threads, walks) -> Callable[[str, int, str], RunResult]:
     st.sampled_from(sorted(RUNS)),
 )
 def test_what_shares_its_batch_changes_no_bit_of_a_run(
-    on_threads, walks, alone, order, size, threads, how, run
+    on_threads, walks, single_run, order, size, threads, saved_data, run
 ):
     """Beside shorter and longer ones, recorded or not, in any block and order, on any number of threads."""
     for ids in np.split(np.array(order), range(size, len(order), size)):
-        found = simulated(on_threads(threads), walks, RUNS[run], ids, how)
-        for place, i in enumerate(ids):
-            assert_same_run(found, place, alone(run, int(i), "plain"), alone(run, int(i), "both"))
+        result = simulated(on_threads(threads), walks, RUNS[run], ids, saved_data)
+        for index, i in enumerate(ids):
+            assert_same_run(
+                result, index, single_run(run, int(i), "plain"), single_run(run, int(i), "both")
+            )
 
 
 @pytest.mark.release
@@ -193,14 +201,14 @@ def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(
     defaults |= {"servo.spine_torque": 0.9}
     bodies = {name: value * draw(1.0, 1.03, WORLDS) for name, value in defaults.items()}
     bodies |= {"terrain.height": draw(0.004, 0.01, WORLDS)} if scene == "rough" else {}
-    together = sim.prepare(bodies, RUN)
-    assert {"tendon_range", "body_pos", "pair_friction"} <= together.fields.keys()
+    batch_of_all = sim.prepare(bodies, RUN)
+    assert {"tendon_range", "body_pos", "pair_friction"} <= batch_of_all.fields.keys()
     for i in range(0, WORLDS, 5):
         lone = sim.prepare(some(bodies, np.array([i])), RUN)
-        same({name: column[i : i + 1] for name, column in together.fields.items()}, lone.fields)
-        np.testing.assert_array_equal(together.qpos[i], lone.qpos[0])
+        same({name: column[i : i + 1] for name, column in batch_of_all.fields.items()}, lone.fields)
+        np.testing.assert_array_equal(batch_of_all.qpos[i], lone.qpos[0])
         for left, right in zip(
-            jax.tree.leaves(together.params), jax.tree.leaves(lone.params), strict=True
+            jax.tree.leaves(batch_of_all.params), jax.tree.leaves(lone.params), strict=True
         ):
             np.testing.assert_array_equal(np.asarray(left)[i], np.asarray(right)[0])
 
@@ -221,13 +229,14 @@ def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(
 def test_a_run_measures_all_of_its_time(on_threads, run: Run, duration: float) -> None:
     """Alone, recorded and beside a longer or shorter run."""
     walks = {"frequency": np.array([0.8 if run.cycles is None else 0.9246450430370259, 0.8])}
-    plain, kept = (
-        simulated(on_threads(1), walks, run, np.array([0]), how) for how in ("plain", "both")
+    plain, recorded = (
+        simulated(on_threads(1), walks, run, np.array([0]), saved_data)
+        for saved_data in ("plain", "both")
     )
-    for how in ("plain", "recorded", "series"):
-        found = simulated(on_threads(1), walks, run, np.array([1, 0]), how)
-        assert found.metrics["duration"][1] == pytest.approx(duration, abs=2e-6)
-        assert_same_run(found, 1, plain, kept)
+    for saved_data in ("plain", "recorded", "series"):
+        result = simulated(on_threads(1), walks, run, np.array([1, 0]), saved_data)
+        assert result.metrics["duration"][1] == pytest.approx(duration, abs=2e-6)
+        assert_same_run(result, 1, plain, recorded)
 
 
 @pytest.mark.release
@@ -238,16 +247,18 @@ def test_worlds_that_rest_do_not_change_the_others(simulator, walks) -> None:
     session, undisturbed = (
         sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2)
     )
-    rest = np.arange(WORLDS) % 3 == 0
+    is_resting = np.arange(WORLDS) % 3 == 0
     session.advance(10)
-    session.retire(rest)
+    session.retire(is_resting)
     session.advance(30)
     undisturbed.advance(40)
-    np.testing.assert_array_equal(session.qpos[~rest], undisturbed.qpos[~rest])
-    assert not np.isclose(session.qpos[rest], undisturbed.qpos[rest]).all()
-    states = [jax.tree.leaves(each.loop_state) for each in (session, undisturbed)]
+    np.testing.assert_array_equal(session.qpos[~is_resting], undisturbed.qpos[~is_resting])
+    assert not np.isclose(session.qpos[is_resting], undisturbed.qpos[is_resting]).all()
+    states = [
+        jax.tree.leaves(engine_session.loop_state) for engine_session in (session, undisturbed)
+    ]
     for left, right in zip(*states, strict=True):
-        np.testing.assert_array_equal(left[~rest], right[~rest])
+        np.testing.assert_array_equal(left[~is_resting], right[~is_resting])
 
 
 @pytest.mark.release
@@ -294,9 +305,15 @@ def test_the_loop_is_one_function_that_runs_on_the_thread_of_its_block(simulator
 def test_no_tick_after_those_of_a_run_begins_in_it(dt: float) -> None:
     """In float32, whose time is coarser than a tick at the end of the longest runs, and exactly for short ones."""
     draw = np.random.default_rng(1)
-    whole = np.unique(np.geomspace(1, 1e5 / dt, 4000).astype(int))
+    integers = np.unique(np.geomspace(1, 1e5 / dt, 4000).astype(int))
     ends = np.concatenate(
-        [whole, *(whole + draw.uniform(*beside, len(whole)) for beside in ((-1e-5, 1e-5), (0, 1)))]
+        [
+            integers,
+            *(
+                integers + draw.uniform(*offsets, len(integers))
+                for offsets in ((-1e-5, 1e-5), (0, 1))
+            ),
+        ]
     )
     ticks = ticks_until(ends * dt, dt)
 
@@ -309,7 +326,7 @@ def test_no_tick_after_those_of_a_run_begins_in_it(dt: float) -> None:
 
     for later in range(3):
         assert not np.asarray(begins(ends * dt, ticks + later)).any()
-    short = whole[whole * dt < 30.0]
+    short = integers[integers * dt < 30.0]
     np.testing.assert_array_equal(ticks_until(short * dt, dt), short + 1)
 
 
@@ -351,11 +368,17 @@ def test_a_world_that_is_reset_observes_its_new_start_and_leaves_the_others_alon
     block._sensordata = np.zeros((BLOCK_WORLDS, loop.steps_per_tick, 2))
     for _ in range(20):
         block.move(block._sensordata[:4])
-    before = _observed(block).copy()
-    assert (np.abs(before[:, 1]) > 0.1).all(), "they swing"
-    seen = _restarted(block, np.array([1, 3]), np.array([7.0, 8.0]), np.array([[0.2], [-0.4]]), {})
-    np.testing.assert_allclose(seen, [[0.2, 0.0], [-0.4, 0.0]], atol=1e-12)
-    np.testing.assert_allclose(_observed(block)[[0, 2]], before[[0, 2]])
-    np.testing.assert_allclose(block.qpos[:, 0], [before[0, 0], 0.2, before[2, 0], -0.4], atol=1e-2)
+    former_observations = _observed(block).copy()
+    assert (np.abs(former_observations[:, 1]) > 0.1).all(), "they swing"
+    observations = _restarted(
+        block, np.array([1, 3]), np.array([7.0, 8.0]), np.array([[0.2], [-0.4]]), {}
+    )
+    np.testing.assert_allclose(observations, [[0.2, 0.0], [-0.4, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(_observed(block)[[0, 2]], former_observations[[0, 2]])
+    np.testing.assert_allclose(
+        block.qpos[:, 0],
+        [former_observations[0, 0], 0.2, former_observations[2, 0], -0.4],
+        atol=1e-2,
+    )
     assert block._state[:4, 0].tolist() == pytest.approx([0.0, 7.2, 0.0, 7.6])
     assert block.params[:4, 0].tolist() == [0.0, 7.0, 0.0, 8.0]

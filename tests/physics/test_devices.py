@@ -23,10 +23,10 @@ from nermo_mjx.robot import ParameterError
 
 def test_one_device_divides_nothing():
     """Where there is one device, a function stays as it is and arrays keep their length."""
-    alone = choose_devices(1)
-    assert (alone.mesh, alone.count, alone.padded(5)) == (None, 1, 5)
-    assert alone.divide(len, (FIRST_AXIS, SECOND_AXIS), NO_AXIS) is len
-    assert alone.put([np.ones((5, 2))])[0].shape == (5, 2)
+    devices = choose_devices(1)
+    assert (devices.mesh, devices.count, devices.padded(5)) == (None, 1, 5)
+    assert devices.divide(len, (FIRST_AXIS, SECOND_AXIS), NO_AXIS) is len
+    assert devices.put([np.ones((5, 2))])[0].shape == (5, 2)
 
 
 @pytest.mark.parametrize("value", ["0", "many", "1.0", "100"])
@@ -97,11 +97,11 @@ def four_devices(tmp_path_factory) -> dict[str, Any]:
     )
     environment["NERMO_MJX_CACHE"] = str(tmp_path_factory.mktemp("cache"))
     script = FOUR.format(tests=str(Path(__file__).parents[1]))
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=540
     )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout)
 
 
 @pytest.mark.release
@@ -127,7 +127,7 @@ def test_the_controller_of_c_runs_on_a_processor_beside_an_accelerator(simulator
     """Another CPU client stands for the processor of a machine on which JAX computes on an accelerator."""
     sim = simulator()
     batch = sim.prepare({"frequency": np.linspace(0.6, 1.0, 3)})
-    before = CEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
+    other_session = CEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
     processor = xla_client.make_cpu_client(asynchronous=False).local_devices()[0]
     with monkeypatch.context() as machine:
         machine.setattr(jax, "default_backend", lambda: "gpu")
@@ -137,8 +137,8 @@ def test_the_controller_of_c_runs_on_a_processor_beside_an_accelerator(simulator
             lambda backend=None: [processor] if backend == "cpu" else jax.devices(),
         )
         session = CEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
-        for one in (before, session):
-            one.advance(3)
+        for engine_session in (other_session, session):
+            engine_session.advance(3)
     assert session.arguments[2].devices() == {processor}
-    np.testing.assert_array_equal(session.qpos, before.qpos)
+    np.testing.assert_array_equal(session.qpos, other_session.qpos)
     assert jax.numpy.zeros(1).devices() != {processor}

@@ -53,19 +53,21 @@ def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(
     batch = sim.prepare(
         {name: values[:2] for name, values in WALKS.items()}, Run(cycles=3, warmup_cycles=1)
     )
-    broken, whole = (sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2))
-    for session in (broken, whole):
+    disturbed, reference = (
+        sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2)
+    )
+    for session in (disturbed, reference):
         session.advance(200)
-    broken._blocks[0].batch.bind("qvel")[1] = np.nan
+    disturbed._blocks[0].batch.bind("qvel")[1] = np.nan
     monkeypatch.chdir(tmp_path)
-    for session in (broken, whole):
+    for session in (disturbed, reference):
         session.advance(100)
     assert list(tmp_path.iterdir()) == []  # no log file of MuJoCo's
     assert capfd.readouterr().err == ""
-    np.testing.assert_array_equal(broken.loop_state.metrics.diverged, [False, True])
-    np.testing.assert_array_equal(broken.qpos[0], whole.qpos[0])
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.loop_state.metrics))
-    assert broken.loop_state.metrics.time[1] == pytest.approx(
+    np.testing.assert_array_equal(disturbed.loop_state.metrics.diverged, [False, True])
+    np.testing.assert_array_equal(disturbed.qpos[0], reference.qpos[0])
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(disturbed.loop_state.metrics))
+    assert disturbed.loop_state.metrics.time[1] == pytest.approx(
         0.75, abs=0.03
     )  # measured from 1.25 s to 2.0 s
 
@@ -102,20 +104,20 @@ def test_mjx_makes_each_tick_of_a_walk_as_c_does(walks, simulator):
     model = sim.robot.model
     data = mujoco.MjData(model)
     worlds, ticks = trace.qpos.shape[:2]
-    apart = np.zeros((2, worlds, ticks - 1))
+    differences = np.zeros((2, worlds, ticks - 1))
     for world, tick in np.ndindex(worlds, ticks - 1):
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = trace.qpos[world, tick], trace.qvel[world, tick]
         data.ctrl[:] = trace.ctrl[world, tick + 1]
         mujoco.mj_step(model, data, sim.loop.steps_per_tick)
-        apart[0, world, tick] = np.abs(trace.qpos[world, tick + 1] - data.qpos).max()
-        apart[1, world, tick] = np.abs(trace.qvel[world, tick + 1] - data.qvel).max()
-    position, velocity = np.quantile(apart, 0.99, axis=(1, 2))
+        differences[0, world, tick] = np.abs(trace.qpos[world, tick + 1] - data.qpos).max()
+        differences[1, world, tick] = np.abs(trace.qvel[world, tick + 1] - data.qvel).max()
+    position, velocity = np.quantile(differences, 0.99, axis=(1, 2))
     assert position < 1e-5
     assert velocity < 1e-2
     # In one tick of two hundred a tendon goes taut, or a foot lands, a step earlier or later by a rounding error.
-    assert np.mean(apart[0] > 1e-5) < 0.01
-    assert apart[0].max() < 5e-3
+    assert np.mean(differences[0] > 1e-5) < 0.01
+    assert differences[0].max() < 5e-3
 
 
 @pytest.mark.release
@@ -177,15 +179,15 @@ def test_a_run_that_may_end_early_measures_its_last_tick(walks, simulator, engin
         np.full(8, 0.245),
         0.01 * np.array([24.5, 24.0, 25.0, 30.0, 49.5, 24.5, 26.0, 20.0]),
     )
-    found = [
+    results = [
         sim.run(WALKS, Run(duration=end, warmup=warmup, distance=1.0), record=True)
         for end in (alike, mixed)
     ]
-    for result, end in zip(found, (alike, mixed), strict=True):
+    for result, end in zip(results, (alike, mixed), strict=True):
         np.testing.assert_allclose(result.metrics["duration"], end - warmup, atol=1e-6)
-    for name in found[0].metrics:
-        same = [result.metrics[name][alike == mixed] for result in found]
-        np.testing.assert_allclose(*same, rtol=1e-5, atol=1e-7, err_msg=name)
+    for name in results[0].metrics:
+        selected = [result.metrics[name][alike == mixed] for result in results]
+        np.testing.assert_allclose(*selected, rtol=1e-5, atol=1e-7, err_msg=name)
 
 
 @pytest.mark.release
@@ -237,10 +239,10 @@ def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str,
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
     command = [sys.executable, "-c", CACHED.format(engine=engine, worlds=worlds)]
-    done = subprocess.run(
+    process = subprocess.run(
         command, capture_output=True, text=True, env=environment, check=True, timeout=540
     )
-    return json.loads(done.stdout)
+    return json.loads(process.stdout)
 
 
 @pytest.mark.release
@@ -270,14 +272,14 @@ def test_sparse_jacobians_are_the_dense_ones(simulator):
     models[1].opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     for world in range(3):
         for tick in range(5, 40, 5):
-            sparse, other = (mujoco.MjData(model) for model in models)
-            for model, data in zip(models, (sparse, other), strict=True):
+            sparse, dense = (mujoco.MjData(model) for model in models)
+            for model, data in zip(models, (sparse, dense), strict=True):
                 data.qpos[:], data.qvel[:] = trace.qpos[world, tick], trace.qvel[world, tick]
                 data.ctrl[:] = trace.ctrl[world, tick]
                 mujoco.mj_forward(model, data)
             assert sparse.ncon > 0
             np.testing.assert_allclose(
-                sparse.qacc, other.qacc, atol=1e-6 * np.abs(other.qacc).max()
+                sparse.qacc, dense.qacc, atol=1e-6 * np.abs(dense.qacc).max()
             )
 
 
@@ -286,9 +288,11 @@ def test_worlds_do_not_disturb_each_other(simulator):
     """A world alone walks as it does in a batch, up to what vectorised float32 arithmetic of the controller leaves."""
     sim = simulator(spine="stride_extension")
     run = Run(cycles=1, warmup_cycles=0)
-    together = sim.run(WALKS, run, record=True).trace
-    alone = sim.run({name: values[4:5] for name, values in WALKS.items()}, run, record=True).trace
-    np.testing.assert_allclose(alone.qpos[0, :40], together.qpos[4, :40], atol=1e-5)
+    batch_trace = sim.run(WALKS, run, record=True).trace
+    single_trace = sim.run(
+        {name: values[4:5] for name, values in WALKS.items()}, run, record=True
+    ).trace
+    np.testing.assert_allclose(single_trace.qpos[0, :40], batch_trace.qpos[4, :40], atol=1e-5)
 
 
 @pytest.mark.release
@@ -296,10 +300,10 @@ def test_c_engine_does_not_depend_on_the_number_of_threads(simulator):
     """One thread and two give the same trajectory, bit for bit."""
     sim = simulator(spine="stride_extension")
     batch = sim.prepare(WALKS)
-    one, two = (
+    single, two = (
         CEngine(sim.robot, sim.loop, threads=threads)
         .open(batch.params, batch.qpos, batch.fields)
         .record(50)
         for threads in (1, 2)
     )
-    np.testing.assert_array_equal(one.qpos, two.qpos)
+    np.testing.assert_array_equal(single.qpos, two.qpos)

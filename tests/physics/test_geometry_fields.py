@@ -15,5 +15,5 @@ def test_a_parabola_has_the_slope_and_the_curvature_at_its_middle():
     def at(x: float) -> np.ndarray:
         return slope * x + curve * x**2
 
-    found = _parabola(-0.1, at(-0.1), 0.3, at(0.3))
-    np.testing.assert_allclose(found, [slope, curve], rtol=1e-12)
+    coefficients = _parabola(-0.1, at(-0.1), 0.3, at(0.3))
+    np.testing.assert_allclose(coefficients, [slope, curve], rtol=1e-12)

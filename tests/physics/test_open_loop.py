@@ -110,24 +110,24 @@ def error(model: mujoco.MjModel, steps: int = 5) -> float:
     random = np.random.default_rng(1)
     motion, step = trajectory(model), 1e-6
     tight = motion.model
-    turn, *ways = (
+    turn, *vectors = (
         random.standard_normal(shape) for shape in (model.nv, model.nv, model.na, ctrl.shape)
     )
-    found = motion.linearized(qpos, qvel, ctrl, act)
-    x = np.concatenate([turn, ways[0], ways[1]])
+    linear_model = motion.linearized(qpos, qvel, ctrl, act)
+    x = np.concatenate([turn, vectors[0], vectors[1]])
     for t in range(steps):
-        x = found.a[t] @ x + found.b[t] @ ways[2][t]
+        x = linear_model.a[t] @ x + linear_model.b[t] @ vectors[2][t]
 
     def end(sign: float) -> mujoco.MjData:
         data = mujoco.MjData(tight)
         data.qpos[:], data.qvel[:], data.act[:] = (
             qpos,
-            qvel + sign * step * ways[0],
-            act + sign * step * ways[1],
+            qvel + sign * step * vectors[0],
+            act + sign * step * vectors[1],
         )
         mujoco.mj_integratePos(tight, data.qpos, turn, sign * step)
         for t in range(steps):
-            data.ctrl[:] = ctrl[t] + sign * step * ways[2][t]
+            data.ctrl[:] = ctrl[t] + sign * step * vectors[2][t]
             mujoco.mj_step(tight, data)
         return data
 
@@ -169,7 +169,7 @@ def test_states_are_those_of_mujoco() -> None:
 def test_all_transformations_agree_and_a_batch_is_one_call() -> None:
     model = mujoco.MjModel.from_xml_string(MODELS["a box on the ground"])
     qpos, qvel, _, ctrl = moved(model, 8)
-    motion, way = trajectory(model), np.random.default_rng(2).standard_normal(model.nv)
+    motion, direction = trajectory(model), np.random.default_rng(2).standard_normal(model.nv)
 
     def height(velocity):
         states = motion(qpos, velocity, ctrl)
@@ -177,13 +177,15 @@ def test_all_transformations_agree_and_a_batch_is_one_call() -> None:
 
     with jax.enable_x64(True):
         slope = jax.grad(height)(qvel)
-        np.testing.assert_allclose(jax.jvp(height, (qvel,), (way,))[1], slope @ way, rtol=1e-10)
+        np.testing.assert_allclose(
+            jax.jvp(height, (qvel,), (direction,))[1], slope @ direction, rtol=1e-10
+        )
         np.testing.assert_allclose(jax.jit(jax.jacfwd(height))(qvel), slope, rtol=1e-10)
         several = jax.jit(jax.vmap(jax.grad(height)))(np.stack([qvel, qvel + 0.01, qvel]))
-        for one in (several[0], several[2]):
-            np.testing.assert_allclose(one, slope, rtol=1e-10)
-        ends = [height(qvel + 1e-6 * sign * way) for sign in (1, -1)]
-        assert float(slope @ way) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-5)
+        for batched_slope in (several[0], several[2]):
+            np.testing.assert_allclose(batched_slope, slope, rtol=1e-10)
+        ends = [height(qvel + 1e-6 * sign * direction) for sign in (1, -1)]
+        assert float(slope @ direction) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-5)
 
 
 def test_a_quaternion_is_differentiated_along_what_turns_it() -> None:
@@ -193,8 +195,8 @@ def test_a_quaternion_is_differentiated_along_what_turns_it() -> None:
     with jax.enable_x64(True):
         slope = np.asarray(jax.jacrev(lambda start: motion(start, qvel, ctrl).qpos[-1])(qpos))
         ends = [
-            motion(qpos + 1e-6 * sign * way, qvel, ctrl).qpos[-1]
-            for way in np.eye(4)
+            motion(qpos + 1e-6 * sign * axis, qvel, ctrl).qpos[-1]
+            for axis in np.eye(4)
             for sign in (1, -1)
         ]
     differences = np.reshape(ends, (4, 2, 4))
@@ -225,12 +227,12 @@ def test_a_step_at_which_a_contact_begins_is_told() -> None:
 
 def test_a_control_at_the_end_of_its_range_has_the_slope_within() -> None:
     model = mujoco.MjModel.from_xml_string(MODELS["implicitfast"])
-    at = [
+    slopes = [
         trajectory(model).linearized([0.1, 0.2], [0.0, 0.0], [[u]]).b[0, 2, 0]
         for u in (0.5, 1.0, 1.5)
     ]
-    assert at[1] == pytest.approx(at[0], rel=1e-4)
-    assert at[2] == 0.0
+    assert slopes[1] == pytest.approx(slopes[0], rel=1e-4)
+    assert slopes[2] == 0.0
 
 
 def test_what_cannot_be_done_is_refused_in_a_sentence() -> None:

@@ -79,10 +79,10 @@ def test_no_torque_passes_until_the_motor_has_crossed_the_play(backlash):
     """At full drive the motor takes b / 2 v from the middle; the step in which it arrives counts with its rest."""
     _, torque = moved(1.0, 0.0, 12, backlash=backlash)
     steps = backlash / 2 / SPEED / STEP
-    whole = int(steps)
-    np.testing.assert_allclose(torque[:whole], 0.0, atol=1e-12)
-    assert torque[whole] == pytest.approx(STALL * (1.0 - (steps - whole)), rel=1e-9)
-    np.testing.assert_allclose(torque[whole + 1 :], STALL, rtol=1e-9)
+    whole_steps = int(steps)
+    np.testing.assert_allclose(torque[:whole_steps], 0.0, atol=1e-12)
+    assert torque[whole_steps] == pytest.approx(STALL * (1.0 - (steps - whole_steps)), rel=1e-9)
+    np.testing.assert_allclose(torque[whole_steps + 1 :], STALL, rtol=1e-9)
 
 
 @pytest.mark.release
@@ -113,14 +113,16 @@ def test_a_batch_has_servos_with_and_without_play(simulator):
 def test_servos_of_either_end_of_their_ranges_can_be_simulated(simulator):
     """None of them makes the simulation lose its numbers, and charge and times are positive."""
     names = ("supply_voltage", "back_emf", "dead_band", "backlash", "idle_current", "stall_current")
-    known = dict(quantities(WorldParameters))
+    declarations = dict(quantities(WorldParameters))
     ends = {f"servo.{name}": [] for name in names}
-    for chosen in (*names, "all"):
+    for target in (*names, "all"):
         for end in ("low", "high"):
             for name, column in ends.items():
-                about = known[name]
+                quantity = declarations[name]
                 column.append(
-                    getattr(about, end) if chosen in ("all", name.split(".")[1]) else about.default
+                    getattr(quantity, end)
+                    if target in ("all", name.split(".")[1])
+                    else quantity.default
                 )
     result = simulator().run(ends, Run(duration=0.6, warmup=0.0))
     assert "diverged" not in result.status
@@ -132,13 +134,13 @@ def test_servos_of_either_end_of_their_ranges_can_be_simulated(simulator):
 def test_the_battery_changes_nothing_but_its_time(simulator):
     """Run time is its capacity over what servos and electronics draw."""
     run = Run(duration=0.5, warmup=0.0)
-    found = simulator()(
+    metrics = simulator()(
         {"battery.capacity": [1.0, 0.5], "battery.electronics_current": [0.3, 0.0]}, run
     )
-    np.testing.assert_array_equal(*found["speed"])
-    drawn = found["servo_current"] + [0.3, 0.0]
+    np.testing.assert_array_equal(*metrics["speed"])
+    current = metrics["servo_current"] + [0.3, 0.0]
     np.testing.assert_allclose(
-        found["battery_time"], 3600.0 * np.array([1.0, 0.5]) / drawn, rtol=1e-5
+        metrics["battery_time"], 3600.0 * np.array([1.0, 0.5]) / current, rtol=1e-5
     )
 
 
@@ -147,9 +149,11 @@ def test_the_profile_as_built_is_its_values_named(simulator):
     """It walks as the default does with the controller's and the body's values named, and values named override it."""
     run = Run(duration=1.0, warmup=0.0)
     built = simulator(profile="as_built", spine="stride_extension")
-    named = simulator(spine="stride_extension")({**BUILT_PROFILE, **body_values("as_built")}, run)
-    found = built({"build.spine_slack": [BUILT_BODY["build.spine_slack"], 0.0]}, run)
+    explicit_metrics = simulator(spine="stride_extension")(
+        {**BUILT_PROFILE, **body_values("as_built")}, run
+    )
+    metrics = built({"build.spine_slack": [BUILT_BODY["build.spine_slack"], 0.0]}, run)
     for name in ("speed", "roll_std", "servo_work"):
-        assert found[name][0] == pytest.approx(named[name][0], rel=1e-5)
-    assert found["speed"][1] != pytest.approx(found["speed"][0], rel=1e-3)
-    np.testing.assert_array_equal(built({}, run)["speed"][0], found["speed"][0])
+        assert metrics[name][0] == pytest.approx(explicit_metrics[name][0], rel=1e-5)
+    assert metrics["speed"][1] != pytest.approx(metrics["speed"][0], rel=1e-3)
+    np.testing.assert_array_equal(built({}, run)["speed"][0], metrics["speed"][0])

@@ -26,7 +26,7 @@ from nermo_mjx.robot.parameters import FOOT_RADIUS
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Setup, Simulator
 
-ALL = {name: float(about.default) for name, about in quantities(ModelParameters)}
+ALL = {name: float(quantity.default) for name, quantity in quantities(ModelParameters)}
 #: A value for every parameter that is not the default, all different.
 OTHER = {name: (value or 0.5) * (0.6 + 0.03 * i) for i, (name, value) in enumerate(ALL.items())}
 
@@ -52,16 +52,16 @@ def varied(robot: Robot, values: Mapping[str, np.ndarray], worlds: int) -> dict[
     return Variation(robot).batch(replace_quantities(ModelParameters(), values), worlds, values)
 
 
-def assert_same_model(one: mujoco.MjModel, other: mujoco.MjModel, rtol: float = 1e-9) -> None:
+def assert_same_model(first: mujoco.MjModel, second: mujoco.MjModel, rtol: float = 1e-9) -> None:
     """Every number in two compiled models is the same, derived constants included.
 
     But for `stat.meaninertia`, which `mj_setConst` leaves alone: it only scales the solver's tolerance.
     """
-    for name in (name for name in dir(one) if not name.startswith("_")):
-        value = getattr(one, name)
+    for name in (name for name in dir(first) if not name.startswith("_")):
+        value = getattr(first, name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f":
             np.testing.assert_allclose(
-                value, getattr(other, name), rtol=rtol, atol=1e-12, err_msg=name
+                value, getattr(second, name), rtol=rtol, atol=1e-12, err_msg=name
             )
 
 
@@ -109,8 +109,8 @@ def test_which_fields_vary_depends_on_names_alone():
     """A group's fields come with any of its names, also at the default: new values never change a program's inputs."""
     robot = load_robot()
     at_default = varied(robot, {"contact.friction": np.array([1.0, 1.0])}, 2)
-    other = varied(robot, {"contact.friction": np.array([0.5, 1.5])}, 2)
-    assert list(at_default) == list(other) == ["pair_friction", "pair_solref", "pair_solimp"]
+    values = varied(robot, {"contact.friction": np.array([0.5, 1.5])}, 2)
+    assert list(at_default) == list(values) == ["pair_friction", "pair_solref", "pair_solimp"]
     assert set(varied(robot, {"mass.front": np.array([0.2])}, 1)) == {"body_mass", "body_inertia"}
 
 
@@ -145,8 +145,10 @@ def test_contact_parameters_reach_what_they_name(scene):
             if part.endswith("sole")
             else part.partition("_")[0]
         )
-        wanted = friction[kind if kind in friction else "trunk"]
-        np.testing.assert_allclose(fields["pair_friction"][:, i, :2], np.stack([wanted, wanted], 1))
+        expected = friction[kind if kind in friction else "trunk"]
+        np.testing.assert_allclose(
+            fields["pair_friction"][:, i, :2], np.stack([expected, expected], 1)
+        )
         if kind in ("sole", "tail"):
             np.testing.assert_allclose(fields["pair_solref"][:, i], [(0.008, 0.5), (0.02, 1.5)])
             np.testing.assert_allclose(
@@ -171,12 +173,12 @@ def test_springs_and_dampers_reach_their_joints():
         joint, dof = model.joint(i).name, model.jnt_dofadr[i]
         kind = "spine" if joint.startswith("spine_joint") else joint.rsplit("_", 1)[-1]
         spring = f"stiffness.{joint.split('_')[0]}_knee" if kind == "knee" else f"stiffness.{kind}"
-        wanted = OTHER.get(spring, model.jnt_stiffness[i])
-        assert fields["jnt_stiffness"][0, i] == pytest.approx(wanted, rel=1e-12), joint
+        expected = OTHER.get(spring, model.jnt_stiffness[i])
+        assert fields["jnt_stiffness"][0, i] == pytest.approx(expected, rel=1e-12), joint
         # What else brakes a joint, as its servo may, stays.
         damper = "damping.pulley" if kind == "neck" else f"damping.{kind}"
-        wanted = model.dof_damping[dof] + OTHER.get(damper, 0.0) - ALL.get(damper, 0.0)
-        assert fields["dof_damping"][0, dof] == pytest.approx(wanted, rel=1e-12), joint
+        expected = model.dof_damping[dof] + OTHER.get(damper, 0.0) - ALL.get(damper, 0.0)
+        assert fields["dof_damping"][0, dof] == pytest.approx(expected, rel=1e-12), joint
     assert fields["dof_damping"][0, :6] == pytest.approx(0.0)
 
 
@@ -187,7 +189,7 @@ def test_servo_parameters_reach_all_servos():
     fields = varied(
         robot, {"servo.kp": np.array([3.0, 9.0]), "servo.torque_limit": 0.1, "servo.kv": 0.05}, 2
     )
-    more = 0.05 - float(ModelParameters().servo.kv)
+    difference = 0.05 - float(ModelParameters().servo.kv)
     damping = fields.get("dof_damping", np.stack([model.dof_damping] * 2))
     for world, kp in enumerate((3.0, 9.0)):
         np.testing.assert_allclose(fields["actuator_gainprm"][world, :, 0], kp)
@@ -197,7 +199,7 @@ def test_servo_parameters_reach_all_servos():
         dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
         braking = damping[world][dofs] - fields["actuator_biasprm"][world][:, 2]
         default = model.dof_damping[dofs] - model.actuator_biasprm[:, 2]
-        np.testing.assert_allclose(braking - default, more, rtol=1e-9)
+        np.testing.assert_allclose(braking - default, difference, rtol=1e-9)
 
 
 def test_faults_of_the_built_robot_reach_what_they_name():
@@ -330,11 +332,11 @@ def test_mjx_worlds_have_the_constants_of_models_compiled_for_them():
 def test_no_constant_that_mjx_reads_is_left_out():
     """What MuJoCo derives from masses is in `DERIVED_FIELDS`, save cameras and lights that follow a mass."""
     robot = load_robot()
-    other = compile_model(robot, {"mass.front": 0.2, "mass.rear": 0.09})
+    compiled = compile_model(robot, {"mass.front": 0.2, "mass.rear": 0.09})
     changed = {
         name
         for name, value in (
-            (name, getattr(other, name)) for name in dir(other) if not name.startswith("_")
+            (name, getattr(compiled, name)) for name in dir(compiled) if not name.startswith("_")
         )
         if isinstance(value, np.ndarray) and value.dtype.kind == "f"
         if not np.allclose(value, getattr(robot.model, name), rtol=1e-9, atol=0.0)
@@ -348,18 +350,20 @@ def test_a_slope_turns_gravity_in_mjx_and_has_a_derivative():
     ball = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
     )
-    model, at = put_model(ball), np.array([9.0, 0.3, 0.5])
+    model, point = put_model(ball), np.array([9.0, 0.3, 0.5])
     blank, dt = make_data(model), ball.opt.timestep
 
     def velocity(ground: Any) -> Any:
         fields = {"opt.gravity": gravity_vector(*ground, jnp)}
         return differentiable.step(model.tree_replace(fields), blank).qvel[:3]
 
-    push = jax.vmap(lambda way: jax.jvp(velocity, (at,), (way,)), out_axes=(None, -1))
+    push = jax.vmap(
+        lambda direction: jax.jvp(velocity, (point,), (direction,)), out_axes=(None, -1)
+    )
     value, slopes = jax.jit(push)(np.eye(3))
-    np.testing.assert_allclose(value, dt * gravity_vector(*at), rtol=1e-5)
+    np.testing.assert_allclose(value, dt * gravity_vector(*point), rtol=1e-5)
     differences = [
-        (gravity_vector(*(at + d)) - gravity_vector(*(at - d))) * dt / 2e-6
+        (gravity_vector(*(point + d)) - gravity_vector(*(point - d))) * dt / 2e-6
         for d in 1e-6 * np.eye(3)
     ]
     np.testing.assert_allclose(slopes, np.array(differences).T, rtol=1e-4, atol=1e-7)
@@ -428,12 +432,12 @@ def test_turned_mounts_carry_the_feet_and_slack_lowers_them():
             [data.site(f"{limb}_foot").xpos - data.body("torso").xpos for limb in LIMBS]
         )
 
-    drawn, turned, slack = feet(), feet(rear_tilt=-0.0855), feet(rear_slack=0.001)
-    np.testing.assert_allclose(turned[:2, 1:], drawn[:2, 1:], atol=1e-6)
+    default, turned, slack = feet(), feet(rear_tilt=-0.0855), feet(rear_slack=0.001)
+    np.testing.assert_allclose(turned[:2, 1:], default[:2, 1:], atol=1e-6)
     down = 0.0499  # from the rear legs' axis to their feet
-    np.testing.assert_allclose(turned[2:, 1] - drawn[2:, 1], -down * np.sin(0.0855), atol=4e-4)
-    assert (slack[2:, 2] < drawn[2:, 2] - 5e-4).all()
-    np.testing.assert_allclose(slack[:2, 1:], drawn[:2, 1:], atol=1e-6)
+    np.testing.assert_allclose(turned[2:, 1] - default[2:, 1], -down * np.sin(0.0855), atol=4e-4)
+    assert (slack[2:, 2] < default[2:, 2] - 5e-4).all()
+    np.testing.assert_allclose(slack[:2, 1:], default[:2, 1:], atol=1e-6)
 
 
 @pytest.mark.release
@@ -444,8 +448,10 @@ def test_derivatives_by_the_build_are_those_of_compiled_models():
     variation = Variation(robot)
 
     def fields(values: jax.Array) -> dict[str, jax.Array]:
-        own = dict(zip(names, values, strict=True))
-        return variation.differentiable(replace_quantities(ModelParameters(), own), own)
+        build_values = dict(zip(names, values, strict=True))
+        return variation.differentiable(
+            replace_quantities(ModelParameters(), build_values), build_values
+        )
 
     with jax.enable_x64(True):
         slopes = jax.jit(jax.jacfwd(fields))(first)
@@ -473,8 +479,8 @@ def test_derivatives_by_the_build_are_those_of_compiled_models():
 
 def varied_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     """The model that engines step, assembled with these values."""
-    known = [robot.physical.site(i).name for i in range(robot.physical.nsite)]
+    site_names = [robot.physical.site(i).name for i in range(robot.physical.nsite)]
     parameters = replace_quantities(
         ModelParameters(), {name: np.array(value) for name, value in values.items()}
     )
-    return reduced_model(assemble(robot.config, parameters), known)
+    return reduced_model(assemble(robot.config, parameters), site_names)

@@ -45,7 +45,7 @@ def machine(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("backend", "cuda", "warp", "taken"),
+    ("backend", "cuda", "warp", "engine"),
     [
         ("cpu", False, False, "c"),
         ("cpu", False, True, "c"),
@@ -56,9 +56,9 @@ def machine(monkeypatch):
         ("cpu", True, True, "c"),  # a GPU that JAX was told to leave alone
     ],
 )
-def test_auto_takes_mjx_on_every_accelerator(machine, backend, cuda, warp, taken):
+def test_auto_takes_mjx_on_every_accelerator(machine, backend, cuda, warp, engine):
     machine(backend, cuda, warp)
-    assert resolve_engine("auto") == taken
+    assert resolve_engine("auto") == engine
 
 
 @pytest.mark.parametrize(
@@ -123,8 +123,8 @@ def test_warp_is_refused_where_it_is_not_where_c_is(simulator, monkeypatch, faul
     step = mjx_engine._step
 
     def wrong(model, data):
-        after = step(model, data)
-        return after.replace(qpos=after.qpos + fault)
+        result = step(model, data)
+        return result.replace(qpos=result.qpos + fault)
 
     monkeypatch.setattr(mjx_engine, "_step", wrong)
     session = WarpEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 import json
@@ -20,10 +21,10 @@ from test_experiment_plots import walked
 from nermo_mjx.cli.kinds import KINDS, RECORDING, Kind
 from nermo_mjx.experiments.plots import figures_of_experiment
 from nermo_mjx.experiments.published import published_lines
-from nermo_mjx.experiments.run import Directory
+from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.runs import RunDirectory, Written
+from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.directory import hold
 from nermo_mjx.sweep import run_sweep
 
@@ -93,13 +94,13 @@ def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> N
 @pytest.mark.release
 def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
     chunk = part_of(sweep, 1)
-    there = 36 - pq.read_metadata(chunk).num_rows
+    remaining = 36 - pq.read_metadata(chunk).num_rows
     chunk.unlink()
     result = plot(sweep)
     assert result.exit_code == 0
-    assert f"{there} of 36 runs are in {sweep}; the figures show these." in result.stderr
+    assert f"{remaining} of 36 runs are in {sweep}; the figures show these." in result.stderr
     svgs = [path.read_text() for path in (sweep / "plots").glob("*.svg")]
-    assert all(f"{there} of 36 runs so far" in svg for svg in svgs)
+    assert all(f"{remaining} of 36 runs so far" in svg for svg in svgs)
 
 
 @pytest.mark.release
@@ -150,8 +151,8 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert (
         "is not a results directory: it contains neither a sweep, a search, a tuning, a training, published "
-        "experiments, an identification, an identification from a log, a comparison nor a sensitivity "
-        "analysis." in result.stderr
+        "experiments, the rows of an experiment, an identification, an identification from a log, a comparison nor a "
+        "sensitivity analysis." in result.stderr
     )
     shutil.rmtree(sweep / "results")
     result = plot(sweep)
@@ -190,29 +191,27 @@ def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(
     run_tuning(tuning, tmp_path / "tuned", problem=FakeProblem(tuning), simulator=walker)
     result = plot(tmp_path / "tuned", "--out", tmp_path / "again")
     assert result.exit_code == 0, result.stderr
-    made = content(tmp_path / "tuned" / "plots")
-    assert content(tmp_path / "again") == made
+    figures = content(tmp_path / "tuned" / "plots")
+    assert content(tmp_path / "again") == figures
 
 
 @pytest.mark.release
-def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
+def test_a_directory_of_experiments_is_drawn_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
     outcome, out = walked(), tmp_path / "experiments"
-    with RunDirectory(out, "experiments") as held:
-        about = {
-            "settings": {},
-            "engine": "fake",
-            "code": "0a1b2c3d",
-            "started": "2026-11-25",
-            "wall_seconds": 1.0,
-        }
-        Directory(out).save(outcome, about, Written(held))
-        held.note_session({})
+    name = outcome.experiment
+    simulated = {"run": lambda settings: outcome, "rows": lambda settings: len(outcome)}
+    experiment = dataclasses.replace(EXPERIMENTS[name], **simulated)
+    monkeypatch.setitem(EXPERIMENTS, name, experiment)
+    run_experiments([name], out, engine="c", video=False)
+    shutil.rmtree(out / "plots")
     result = plot(out)
     assert result.exit_code == 0, result.stderr
     lines = published_lines(outcome)
-    made = write_figures(figures_of_experiment(outcome, lines), tmp_path / "drawn")
-    assert len(made) > 6
+    files = write_figures(figures_of_experiment(outcome, lines), tmp_path / "drawn")
+    assert len(files) > 6
     assert content(out / "plots") == content(tmp_path / "drawn")
     # A picture that a user has changed is kept.
     picture = next((out / "plots").glob("*.png"))
@@ -221,7 +220,8 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "plot: A file in the way was not as this program wrote it: moved aside" in result.stderr
     assert picture.with_name(f"{picture.name}.aside-1").read_text() == "painted over"
-    (out / "results" / "straight-line.parquet").write_text("damaged")
+    (part,) = (out / name / "results").iterdir()
+    part.write_text("damaged")
     result = plot(out)
     assert result.exit_code == 1
     assert "holds no experiment whose table and recordings can be read" in result.stderr

@@ -88,10 +88,10 @@ def test_nothing_beats_a_point_of_the_front_and_all_else_is_beaten(seed: int) ->
     random = np.random.default_rng(seed)
     x, y = random.integers(0, 40, (2, 300)).astype(float)
     best = front(x, y)
-    lost = beaten(x, y)
-    assert not lost[best].any()
+    is_beaten = beaten(x, y)
+    assert not is_beaten[best].any()
     on_it = {(x[i], y[i]) for i in best}
-    assert {(x[i], y[i]) for i in np.flatnonzero(~lost)} == on_it
+    assert {(x[i], y[i]) for i in np.flatnonzero(~is_beaten)} == on_it
     assert len(on_it) == len(best), "points that are best in both count once"
     assert (np.diff(x[best]) > 0).all()
     assert (np.diff(y[best]) < 0).all()
@@ -120,8 +120,10 @@ def test_the_front_names_its_best_points_with_their_parameters() -> None:
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed [mm/s]", "roll, standard deviation [deg]")
     points, best = [c for c in ax.collections if isinstance(c, PathCollection)]
     np.testing.assert_allclose(np.sort(points.get_offsets()[:, 0]), np.sort(1e3 * speed[well]))
-    lost = beaten(-speed[well], roll[well])
-    np.testing.assert_allclose(np.sort(best.get_offsets()[:, 0]), np.sort(1e3 * speed[well][~lost]))
+    is_beaten = beaten(-speed[well], roll[well])
+    np.testing.assert_allclose(
+        np.sort(best.get_offsets()[:, 0]), np.sort(1e3 * speed[well][~is_beaten])
+    )
     fastest = int(np.argmax(np.where(well, speed, -1)))
     text = texts(figure)
     assert (
@@ -154,13 +156,13 @@ def test_each_line_goes_through_its_variants_values() -> None:
     data = table()
     figure = figures(data)["speed-parallel"]
     ax = figure.axes[0]
-    rest, _, best = [c for c in ax.collections if isinstance(c, LineCollection)]
+    other_lines, _, best = [c for c in ax.collections if isinstance(c, LineCollection)]
     well = np.array(data.column("status").to_pylist()) == "ok"
     columns = [data.column(name).to_numpy()[well] for name in (*PARAMETERS, "speed")]
     shares = np.stack([(c - c.min()) / np.ptp(c) for c in columns], axis=-1)
     order = np.argsort(columns[-1])
-    drawn = np.array([path.vertices[:, 1] for path in rest.get_paths()])
-    np.testing.assert_allclose(drawn, shares[order][:-BEST_LINES], atol=1e-9)
+    values_of_lines = np.array([path.vertices[:, 1] for path in other_lines.get_paths()])
+    np.testing.assert_allclose(values_of_lines, shares[order][:-BEST_LINES], atol=1e-9)
     thick = np.array([path.vertices[:, 1] for path in best.get_paths()])
     np.testing.assert_allclose(thick, shares[order][-BEST_LINES:], atol=1e-9)
     labels = [label.get_text().replace("\n", " ") for label in ax.get_xticklabels()]
@@ -170,14 +172,14 @@ def test_each_line_goes_through_its_variants_values() -> None:
 def test_too_many_lines_are_chosen_evenly_and_nothing_is_dropped_silently() -> None:
     costs = np.random.default_rng(1).normal(size=50_000)
     costs[::7] = np.nan
-    chosen = chosen_lines(costs)
-    assert len(chosen) == MOST_LINES + BEST_LINES == len(np.unique(chosen))
-    assert np.isfinite(costs[chosen]).all()
+    indices = chosen_lines(costs)
+    assert len(indices) == MOST_LINES + BEST_LINES == len(np.unique(indices))
+    assert np.isfinite(costs[indices]).all()
     assert (
-        chosen[-BEST_LINES:].tolist()
+        indices[-BEST_LINES:].tolist()
         == np.argsort(np.where(np.isnan(costs), 9, costs))[BEST_LINES - 1 :: -1].tolist()
     )
-    assert np.median(costs[chosen]) == pytest.approx(np.nanmedian(costs), abs=0.01)
+    assert np.median(costs[indices]) == pytest.approx(np.nanmedian(costs), abs=0.01)
     text = texts(figures(table(3000))["speed-parallel"])
     assert "800 of 2,823 runs, evenly by rank, and the best 5" in text
 
@@ -185,12 +187,12 @@ def test_too_many_lines_are_chosen_evenly_and_nothing_is_dropped_silently() -> N
 def test_a_hundred_thousand_rows_are_drawn_as_a_sample_in_small_files(tmp_path: Path) -> None:
     data = table(100_000)
     with matplotlib.rc_context(STYLE):
-        found = list(survey_figures(Results(data), "speed"))
-        for _, figure in found:
+        figures = list(survey_figures(Results(data), "speed"))
+        for _, figure in figures:
             figure.savefig(tmp_path / "a.svg")
             assert (tmp_path / "a.svg").stat().st_size < 3e6
     assert "20,000 of 94,117 runs, and the whole front" in texts(
-        dict(found)["speed-against-roll_std"]
+        dict(figures)["speed-against-roll_std"]
     )
 
 
@@ -202,7 +204,7 @@ def test_one_parameter_has_no_survey() -> None:
 
 
 @pytest.mark.parametrize(
-    ("chosen", "name"),
+    ("choice", "name"),
     [
         ({"x": "speed", "y": "roll_std"}, "speed-against-roll_std"),
         ({"x": "speed", "y": "slip"}, "speed-against-slip"),
@@ -212,11 +214,11 @@ def test_one_parameter_has_no_survey() -> None:
         ({"x": "speed", "y": "slip", "color": "frequency"}, "frequency-over-speed-and-slip"),
     ],
 )
-def test_columns_of_choice_give_their_figure(chosen: dict, name: str, tmp_path: Path) -> None:
-    files = write_figures(chosen_figure(Results(table()), **chosen), tmp_path)
+def test_columns_of_choice_give_their_figure(choice: dict, name: str, tmp_path: Path) -> None:
+    files = write_figures(chosen_figure(Results(table()), **choice), tmp_path)
     assert [file.name for file in files] == [f"{name}.png", f"{name}.svg"]
     svg = files[1].read_text()
-    for column in chosen.values():
+    for column in choice.values():
         assert f"{spoken(column)} [" in svg
 
 
@@ -259,12 +261,12 @@ def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(
     x = ShownValues("stiffness.ankle", "N m/rad", 10.0 ** values.uniform(-2, 0, count), log=True)
     z = ShownValues("speed", "mm/s", values.normal(80.0, 10.0, count))
     figure = scatters([x], z, [""], "Speed", "some runs")
-    drawn = figure.axes[0].collections[0]
-    assert isinstance(drawn, PolyCollection) is crowd
+    hexagons = figure.axes[0].collections[0]
+    assert isinstance(hexagons, PolyCollection) is crowd
     notes = [text.get_text() for text in figure.texts]
     assert any("darker: more runs" in note for note in notes) is crowd
     if crowd:
-        assert drawn.get_array().sum() == count, "each point is in one hexagon"
+        assert hexagons.get_array().sum() == count, "each point is in one hexagon"
 
 
 def test_less_is_better_where_it_is() -> None:

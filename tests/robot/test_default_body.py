@@ -92,20 +92,20 @@ def trotting_in_place() -> tuple[Budget, Sensors]:
     for step in range(600):
         data.ctrl[:] = neutral
         data.ctrl[:8] += shares[:, step]
-        before = data.qvel.copy()
+        initial_velocity = data.qvel.copy()
         mujoco.mj_step(model, data)  # all forces in `data` are those of the state before
-        after, mean = data.qvel.copy(), 0.5 * (before + data.qvel)
+        final_velocity, mean = data.qvel.copy(), 0.5 * (initial_velocity + data.qvel)
         if step >= 100:
             pushed = np.zeros(data.nefc)
             mujoco.mj_mulJacVec(model, data, pushed, mean)
-            lost = -model.opt.timestep * data.efc_force * pushed
+            work = -model.opt.timestep * data.efc_force * pushed
             tendon = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON
-            damped = model.opt.timestep * model.dof_damping * after * mean
+            damped = model.opt.timestep * model.dof_damping * final_velocity * mean
             budget.servos += model.opt.timestep * data.qfrc_actuator @ mean
             budget.servo_dampers += damped[of_servo].sum()
             budget.other_dampers += damped[~of_servo].sum()
-            budget.contact += lost[~tendon].sum()
-            budget.tendons += lost[tendon].sum()
+            budget.contact += work[~tendon].sum()
+            budget.tendons += work[tendon].sum()
             readings.append(data.sensordata.copy())
         elif step == 99:
             energy = energies(model, data)
@@ -124,7 +124,7 @@ def energies(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
     """Servos' work is what dampers, contact and tendons take and what the robot gains; the metrics have its parts."""
     budget, sensors = trotting_in_place()
-    taken = (
+    work = (
         budget.servo_dampers
         + budget.other_dampers
         + budget.contact
@@ -132,20 +132,22 @@ def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
         + budget.gained
     )
     assert budget.servos > 0.1
-    assert taken == pytest.approx(budget.servos, rel=1e-3)
+    assert work == pytest.approx(budget.servos, rel=1e-3)
     body = ModelParameters()
     readings = sensors.servo_torque, sensors.servo_velocity, sensors.joint_velocity
-    before, now = (tuple(each[i] for each in readings) for i in (0, slice(1, None)))
-    spent = electrical.spent(before, now, body.servo)
+    start, now = (tuple(reading[i] for reading in readings) for i in (0, slice(1, None)))
+    spent = electrical.spent(start, now, body.servo)
     sums = {name: 0.998 * np.asarray(value) for name, value in spent.items()}
-    found = electrical.budget(sums, 0.998, electrical.Supply.of(body, load_robot()))
-    assert found["servo_net_work"] == pytest.approx(budget.servos, rel=0.01)
-    assert found["servo_damper_work"] == pytest.approx(budget.servo_dampers, rel=0.01)
-    assert found["joint_damper_work"] == pytest.approx(budget.other_dampers, rel=0.01)
-    left = budget.contact + budget.tendons + budget.gained
-    assert found["constraint_work"] == pytest.approx(left, abs=0.01 * budget.servos)
+    expected = electrical.budget(sums, 0.998, electrical.Supply.of(body, load_robot()))
+    assert expected["servo_net_work"] == pytest.approx(budget.servos, rel=0.01)
+    assert expected["servo_damper_work"] == pytest.approx(budget.servo_dampers, rel=0.01)
+    assert expected["joint_damper_work"] == pytest.approx(budget.other_dampers, rel=0.01)
+    balance = budget.contact + budget.tendons + budget.gained
+    assert expected["constraint_work"] == pytest.approx(balance, abs=0.01 * budget.servos)
     torque = np.abs(np.asarray(sensors.servo_torque[1:]))
-    assert found["limited_rear_knees"] == pytest.approx((torque[:, 6:8] > 0.1569).mean(), abs=1e-6)
+    assert expected["limited_rear_knees"] == pytest.approx(
+        (torque[:, 6:8] > 0.1569).mean(), abs=1e-6
+    )
 
 
 @pytest.mark.release
@@ -163,11 +165,11 @@ def test_the_metrics_of_a_walk_are_the_work_that_plain_mujoco_finds(build: dict[
     work = budget(result.recording(0), compile_model(simulator.robot, body), 1 / 0.8)
     servos, servo_dampers, joint_dampers, *_ = work
     assert servos == pytest.approx(work[1:].sum(), rel=2e-4)
-    found = {name: float(each[0]) for name, each in result.metrics.items()}
-    assert found["servo_net_work"] == pytest.approx(servos, rel=0.01)
-    assert found["servo_damper_work"] == pytest.approx(servo_dampers, rel=0.01)
-    assert found["joint_damper_work"] == pytest.approx(joint_dampers, rel=0.01)
-    assert found["constraint_work"] == pytest.approx(work[3:].sum(), abs=0.01 * servos)
+    metrics = {name: float(column[0]) for name, column in result.metrics.items()}
+    assert metrics["servo_net_work"] == pytest.approx(servos, rel=0.01)
+    assert metrics["servo_damper_work"] == pytest.approx(servo_dampers, rel=0.01)
+    assert metrics["joint_damper_work"] == pytest.approx(joint_dampers, rel=0.01)
+    assert metrics["constraint_work"] == pytest.approx(work[3:].sum(), abs=0.01 * servos)
 
 
 def test_the_fast_preset_walks_with_the_shortest_time_constant_of_its_step():

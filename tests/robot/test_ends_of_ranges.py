@@ -66,12 +66,15 @@ WITHOUT = (
 
 def ends(setup: Setup) -> dict[str, tuple[float, float]]:
     """Both ends of each range; where a bound itself is excluded, a value close to it."""
-    found = {}
-    for name, about in all_parameters(setup).items():
-        low, high = float(about.low), float(about.high)
+    ranges = {}
+    for name, quantity in all_parameters(setup).items():
+        low, high = float(quantity.low), float(quantity.high)
         width = high - low if math.isfinite(high) else 1.0
-        found[name] = (low + 1e-3 * width * about.open_low, high - 1e-3 * width * about.open_high)
-    return found
+        ranges[name] = (
+            low + 1e-3 * width * quantity.open_low,
+            high - 1e-3 * width * quantity.open_high,
+        )
+    return ranges
 
 
 def accepted(setup: Setup, values: dict[str, float]) -> bool:
@@ -86,12 +89,12 @@ def accepted(setup: Setup, values: dict[str, float]) -> bool:
 def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
     """Run worlds, and hold what is `ok` to what is true of every walk."""
     defaults, simulator = setup.defaults(), Simulator(setup, engine="c")
-    named = sorted({name for world in worlds for name in world})
+    names = sorted({name for world in worlds for name in world})
     values = {
-        name: np.array([world.get(name, defaults[name]) for world in worlds]) for name in named
+        name: np.array([world.get(name, defaults[name]) for world in worlds]) for name in names
     }
     result = simulator.run(values, Run(duration=seconds, warmup=0.2 * seconds), record=True)
-    metrics, trace, model, given = (
+    metrics, trace, model, parameters = (
         result.metrics,
         result.trace,
         simulator.robot.model,
@@ -99,25 +102,30 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
     )
     low, high = model.actuator_ctrlrange.T
     knees = np.array(["knee" in model.actuator(i).name for i in range(model.nu)])
-    further = knees * np.asarray(given["servo.knee_range"])[:, None, None]
-    low, high = low - further, high + further
+    margin = knees * np.asarray(parameters["servo.knee_range"])[:, None, None]
+    low, high = low - margin, high + margin
     assert ((trace.ctrl >= low - 1e-6) & (trace.ctrl <= high + 1e-6)).all()
     for i, world in enumerate(worlds):
         if result.status[i] != "ok":
             continue
-        missing = [name for name, column in metrics.items() if not np.isfinite(column[i])]
-        assert all(name.startswith(WITHOUT) for name in missing), (world, missing)
+        undefined = [name for name, column in metrics.items() if not np.isfinite(column[i])]
+        assert all(name.startswith(WITHOUT) for name in undefined), (world, undefined)
         assert np.isfinite(trace.qpos[i]).all(), world
         assert np.isfinite(trace.qvel[i]).all(), world
         # A walk is no faster than its feet go back; on a slope without friction it slides as fast as it may.
-        own = {name: column[i] for name, column in given.items()}
-        feet = own["stride"] * own["stance.max_stride"] * own["frequency"] * own["gait_factor"]
-        fastest = max(0.5, 1.5 * feet / own["tracking.clock_ratio"])
+        world_parameters = {name: column[i] for name, column in parameters.items()}
+        feet = (
+            world_parameters["stride"]
+            * world_parameters["stance.max_stride"]
+            * world_parameters["frequency"]
+            * world_parameters["gait_factor"]
+        )
+        fastest = max(0.5, 1.5 * feet / world_parameters["tracking.clock_ratio"])
         assert abs(metrics["speed"][i]) < fastest + 9.81 * seconds * ("ground.slope" in world), (
             world
         )
-        body = [own[f"mass.{half}"] for half in ("front", "rear")]
-        weight = own["ground.gravity"] * sum(body)
+        body = [world_parameters[f"mass.{half}"] for half in ("front", "rear")]
+        weight = world_parameters["ground.gravity"] * sum(body)
         if setup.scene == "flat" and "ground.slope" not in world:
             assert trace.sensors["foot_position"][i, ..., 2].min() > -0.004, world
             assert 0.0 < trace.qpos[i, :, 2].min() < trace.qpos[i, :, 2].max() < 0.25, world
@@ -128,8 +136,8 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
         energy = (
             0.5 * sum(body) * np.sum(np.linalg.norm(trace.sensors["linear_velocity"][i, -1]) ** 2)
         )
-        way = np.linalg.norm(trace.qpos[i, -1, :2] - trace.qpos[i, 0, :2])
-        fallen = 0.2 + way * abs(np.sin(own["ground.slope"]))
+        distance = np.linalg.norm(trace.qpos[i, -1, :2] - trace.qpos[i, 0, :2])
+        fallen = 0.2 + distance * abs(np.sin(world_parameters["ground.slope"]))
         assert energy < metrics["servo_work"][i] / 0.8 + fallen * weight, world
 
 
@@ -138,11 +146,13 @@ def test_each_parameter_alone():
     """Of a row of numbers that differ in their place alone the first one; combinations have all of them."""
     setup = Setup(**ALL)
     bounds = ends(setup)
-    names = [each.partition(" ... ")[0] for each, _ in gathered(all_parameters(setup))]
+    names = [line.partition(" ... ")[0] for line, _ in gathered(all_parameters(setup))]
     worlds = [{name: value} for name in names for value in bounds[name]]
-    chosen = [world for world in worlds if accepted(setup, world)]
-    assert len(chosen) > 0.9 * len([world for world in worlds if "terrain" not in str(world)])
-    check(setup, chosen, 0.5)
+    accepted_worlds = [world for world in worlds if accepted(setup, world)]
+    assert len(accepted_worlds) > 0.9 * len(
+        [world for world in worlds if "terrain" not in str(world)]
+    )
+    check(setup, accepted_worlds, 0.5)
 
 
 @pytest.mark.release
@@ -153,22 +163,22 @@ def test_each_parameter_of_a_terrain(scene):
     setup = Setup(scene=scene, physics="fast")
     worlds = [
         {name: value}
-        for name, both in ends(setup).items()
+        for name, range_ends in ends(setup).items()
         if name.startswith("terrain")
-        for value in both
+        for value in range_ends
     ]
-    chosen = [world for world in worlds if accepted(setup, world)]
-    assert chosen
-    check(setup, chosen, 1.0)
+    accepted_worlds = [world for world in worlds if accepted(setup, world)]
+    assert accepted_worlds
+    check(setup, accepted_worlds, 1.0)
 
 
 def combined(choices: dict[str, str], count: int, seed: int) -> None:
     """Worlds of which from three parameters to half of all are at an end."""
     setup, draw = Setup(physics="fast", **choices), random.Random(seed)
     bounds = ends(setup)
-    apart = ("terrain.", "geometry.", "start.x", "start.y")
-    apart += () if setup.trajectory == "free" else ("foot.", "limb.", "trim.")
-    pool = [name for name in bounds if not name.startswith(apart)]
+    excluded = ("terrain.", "geometry.", "start.x", "start.y")
+    excluded += () if setup.trajectory == "free" else ("foot.", "limb.", "trim.")
+    pool = [name for name in bounds if not name.startswith(excluded)]
     worlds: list[dict[str, float]] = []
     while len(worlds) < count:
         names = draw.sample(pool, draw.choice([3, 6, 12, len(pool) // 2]))
@@ -180,7 +190,10 @@ def combined(choices: dict[str, str], count: int, seed: int) -> None:
 @pytest.mark.release
 @pytest.mark.parametrize(
     "choices",
-    [COMBINED[0], *(pytest.param(each, marks=pytest.mark.release) for each in COMBINED[5::5])],
+    [
+        COMBINED[0],
+        *(pytest.param(combination, marks=pytest.mark.release) for combination in COMBINED[5::5]),
+    ],
     ids=str,
 )
 def test_combinations(choices):

@@ -75,7 +75,7 @@ def test_a_chain_bends_as_its_leaf_under_a_moment(joint, hinges):
         if joint == "spine_joint"
         else {joint: TORQUE}
     )
-    loaded, free = (angle(model, settled(model, each).qpos, joint) for each in (moment, {}))
+    loaded, free = (angle(model, settled(model, loads).qpos, joint) for loads in (moment, {}))
     assert loaded - free == pytest.approx(TORQUE / stiffness, rel=1e-3)
     assert loaded - free == pytest.approx(published, rel=0.04)
 
@@ -89,7 +89,7 @@ def test_a_chain_approaches_the_arc_of_a_leaf():
     bend, length = 0.4, SPINE_GEOMETRY.segment_length
     outward = length * (np.tan(bend / 2) / bend - 0.5)
     # By so much do the far link's points move, along both tangents, against those behind one hinge.
-    wanted = outward * np.array([1 + np.cos(bend), np.sin(bend)])
+    expected = outward * np.array([1 + np.cos(bend), np.sin(bend)])
     missed = []
     for hinges in CHAINS[1:]:
         places = []
@@ -100,28 +100,28 @@ def test_a_chain_approaches_the_arc_of_a_leaf():
                 if chain_of(model.joint(i).name) == "spine_joint_1":
                     data.qpos[model.jnt_qposadr[i]] = bend / number
             mujoco.mj_kinematics(model, data)
-            before, after = data.site("spine_left_0"), data.body("spine_vertebra_1")
-            places.append(before.xmat.reshape(3, 3).T @ after.xpos)
-        moved = places[1] - places[0]
-        assert moved[2] == pytest.approx(0.0, abs=1e-12)
-        missed.append(np.linalg.norm(np.abs(moved[:2]) - wanted))
+            site, vertebra = data.site("spine_left_0"), data.body("spine_vertebra_1")
+            places.append(site.xmat.reshape(3, 3).T @ vertebra.xpos)
+        shift = places[1] - places[0]
+        assert shift[2] == pytest.approx(0.0, abs=1e-12)
+        missed.append(np.linalg.norm(np.abs(shift[:2]) - expected))
     # Second order: the error of n hinges falls as 1 / n^2.
-    assert missed[0] < 0.3 * np.linalg.norm(wanted)
+    assert missed[0] < 0.3 * np.linalg.norm(expected)
     assert missed[0] / missed[-1] == pytest.approx((MAX_HINGES / CHAINS[1]) ** 2, rel=0.05)
 
 
 def test_the_standing_robot_is_the_same_with_chains():
     """Feet, hips and tendons' lengths in the zero pose are those of one hinge, and so is the mass."""
-    one, chained = load_robot(), load_robot(hinges=4)
+    hinged, chained = load_robot(), load_robot(hinges=4)
     places = []
-    for robot in (one, chained):
+    for robot in (hinged, chained):
         data = mujoco.MjData(robot.model)
         mujoco.mj_forward(robot.model, data)
         places.append((data.site_xpos.copy(), data.ten_length.copy()))
-    for before, after in zip(*places, strict=True):
-        np.testing.assert_allclose(after, before, atol=1e-9)
-    assert chained.model.body_mass.sum() == pytest.approx(one.model.body_mass.sum(), rel=1e-12)
-    assert chained.model.nv == one.model.nv + 3 * 12
+    for hinged_value, chained_value in zip(*places, strict=True):
+        np.testing.assert_allclose(chained_value, hinged_value, atol=1e-9)
+    assert chained.model.body_mass.sum() == pytest.approx(hinged.model.body_mass.sum(), rel=1e-12)
+    assert chained.model.nv == hinged.model.nv + 3 * 12
     assert np.shape(chained.joints.knee) == (4, 4)
 
 
@@ -165,12 +165,12 @@ def test_stiffness_and_damping_are_those_of_the_whole_joint():
 def test_a_walk_with_chains_is_that_with_hinges(simulator):
     """Leaves of 3 mm hardly differ from hinges: speed within 1 %, roll within 2 % (0.2 and 0.1 % in fact)."""
     run = Run(cycles=4, warmup_cycles=2)
-    one, chained = (
+    hinged, chained = (
         simulator("c", spine="stride_extension", hinges=n).run({}, run).metrics for n in (1, 3)
     )
-    assert one["speed"] != chained["speed"]
-    np.testing.assert_allclose(chained["speed"], one["speed"], rtol=0.01)
-    np.testing.assert_allclose(chained["roll_std"], one["roll_std"], rtol=0.02)
+    assert hinged["speed"] != chained["speed"]
+    np.testing.assert_allclose(chained["speed"], hinged["speed"], rtol=0.01)
+    np.testing.assert_allclose(chained["roll_std"], hinged["roll_std"], rtol=0.02)
 
 
 @pytest.mark.release

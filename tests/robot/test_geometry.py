@@ -25,8 +25,8 @@ from nermo_mjx.rollout.differentiable import Rollout
 ALL: dict[str, Quantity] = dict(quantities(Geometry))
 #: A robot of which no number is the published one.
 OTHER = {
-    name: about.low + (0.3 + 0.02 * i) * (about.high - about.low)
-    for i, (name, about) in enumerate(ALL.items())
+    name: quantity.low + (0.3 + 0.02 * i) * (quantity.high - quantity.low)
+    for i, (name, quantity) in enumerate(ALL.items())
 }
 #: A sweep of three numbers of different kinds.
 SWEPT = {
@@ -51,22 +51,22 @@ def model_with(name: str, end: str) -> mujoco.MjModel:
 
 
 @jax.jit
-def predicted(of: Geometry, angles: dict[str, jax.Array]) -> dict[str, jax.Array]:
+def predicted(numbers: Geometry, angles: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """Shoulders, hips and feet by the kinematics, from the spine base; feet before the spine, and behind it."""
-    legs = leg.four_legs(of)
+    legs = leg.four_legs(numbers)
     feet = leg.points(legs, angles["hip"], angles["knee"], angles["ankle"]).foot
     bend = angles["spine"][0]
     return {
-        "axes": jnp.concatenate([body.shoulders(of), body.hips(bend, of)]),
-        "feet": body.feet_positions(bend, feet, of),
-        "end": spine.transform(bend, of)[:3, 3],
+        "axes": jnp.concatenate([body.shoulders(numbers), body.hips(bend, numbers)]),
+        "feet": body.feet_positions(bend, feet, numbers),
+        "end": spine.transform(bend, numbers)[:3, 3],
     }
 
 
 @jax.jit
-def at_rest(of: Geometry) -> jax.Array:
+def at_rest(numbers: Geometry) -> jax.Array:
     """Knee angles while all servos are at 0."""
-    return leg.forward_kinematics(leg.four_legs(of), jnp.zeros((4, 2)), "type3").knee_angle
+    return leg.forward_kinematics(leg.four_legs(numbers), jnp.zeros((4, 2)), "type3").knee_angle
 
 
 @pytest.mark.release(
@@ -103,9 +103,9 @@ def test_a_number_moves_the_model_and_the_kinematics_alike(name, end):
         data.qpos[np.ravel(getattr(joints, joint))] = values
     data.qpos[3] = 1.0
     mujoco.mj_kinematics(model, data)
-    of = geometry(**{name: getattr(ALL[name], end)})
+    numbers = geometry(**{name: getattr(ALL[name], end)})
     with jax.enable_x64(True):
-        ours, knees = jax.tree.map(np.asarray, (predicted(of, angles), at_rest(of)))
+        ours, knees = jax.tree.map(np.asarray, (predicted(numbers, angles), at_rest(numbers)))
     base = data.body("torso").xpos
     feet = np.array([data.site(f"{limb}_foot").xpos for limb in LIMBS]) - base
     axes = np.array([data.body(f"{limb}_upper").xpos for limb in LIMBS]) - base
@@ -137,13 +137,15 @@ def test_links_are_drawn_as_long_as_they_are():
         points = points @ turn.reshape(3, 3).T + model.mesh_pos[number]
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
-    drawn = robot.with_geometry(geometry(**longer))
+    longer_model = robot.with_geometry(geometry(**longer))
     for limb in ("rear_left", "rear_right"):
         for link in ("upper", "lower"):
-            shift = reach(drawn, f"{limb}_{link}") - reach(robot.model, f"{limb}_{link}")
+            shift = reach(longer_model, f"{limb}_{link}") - reach(robot.model, f"{limb}_{link}")
             np.testing.assert_allclose(shift[:, 2], [-0.005, 0.0], atol=1e-4)
-        np.testing.assert_allclose(drawn.body(f"{limb}_lower").pos, [0.0, 0.0, -0.0367], atol=1e-12)
-    shift = reach(drawn, "hip_bracket") - reach(robot.model, "hip_bracket")
+        np.testing.assert_allclose(
+            longer_model.body(f"{limb}_lower").pos, [0.0, 0.0, -0.0367], atol=1e-12
+        )
+    shift = reach(longer_model, "hip_bracket") - reach(robot.model, "hip_bracket")
     np.testing.assert_allclose(shift[:, 0], [-0.005, 0.005], atol=1e-4)
 
 
@@ -167,23 +169,23 @@ def test_links_are_drawn_as_long_as_they_are():
 )
 def test_a_world_of_a_batch_is_the_robot_assembled_with_its_geometry(tail, names):
     """Several numbers at once: every field that varies is that of a model compiled with them."""
-    robot, own = load_robot(tail=tail), {name: OTHER[name] for name in names}
+    robot, robot_values = load_robot(tail=tail), {name: OTHER[name] for name in names}
     values = {
         f"geometry.{name}": np.array([float(ALL[name].default), value])
-        for name, value in own.items()
+        for name, value in robot_values.items()
     }
     fields = Variation(robot).batch(replace_quantities(ModelParameters(), values), 2, values)
-    assembled = robot.physical_with_geometry(geometry(**own))
+    assembled = robot.physical_with_geometry(geometry(**robot_values))
     assert {"body_pos", "body_ipos", "body_inertia", "site_pos", "geom_pos", "tendon_range"} <= set(
         fields
     )
     assert ("body_iquat" in fields) == (tail == "rigid")  # its tail turns the hip's axes of inertia
     for name, (published, varied) in fields.items():
-        known, wanted = getattr(robot.physical, name), getattr(assembled, name)
-        np.testing.assert_allclose(published, known, rtol=1e-12, atol=1e-15, err_msg=name)
+        default, expected = getattr(robot.physical, name), getattr(assembled, name)
+        np.testing.assert_allclose(published, default, rtol=1e-12, atol=1e-15, err_msg=name)
         # Limits of tendons are rounded to 10 nm where a model is assembled.
         atol = 1e-8 if name == "tendon_range" else 1e-13
-        np.testing.assert_allclose(varied, wanted, rtol=1e-9, atol=atol, err_msg=name)
+        np.testing.assert_allclose(varied, expected, rtol=1e-9, atol=atol, err_msg=name)
 
 
 @pytest.mark.release
@@ -194,8 +196,12 @@ def test_constants_and_their_derivatives_are_those_of_assembled_models():
     variation = Variation(robot)
 
     def fields(values: jax.Array) -> dict[str, jax.Array]:
-        own = {f"geometry.{name}": value for name, value in zip(names, values, strict=True)}
-        return variation.differentiable(replace_quantities(ModelParameters(), own), own)
+        geometry_values = {
+            f"geometry.{name}": value for name, value in zip(names, values, strict=True)
+        }
+        return variation.differentiable(
+            replace_quantities(ModelParameters(), geometry_values), geometry_values
+        )
 
     def compiled(values: np.ndarray) -> mujoco.MjModel:
         return compile_model(
@@ -203,16 +209,18 @@ def test_constants_and_their_derivatives_are_those_of_assembled_models():
         )
 
     with jax.enable_x64(True):
-        push = jax.vmap(lambda way: jax.jvp(fields, (first,), (way,)), out_axes=(None, -1))
-        found, slopes = jax.jit(push)(np.eye(len(names)))
-    width, known = 1e-5, compiled(first)
+        push = jax.vmap(
+            lambda direction: jax.jvp(fields, (first,), (direction,)), out_axes=(None, -1)
+        )
+        constants, slopes = jax.jit(push)(np.eye(len(names)))
+    width, default = 1e-5, compiled(first)
     for i in range(len(names)):
         low, high = (compiled(first + sign * width * np.eye(len(names))[i]) for sign in (-1, 1))
         for name in set(DERIVED_FIELDS) | {"body_inertia", "body_ipos", "tendon_range"}:
-            value, slope = (np.asarray(each) for each in (found[name], slopes[name][..., i]))
-            scale = np.abs(getattr(known, name)).max()
+            value, slope = (np.asarray(array) for array in (constants[name], slopes[name][..., i]))
+            scale = np.abs(getattr(default, name)).max()
             np.testing.assert_allclose(
-                value, getattr(known, name), rtol=1e-6, atol=1e-7 * scale, err_msg=name
+                value, getattr(default, name), rtol=1e-6, atol=1e-7 * scale, err_msg=name
             )
             difference = (getattr(high, name) - getattr(low, name)) / (2 * width)
             bound = 1e-3 if name == "tendon_range" else 1e-4 * max(np.abs(difference).max(), 1e-9)
@@ -233,16 +241,16 @@ def test_worlds_stand_on_their_own_legs(simulator):
     }
     batch = sim.prepare(values)
     for world in range(3):
-        own = {
+        world_values = {
             name: float(numbers[world])
             for name, numbers in values.items()
             if name.startswith("geometry.")
         }
-        model = compile_model(sim.robot, own)
+        model = compile_model(sim.robot, world_values)
         data = mujoco.MjData(model)
         data.qpos[:] = batch.qpos[world]
         mujoco.mj_kinematics(model, data)
-        radius = own["geometry.foot.radius"]
+        radius = world_values["geometry.foot.radius"]
         lowest = min(data.geom(f"{limb}_sole").xpos[2] for limb in LIMBS)
         assert lowest == pytest.approx(radius - 1e-5, abs=2e-6)
         stance = {"front": (-0.005, -0.045), "rear": (0.0, -0.050)}
@@ -264,9 +272,11 @@ def test_a_sweep_over_legs_spine_and_amplitude_is_one_batch_and_compiles_once(
     assert np.isfinite(speed).all()
     assert np.ptp(speed) > 1e-3
     compilations.clear()
-    again = sim.run({name: 0.99 * values for name, values in SWEPT.items()}, run).metrics["speed"]
+    changed_speed = sim.run({name: 0.99 * values for name, values in SWEPT.items()}, run).metrics[
+        "speed"
+    ]
     assert compilations == []
-    assert not np.array_equal(again, speed)
+    assert not np.array_equal(changed_speed, speed)
 
 
 @pytest.mark.release
@@ -274,20 +284,20 @@ def test_a_world_with_the_published_numbers_is_the_published_robot(simulator):
     """Named with its default, a length changes a walk by rounding only; without one, controllers have constants."""
     sim, run = simulator(spine="stride_extension"), Run(cycles=1, warmup_cycles=0)
     plain = sim.run({"spine.amplitude": 0.3}, run).metrics
-    named = sim.run({"spine.amplitude": 0.3, "geometry.hip.x": 0.0428}, run).metrics
-    assert named["speed"] == pytest.approx(plain["speed"], rel=1e-4)
+    published = sim.run({"spine.amplitude": 0.3, "geometry.hip.x": 0.0428}, run).metrics
+    assert published["speed"] == pytest.approx(plain["speed"], rel=1e-4)
     assert Setup().world({}).control.geometry is None
 
 
 @pytest.mark.release
 def test_the_balance_knows_where_other_robots_have_their_mass():
     """The controller's two masses are those of the robot assembled with the geometry, to a micrometre."""
-    robot, of = load_robot(), geometry(**OTHER)
-    data = mujoco.MjData(model := robot.physical_with_geometry(of))
+    robot, numbers = load_robot(), geometry(**OTHER)
+    data = mujoco.MjData(model := robot.physical_with_geometry(numbers))
     mujoco.mj_forward(model, data)
     with jax.enable_x64(True):
-        masses = jax.tree.map(np.asarray, mass_model_of(robot.config, of))
-        com = np.asarray(body.centre_of_mass(masses, 0.0, of))
+        masses = jax.tree.map(np.asarray, mass_model_of(robot.config, numbers))
+        com = np.asarray(body.centre_of_mass(masses, 0.0, numbers))
     common = data.subtree_com[0] - data.body("torso").xpos
     np.testing.assert_allclose(common, com, atol=1e-6)
     assert (

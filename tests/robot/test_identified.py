@@ -19,7 +19,7 @@ from nermo_mjx.robot.quantity import ParameterError, quantities
 def test_the_default_body_is_among_the_identified_ones(name):
     """Within 90 % of the weight; the damping is the author's, which the identification knows nothing of."""
     values, weights = identified.bodies().values[name], identified.bodies().weights
-    default = {name: about.default for name, about in quantities(ModelParameters)}[name]
+    default = {name: quantity.default for name, quantity in quantities(ModelParameters)}[name]
     below = weights[values < default].sum()
     assert 0.05 < below < 0.95
 
@@ -50,8 +50,10 @@ def test_robot_instances_that_were_identified_have_the_objective_of_their_walks(
     shipped ones, which an earlier release computed."""
     ensemble, names = identified.bodies(), list(script.bounds("as_published"))
     problem = script.PublishedSpeeds(dict.fromkeys(names, math.nan), "as_published")
-    away = problem.predict(np.array([ensemble.values[name][:3] for name in names]).T)
-    np.testing.assert_allclose(np.sqrt(np.mean(away**2, axis=1)), ensemble.objective[:3], atol=0.02)
+    residuals = problem.predict(np.array([ensemble.values[name][:3] for name in names]).T)
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(residuals**2, axis=1)), ensemble.objective[:3], atol=0.02
+    )
 
 
 def test_bodies_are_distinct_weighed_and_chosen_without_repeats_and_by_seed():

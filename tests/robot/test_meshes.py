@@ -41,8 +41,8 @@ def surface(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.n
 
 def meshes_of(model: mujoco.MjModel, body: str) -> dict[str, int]:
     """Geoms of a body that show a mesh, by the mesh's name."""
-    there = np.flatnonzero((model.geom_bodyid == model.body(body).id) & (model.geom_dataid >= 0))
-    return {model.mesh(int(model.geom_dataid[geom])).name: int(geom) for geom in there}
+    geoms = np.flatnonzero((model.geom_bodyid == model.body(body).id) & (model.geom_dataid >= 0))
+    return {model.mesh(int(model.geom_dataid[geom])).name: int(geom) for geom in geoms}
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -118,8 +118,8 @@ def test_each_bead_of_the_tail_is_as_wide_as_its_eyelets_and_reaches_to_the_next
     for i in range(1, 19):
         mesh = chain.mesh(f"segment_{i}")
         x, y, _ = (np.reshape(mesh.uservert, (-1, 3)) * mesh.scale).T
-        place = chain.body(f"segment_{i + 1}").pos
-        assert y.max() == pytest.approx(np.hypot(*place[1:]) - 0.0004, abs=1e-4)
+        offset = chain.body(f"segment_{i + 1}").pos
+        assert y.max() == pytest.approx(np.hypot(*offset[1:]) - 0.0004, abs=1e-4)
         assert x.max() - mesh.scale[0] == pytest.approx(chain.site(f"left_{i}").pos[0], abs=1e-4)
 
 
@@ -132,8 +132,8 @@ def test_the_spines_tendons_pass_the_vertebrae_at_their_eyelets():
         geoms = np.flatnonzero((model.geom_bodyid == body) & (model.geom_dataid >= 0))
         points = np.concatenate([surface(model, data, int(geom))[0] for geom in geoms])
         for side in ("left", "right"):
-            away = np.linalg.norm(points - data.site(f"spine_{side}_{i}").xpos, axis=1)
-            assert away.min() < 0.0014, (side, i)
+            distances = np.linalg.norm(points - data.site(f"spine_{side}_{i}").xpos, axis=1)
+            assert distances.min() < 0.0014, (side, i)
 
 
 def test_servos_sit_where_their_joints_turn():
@@ -163,12 +163,14 @@ def test_the_right_legs_meshes_are_mirror_images():
             left, right = (meshes_of(model, f"{pair}_{side}_{part}") for side in ("left", "right"))
             assert len(left) == len(right) > 0
             for name, geom in left.items():
-                (here, faces), (there, mirrored) = (
+                (left_points, faces), (right_points, mirrored) = (
                     surface(model, data, g) for g in (geom, right[name.replace("left", "right")])
                 )
-                np.testing.assert_allclose(there * [-1.0, 1.0, 1.0], here, atol=1e-7, err_msg=name)
-                assert volume(here, faces) > 0
-                assert volume(there, mirrored) > 0
+                np.testing.assert_allclose(
+                    right_points * [-1.0, 1.0, 1.0], left_points, atol=1e-7, err_msg=name
+                )
+                assert volume(left_points, faces) > 0
+                assert volume(right_points, mirrored) > 0
 
 
 # --- without effect, and complete
@@ -177,9 +179,9 @@ def test_the_right_legs_meshes_are_mirror_images():
 def test_what_is_only_seen_weighs_nothing_and_touches_nothing():
     """All meshes are in group 2, every geom of that group has mass 0, and none collides; on the test stands, too."""
     for spec in (assemble(), assemble_leg("rear_right"), assemble_spine()):
-        shown = [geom for geom in spec.geoms if geom.group == 2]
-        assert {geom.mass for geom in shown} == {0.0}
-        assert not any(geom.contype or geom.conaffinity for geom in shown)
+        visual_geoms = [geom for geom in spec.geoms if geom.group == 2]
+        assert {geom.mass for geom in visual_geoms} == {0.0}
+        assert not any(geom.contype or geom.conaffinity for geom in visual_geoms)
         model = spec.compile()
         assert model.nmesh > 0
         assert set(model.geom_group[model.geom_dataid >= 0].tolist()) == {2}
@@ -227,11 +229,11 @@ def test_the_light_from_above_leaves_white_plastic_below_white():
     model = load_robot(scene="maze").model
     head = model.vis.headlight
     light = np.array(head.ambient) + np.array(head.diffuse)
-    for diffuse, way in zip(model.light_diffuse, model.light_dir, strict=True):
-        light = light + diffuse * -way[2] / np.linalg.norm(way)
-    seen = light * model.mat("torso_plastic").rgba[:3]
-    assert seen.min() > 0.8
-    assert seen.max() < 1.0
+    for diffuse, direction in zip(model.light_diffuse, model.light_dir, strict=True):
+        light = light + diffuse * -direction[2] / np.linalg.norm(direction)
+    colour = light * model.mat("torso_plastic").rgba[:3]
+    assert colour.min() > 0.8
+    assert colour.max() < 1.0
 
 
 @pytest.mark.parametrize("tail", ["rigid", "articulated"])
@@ -243,11 +245,11 @@ def test_one_file_holds_the_meshes(tail, tmp_path, monkeypatch):
     assert "meshdir" not in text
     assert len(text) < 1_000_000
     monkeypatch.chdir(tmp_path)
-    again = mujoco.MjModel.from_xml_string(text)
+    loaded = mujoco.MjModel.from_xml_string(text)
     for count in ("nmesh", "nmeshvert", "nmeshface"):
-        assert getattr(again, count) == getattr(robot.model, count)
-    np.testing.assert_allclose(again.geom_pos, robot.model.geom_pos, atol=1e-6)
-    assert mjx.put_model(again).nmesh == again.nmesh
+        assert getattr(loaded, count) == getattr(robot.model, count)
+    np.testing.assert_allclose(loaded.geom_pos, robot.model.geom_pos, atol=1e-6)
+    assert mjx.put_model(loaded).nmesh == loaded.nmesh
 
 
 @pytest.mark.parametrize("tail", ["rigid", "articulated"])

@@ -49,13 +49,14 @@ def test_it_has_the_published_servos_mass_and_length(robot):
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_forward(model, data)
     nose = min(
-        (data.geom_xpos[i] + model.mesh_vert[at : at + count] @ data.geom_xmat[i].reshape(3, 3).T)[
-            :, 1
-        ].min()
+        (
+            data.geom_xpos[i]
+            + model.mesh_vert[first : first + count] @ data.geom_xmat[i].reshape(3, 3).T
+        )[:, 1].min()
         for i in range(model.ngeom)
         if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH
         for mesh in [model.geom_dataid[i]]
-        for at, count in [(model.mesh_vertadr[mesh], model.mesh_vertnum[mesh])]
+        for first, count in [(model.mesh_vertadr[mesh], model.mesh_vertnum[mesh])]
     )
     tip = data.geom("tail_tip").xpos[1] + model.geom("tail_tip").size[0]
     assert tip - nose == pytest.approx(0.405, abs=0.001)
@@ -85,11 +86,11 @@ def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
         np.testing.assert_allclose(seen_from_torso(data, end.xpos), pose[:3, 3], atol=1e-6)
         turn = data.body("torso").xmat.reshape(3, 3).T @ end.xmat.reshape(3, 3)
         np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-6)
-        for place, limb in enumerate(("rear_left", "rear_right")):
+        for index, limb in enumerate(("rear_left", "rear_right")):
             axis = data.site(f"{limb}_axis").xpos
-            np.testing.assert_allclose(seen_from_torso(data, axis), hips[place], atol=1e-6)
-            foot = axis + end.xmat.reshape(3, 3) @ [0.0, *points[2 + place]]
-            np.testing.assert_allclose(seen_from_torso(data, foot), feet[place], atol=1e-6)
+            np.testing.assert_allclose(seen_from_torso(data, axis), hips[index], atol=1e-6)
+            foot = axis + end.xmat.reshape(3, 3) @ [0.0, *points[2 + index]]
+            np.testing.assert_allclose(seen_from_torso(data, foot), feet[index], atol=1e-6)
 
 
 @pytest.mark.release
@@ -108,7 +109,7 @@ def test_a_world_of_its_own_geometry_has_its_hips_where_the_kinematics_say(robot
     data.qpos[list(joints.spine)], data.qpos[list(joints.spine_vertical)] = 0.08, -0.06
     mujoco.mj_kinematics(model, data)
     geometry = replace_quantities(
-        Geometry(), {name.removeprefix("geometry."): each for name, each in values.items()}
+        Geometry(), {name.removeprefix("geometry."): value for name, value in values.items()}
     )
     with jax.enable_x64(True):
         hips = np.asarray(body.hips(np.array(0.08), geometry, np.array(-0.06)))
@@ -199,9 +200,9 @@ def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of
 
 @pytest.mark.release
 @pytest.mark.parametrize(
-    ("mode", "least", "most"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)]
+    ("mode", "lower", "upper"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)]
 )
-def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, least, most):
+def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, lower, upper):
     """It neither falls nor stands. At 0.4 rad of servo the vertical joints bend by about 0.1 rad; held, they give way
     to the feet's impacts by a third of that at most: of docs/model.md's identified body (the default's by 0.042)."""
     sim = simulator(**BOUND, spine=mode)
@@ -210,7 +211,7 @@ def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mo
     assert result.metrics["fell"][0] == 0.0
     assert result.metrics["speed"][0] > 0.015
     bent = np.abs(result.recording().qpos[:, np.ravel(sim.robot.joints.spine_vertical)])
-    assert least < bent.max() < most
+    assert lower < bent.max() < upper
 
 
 @pytest.mark.release
@@ -262,8 +263,10 @@ def test_mjx_walks_as_c_does_and_its_slopes_are_those_of_c():
             return rollout(dict(zip(point, values, strict=True)))["speed"]
 
         def with_slopes(values):
-            ways = jnp.eye(len(point))
-            return jax.vmap(lambda way: jax.jvp(speed, (values,), (way,)), out_axes=(None, 0))(ways)
+            directions = jnp.eye(len(point))
+            return jax.vmap(
+                lambda direction: jax.jvp(speed, (values,), (direction,)), out_axes=(None, 0)
+            )(directions)
 
         value, slopes = jax.jit(with_slopes, compiler_options=compiler_options())(
             jnp.asarray(first)

@@ -65,10 +65,10 @@ def test_a_scene_without_sky_lights_and_colours_has_those_of_the_bundled_ones():
     ) == 1
     assert bare.nlight == load_robot().model.nlight
     assert bare.geom_matid[bare.geom("floor").id] >= 0
-    own = """<mujoco><asset><texture name="sky" type="skybox" builtin="flat" rgb1="0 0 0" width="8" height="8"/></asset>
+    custom_scene = """<mujoco><asset><texture name="sky" type="skybox" builtin="flat" rgb1="0 0 0" width="8" height="8"/></asset>
       <worldbody><light name="lamp" pos="0 0 2"/><geom name="floor" type="plane" size="0 0 0.1" rgba="1 0 0 1"/>
       </worldbody></mujoco>"""
-    dressed = load_robot(scene=own).model
+    dressed = load_robot(scene=custom_scene).model
     assert dressed.nlight == 1
     assert [dressed.tex_type[i] for i in range(dressed.ntex)].count(
         mujoco.mjtTexture.mjTEXTURE_SKYBOX
@@ -82,7 +82,7 @@ def test_a_file_a_text_and_a_specification_are_one_scene(tmp_path, monkeypatch):
     (tmp_path / "yard.xml").write_text(YARD)
     monkeypatch.chdir(tmp_path)
     spec = mujoco.MjSpec.from_string(YARD)
-    setups = [Setup(scene=each) for each in ("yard.xml", tmp_path / "yard.xml", YARD, spec)]
+    setups = [Setup(scene=scene) for scene in ("yard.xml", tmp_path / "yard.xml", YARD, spec)]
     assert len(set(setups)) == 1
     assert setups[0].load().fingerprint == load_robot(scene=spec).fingerprint
     assert pickle.loads(pickle.dumps(setups[0])) == setups[0]
@@ -101,7 +101,7 @@ def test_only_ground_and_obstacles_touch_the_robot():
         model.nbody == load_robot(tail="articulated").model.nbody
     )  # the bench is called as the robot's torso
     np.testing.assert_allclose(model.geom("seat").pos, [0, -1, 0.71])
-    touching = {model.geom(i).name for both in (model.pair_geom1, model.pair_geom2) for i in both}
+    touching = {model.geom(i).name for geoms in (model.pair_geom1, model.pair_geom2) for i in geoms}
     assert "lawn" not in touching
     assert {"floor", "ground_0", "leg", "seat", "torso_bumper"} < touching
     assert not model.geom_contype.any()
@@ -111,11 +111,11 @@ def test_a_warning_of_a_command_is_one_sentence(tmp_path):
     """Not the line of code that it comes from; also where several parts read the scene."""
     file = tmp_path / "scene.xml"
     file.write_text(scene().replace("<worldbody>", "<option solver='PGS'/><worldbody>"))
-    told = call("model", "--scene", file, "--json").stderr
-    assert told.count("its option has solver") == 1
-    assert told.startswith("nermo-mjx: scene is ")
-    assert "Warning" not in told
-    assert ".py" not in told
+    errors = call("model", "--scene", file, "--json").stderr
+    assert errors.count("its option has solver") == 1
+    assert errors.startswith("nermo-mjx: scene is ")
+    assert "Warning" not in errors
+    assert ".py" not in errors
 
 
 @pytest.mark.filterwarnings("ignore:scene is MJCF. its option has")
@@ -125,19 +125,19 @@ def test_settings_of_a_scene_do_not_reach_the_robot():
         "<option gravity='0 0 -5' solver='PGS' iterations='3'/>"
         "<compiler boundmass='7' discardvisual='true' autolimits='false'/>"
     )
-    own, flat = (
-        load_robot(scene=scene().replace("<worldbody>", f"{more}<worldbody>")).model
-        for more in (settings, "<option gravity='0 0 -5'/>")
+    custom, flat = (
+        load_robot(scene=scene().replace("<worldbody>", f"{element}<worldbody>")).model
+        for element in (settings, "<option gravity='0 0 -5'/>")
     )
-    assert own.opt.gravity[2] == -5
-    assert own.body_mass.sum() == flat.body_mass.sum() == load_robot().model.body_mass.sum()
+    assert custom.opt.gravity[2] == -5
+    assert custom.body_mass.sum() == flat.body_mass.sum() == load_robot().model.body_mass.sum()
     for option in ("solver", "iterations", "disableflags", "timestep"):
         assert (
-            getattr(own.opt, option)
+            getattr(custom.opt, option)
             == getattr(flat.opt, option)
             == getattr(load_robot().model.opt, option)
         ), option
-    assert own.ngeom == flat.ngeom
+    assert custom.ngeom == flat.ngeom
 
 
 def test_meshes_are_found_beside_the_file(tmp_path):
@@ -233,8 +233,8 @@ def test_a_sweep_finds_a_scene_beside_its_file_and_keeps_it(tmp_path):
     sweep = Sweep.from_file(path)
     assert sweep.setup == Setup(scene=YARD)
     (tmp_path / "yard.xml").unlink()
-    again = Sweep.from_text(sweep.to_yaml())
-    assert (again, again.digest()) == (sweep, sweep.digest())
+    reloaded = Sweep.from_text(sweep.to_yaml())
+    assert (reloaded, reloaded.digest()) == (sweep, sweep.digest())
     (tmp_path / "yard.xml").write_text(YARD.replace("0.51", "0.52"))
     assert Sweep.from_file(path).digest() != sweep.digest()
     assert (
@@ -265,13 +265,13 @@ def test_a_file_says_where_a_wrong_scene_stands(wrong):
 def test_the_robot_starts_on_what_is_beneath_it():
     """On the raised floor, and on the step: the deepest contact is as deep as on the flat, wherever it starts."""
     simulator = shared_simulator(Setup(scene=YARD), "c")
-    for at, height in (
+    for initial, height in (
         ({}, 0.5),
         ({"x": 1.0}, 0.52),
         ({"x": 1.0, "y": 0.03, "yaw": 2.0}, 0.52),
         ({"x": 2.0}, 0.5),
     ):
-        data = standing(simulator, **at)
+        data = standing(simulator, **initial)
         assert min(contact.dist for contact in data.contact) == pytest.approx(-DEPTH, abs=1e-6)
         feet = [data.site(f"{limb}_foot").xpos[2] for limb in LIMBS]
         assert min(feet) == pytest.approx(height, abs=0.01)
@@ -337,8 +337,8 @@ def test_the_defaults_of_the_ground_are_the_scenes_gravity():
         0.0,
     ]
     sim = Simulator(Setup(scene=text), "c")
-    (named,) = sim.prepare({"ground.slope": rise}).fields["opt.gravity"]
-    np.testing.assert_allclose(named, sim.robot.model.opt.gravity, atol=1e-6)
+    (varied_gravity,) = sim.prepare({"ground.slope": rise}).fields["opt.gravity"]
+    np.testing.assert_allclose(varied_gravity, sim.robot.model.opt.gravity, atol=1e-6)
 
 
 @pytest.mark.release
@@ -372,6 +372,6 @@ def test_a_slope_rises_in_its_direction(direction, axis):
     """Gravity pulls a robot with yaw 0 backward (+y) where it rises ahead, and to the right (-x) where to the left."""
     values = {"ground.slope": 0.2, "ground.direction": direction}
     (pull,) = shared_simulator(Setup(), "c").prepare(values).fields["opt.gravity"]
-    wanted = [0.0, 0.0, -9.81 * np.cos(0.2)]
-    wanted[axis] = 9.81 * np.sin(0.2) * (1 if axis else -1)
-    np.testing.assert_allclose(pull, wanted, atol=1e-12)
+    expected = [0.0, 0.0, -9.81 * np.cos(0.2)]
+    expected[axis] = 9.81 * np.sin(0.2) * (1 if axis else -1)
+    np.testing.assert_allclose(pull, expected, atol=1e-12)

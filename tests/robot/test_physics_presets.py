@@ -81,8 +81,10 @@ def test_fast_keeps_every_gait_metric_within_its_bound(simulator, spine, turn_ra
 
     In the mean of three starts in different phases: rounding alone moves a lateral walk's roll by 1 %.
     """
-    one = six_walks(**{"pilot.turn_rate": turn_rate, "spine.amplitude": 0.2, "spine.phase": -0.5})
-    values = {name: np.tile(column, 3) for name, column in one.items()}
+    metrics_values = six_walks(
+        **{"pilot.turn_rate": turn_rate, "spine.amplitude": 0.2, "spine.phase": -0.5}
+    )
+    values = {name: np.tile(column, 3) for name, column in metrics_values.items()}
     values["start.phase"] = np.repeat([0.0, 1 / 3, 2 / 3], 6)
     pilot, run = "open_loop" if turn_rate else "straight", Run(cycles=6, warmup_cycles=2)
     ours, reference = (
@@ -105,8 +107,8 @@ def test_a_fall_is_reported_by_both(simulator):
     for physics in PRESETS:
         sim = simulator(physics=physics)
         batch = sim.prepare({"frequency": np.full(2, 0.8)}, Run(cycles=3, warmup_cycles=0))
-        at, height = sim.robot.joints.root, 0.12
-        batch.qpos[1, at + 2 : at + 7] = (
+        root, height = sim.robot.joints.root, 0.12
+        batch.qpos[1, root + 2 : root + 7] = (
             height,
             math.cos(LEANING / 2),
             0.0,
@@ -137,8 +139,8 @@ def test_only_the_soles_touch_the_ground_in_fast(scene):
 
     def pairs(physics: str) -> set[frozenset[str]]:
         model = load_robot(scene=scene, physics=physics).model
-        both = zip(model.pair_geom1, model.pair_geom2, strict=True)
-        return {frozenset(model.geom(int(geom)).name for geom in pair) for pair in both}
+        geom_pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
+        return {frozenset(model.geom(int(geom)).name for geom in pair) for pair in geom_pairs}
 
     assert pairs("reference") - pairs("fast") == {
         frozenset(("floor", part)) for part in TRUNK_GEOMS
@@ -151,8 +153,11 @@ def test_only_the_soles_touch_the_ground_in_fast(scene):
 
 def test_the_default_is_the_reference():
     """Nothing named is `reference` at 2 ms, the same robot as with both named."""
-    named = load_robot(physics="reference", timestep=0.002)
-    assert (load_robot().config, load_robot().fingerprint) == (named.config, named.fingerprint)
+    explicit = load_robot(physics="reference", timestep=0.002)
+    assert (load_robot().config, load_robot().fingerprint) == (
+        explicit.config,
+        explicit.fingerprint,
+    )
     assert Setup() == Setup(physics="reference", timestep=0.002)
 
 
@@ -191,8 +196,8 @@ def test_tendons_of_fast_yield_as_the_docs_say():
         for _ in range(round(1.0 / model.opt.timestep)):
             data.ctrl[:] = standing(load_robot(physics=physics))
             mujoco.mj_step(model, data)
-        past = data.ten_length - model.tendon_range[:, 1]
-        yields[physics] = past[
+        stretch = data.ten_length - model.tendon_range[:, 1]
+        yields[physics] = stretch[
             [i for i in range(model.ntendon) if model.tendon(i).name.startswith("rear")]
         ].mean()
     assert yields["reference"] == pytest.approx(7.9e-5, abs=5e-6)

@@ -28,11 +28,11 @@ from nermo_mjx.robot.quantity import Quantity
 )
 def test_a_closed_range_contains_its_bounds_and_an_open_range_does_not(value, closed, opened):
     for is_open, allowed in ((False, closed), (True, opened)):
-        about = Quantity(2.0, "m", 1.0, 3.0, "a length", open_low=is_open, open_high=is_open)
+        quantity = Quantity(2.0, "m", 1.0, 3.0, "a length", open_low=is_open, open_high=is_open)
         if allowed:
-            about.check("length", value)
+            quantity.check("length", value)
         else:
             with pytest.raises(
                 ParameterError, match=r"length is .*: allowed is (\(1, 3\)|\[1, 3\]) m\."
             ):
-                about.check("length", value)
+                quantity.check("length", value)

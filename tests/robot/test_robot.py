@@ -146,10 +146,10 @@ def test_compiled_masses_are_those_of_the_parts():
     The inertia is compared as a tensor in the frame of the part, so that exchanged axes are found.
     """
     model = load_robot(tail="articulated").model
-    data, seen = at_rest(model), set()
+    data, part_keys = at_rest(model), set()
     for name in (model.body(i).name for i in range(1, model.nbody)):
         part, compiled = part_of(name), model.body(name)
-        seen.add(next(key for key, value in RIGID_PARTS.items() if value is part))
+        part_keys.add(next(key for key, value in RIGID_PARTS.items() if value is part))
         assert compiled.mass[0] == pytest.approx(part.mass, rel=1e-12), name
         frame = data.body(name).xmat if part.site is None else data.site("spine_end").xmat
         axes = frame.reshape(3, 3).T @ data.body(name).ximat.reshape(3, 3)
@@ -162,7 +162,7 @@ def test_compiled_masses_are_those_of_the_parts():
     front_pulley = {
         name for name in RIGID_PARTS if RIGID_PARTS[name] is RIGID_PARTS["front_pulley"]
     }
-    assert seen | front_pulley == set(RIGID_PARTS)
+    assert part_keys | front_pulley == set(RIGID_PARTS)
     end = data.site("spine_end")
     hip = end.xmat.reshape(3, 3).T @ (data.body("spine_hip").xipos - end.xpos)
     np.testing.assert_allclose(hip, part_of("spine_hip").com, atol=1e-9)
@@ -236,8 +236,8 @@ def test_the_tail_hangs_as_the_authors(tail):
     assert model.geom("tail_tip").size[0] == 0.0037
     if tail == "articulated":
         for i, below in enumerate(TAIL_BELOW):
-            place = data.joint(f"tail_joint_{i + 1}").xanchor - end
-            assert place == pytest.approx([0.0, 0.0569 + 0.008 * i, -below], abs=5e-4)
+            offset = data.joint(f"tail_joint_{i + 1}").xanchor - end
+            assert offset == pytest.approx([0.0, 0.0569 + 0.008 * i, -below], abs=5e-4)
             assert data.joint(f"tail_joint_{i + 1}").xaxis == pytest.approx(
                 [0.0, 0.0, -1.0], abs=5e-3
             )
@@ -325,14 +325,14 @@ def test_left_and_right_mirror_each_other(tail):
             tensor(image), MIRROR @ tensor(name) @ MIRROR, atol=1e-15, err_msg=name
         )
     for joint in (model.joint(i).name for i in range(1, model.njnt)):
-        here, there = data.joint(joint), data.joint(other_side(joint))
-        np.testing.assert_allclose(there.xanchor, MIRROR @ here.xanchor, atol=1e-12, err_msg=joint)
+        left, right = data.joint(joint), data.joint(other_side(joint))
+        np.testing.assert_allclose(right.xanchor, MIRROR @ left.xanchor, atol=1e-12, err_msg=joint)
         # Limbs hinge about x on both sides, with one sign convention; the axes of all others lie in the mirror plane.
         if joint == other_side(joint):
-            assert here.xaxis[0] == pytest.approx(0.0, abs=1e-12), joint
+            assert left.xaxis[0] == pytest.approx(0.0, abs=1e-12), joint
         else:
-            np.testing.assert_allclose(np.abs(here.xaxis), (1, 0, 0), atol=1e-12, err_msg=joint)
-            np.testing.assert_allclose(there.xaxis, here.xaxis, atol=1e-12, err_msg=joint)
+            np.testing.assert_allclose(np.abs(left.xaxis), (1, 0, 0), atol=1e-12, err_msg=joint)
+            np.testing.assert_allclose(right.xaxis, left.xaxis, atol=1e-12, err_msg=joint)
         for field in ("stiffness", "damping", "armature", "range", "qpos0", "qpos_spring"):
             values = (
                 getattr(model.joint(joint), field),
@@ -353,11 +353,11 @@ def test_mirrored_commands_give_the_mirrored_motion():
     robot = load_robot()
     ctrl = targets(robot.n_servos, 300)
     image = ctrl[:, [1, 0, 3, 2, 5, 4, 7, 6, 8, 9]] * ([1] * 8 + [-1] * 2)
-    here, there = simulate(robot.model, ctrl), simulate(robot.model, image)
-    np.testing.assert_allclose(there[:, 0], -here[:, 0], atol=1e-9)
-    np.testing.assert_allclose(there[:, 1:3], here[:, 1:3], atol=1e-9)
-    np.testing.assert_allclose(there[:, 3:7], here[:, 3:7] * [1, 1, -1, -1], atol=1e-9)
-    assert np.ptp(here[:, 0]) > 1e-3  # something happened that could differ
+    original, mirrored = simulate(robot.model, ctrl), simulate(robot.model, image)
+    np.testing.assert_allclose(mirrored[:, 0], -original[:, 0], atol=1e-9)
+    np.testing.assert_allclose(mirrored[:, 1:3], original[:, 1:3], atol=1e-9)
+    np.testing.assert_allclose(mirrored[:, 3:7], original[:, 3:7] * [1, 1, -1, -1], atol=1e-9)
+    assert np.ptp(original[:, 0]) > 1e-3  # something happened that could differ
 
 
 @pytest.mark.parametrize("tail", TAILS)
@@ -369,8 +369,8 @@ def test_nothing_touches_but_the_declared_pairs(tail):
     model = load_robot(tail=tail).model
     assert not model.geom_contype.any()
     assert not model.geom_conaffinity.any()
-    both = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
-    pairs = {frozenset(model.geom(int(geom)).name for geom in pair) for pair in both}
+    geom_pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    pairs = {frozenset(model.geom(int(geom)).name for geom in pair) for pair in geom_pairs}
     touching = ["tail_tip", *(f"tail_ground_{i}" for i in (16, 17, 18) if tail == "articulated")]
     touching += [*(f"{limb}_sole" for limb in LIMBS), *TRUNK_GEOMS]
     assert pairs == {frozenset(("floor", part)) for part in touching}
@@ -380,9 +380,11 @@ def test_nothing_touches_but_the_declared_pairs(tail):
     data = mujoco.MjData(model)
     data.qpos[2:7] = 0.01, np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0
     mujoco.mj_forward(model, data)
-    found = {frozenset(model.geom(int(g)).name for g in contact.geom) for contact in data.contact}
-    assert found
-    assert found <= pairs
+    contact_pairs = {
+        frozenset(model.geom(int(g)).name for g in contact.geom) for contact in data.contact
+    }
+    assert contact_pairs
+    assert contact_pairs <= pairs
 
 
 # --- pose and geometry
@@ -394,10 +396,10 @@ def test_zero_pose_is_the_published_stance(routing):
     robot = load_robot(routing=routing)
     data, joints = at_rest(robot.model), robot.joints
     for i, limb in enumerate(LIMBS):
-        wanted = np.array(STANCE_FOOT[pair_of(limb)])
-        solution = solve(GEOMETRY[pair_of(limb)], wanted, routing)
+        expected = np.array(STANCE_FOOT[pair_of(limb)])
+        solution = solve(GEOMETRY[pair_of(limb)], expected, routing)
         foot = data.site(f"{limb}_foot").xpos - data.site(f"{limb}_axis").xpos
-        np.testing.assert_allclose(foot[1:], wanted, atol=2e-4)
+        np.testing.assert_allclose(foot[1:], expected, atol=2e-4)
         qpos = robot.model.qpos0
         pose = qpos[joints.hip[i]], qpos[joints.knee[i]], qpos[joints.pulley[i]]
         np.testing.assert_allclose(
@@ -456,18 +458,18 @@ def test_legs_are_where_the_kinematics_puts_them():
             axis = data.site(f"{limb}_axis").xpos
             with jax.enable_x64(True):
                 geometry = leg.leg_of(GEOMETRY[pair_of(limb)])
-                wanted = leg.points(
+                expected = leg.points(
                     geometry, angles["hip"][i], angles["knee"][i], angles["ankle"][i]
                 )
             for point in ("foot", "attachment"):
-                place = seen_from(data, axis, trunk, f"{limb}_{point}")
+                position = seen_from(data, axis, trunk, f"{limb}_{point}")
                 np.testing.assert_allclose(
-                    place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}"
+                    position, [0.0, *getattr(expected, point)], atol=1e-6, err_msg=f"{limb} {point}"
                 )
             for point, name in (("knee", "lower"), ("ankle", "foot")):
-                place = trunk.reshape(3, 3).T @ (data.body(f"{limb}_{name}").xpos - axis)
+                position = trunk.reshape(3, 3).T @ (data.body(f"{limb}_{name}").xpos - axis)
                 np.testing.assert_allclose(
-                    place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}"
+                    position, [0.0, *getattr(expected, point)], atol=1e-6, err_msg=f"{limb} {point}"
                 )
             sole = data.geom(f"{limb}_sole").xpos
             np.testing.assert_allclose(sole, data.site(f"{limb}_foot").xpos, atol=1e-12)
@@ -499,9 +501,9 @@ def test_leg_tendons_follow_the_published_law(routing):
         mujoco.mj_kinematics(robot.model, data)
         mujoco.mj_comPos(robot.model, data)
         mujoco.mj_tendon(robot.model, data)
-        for name, wanted in excess.items():
+        for name, expected in excess.items():
             tendon = robot.model.tendon(name).id
-            assert data.ten_length[tendon] - limits[tendon] == pytest.approx(wanted, abs=1e-6), (
+            assert data.ten_length[tendon] - limits[tendon] == pytest.approx(expected, abs=1e-6), (
                 name,
                 y,
                 z,
@@ -530,8 +532,8 @@ def test_tendon_lengths_of_the_stance_are_known():
         tie = np.arctan2(z, side * y) + side * float(solution.servo[1])
         wrap = tie - np.arccos(radius / np.hypot(y, z)) + np.arcsin(radius / geometry.pulley_height)
         tangents = np.sqrt(y**2 + z**2 - radius**2) + np.sqrt(geometry.pulley_height**2 - radius**2)
-        wanted = radius * wrap + tangents + np.hypot(*attachment)
-        assert lengths[f"{pair}_left_tendon"] == pytest.approx(float(wanted), abs=2e-6)
+        expected = radius * wrap + tangents + np.hypot(*attachment)
+        assert lengths[f"{pair}_left_tendon"] == pytest.approx(float(expected), abs=2e-6)
     assert lengths["front_left_tendon"] == pytest.approx(0.058448, abs=2e-6)
     assert lengths["rear_left_tendon"] == pytest.approx(0.054375, abs=2e-6)
     assert lengths["spine_left"] == pytest.approx(0.071334, abs=2e-6)
@@ -598,15 +600,15 @@ def test_sensors_are_read_by_meaning(tail):
         for name in ("position", "orientation", "linear_velocity", "gyro", "accelerometer")
     }
     expected |= {
-        f"servo_{what}": [f"{servo}_{what}" for servo in servos]
-        for what in ("angle", "velocity", "torque")
+        f"servo_{quantity}": [f"{servo}_{quantity}" for servo in servos]
+        for quantity in ("angle", "velocity", "torque")
     }
-    for what in ("knee_angle", "foot_force", "foot_position", "foot_velocity"):
-        expected[what] = [f"{limb}_{what}" for limb in LIMBS]
+    for quantity in ("knee_angle", "foot_force", "foot_position", "foot_velocity"):
+        expected[quantity] = [f"{limb}_{quantity}" for limb in LIMBS]
     for name, sources in expected.items():
-        wanted = np.concatenate([data.sensor(source).data for source in sources])
+        readings = np.concatenate([data.sensor(source).data for source in sources])
         got = np.asarray(getattr(single, name))
-        np.testing.assert_allclose(got.ravel(), wanted, rtol=1e-6, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(got.ravel(), readings, rtol=1e-6, atol=1e-6, err_msg=name)
         np.testing.assert_allclose(
             getattr(reading, name), [got, 2 * got], rtol=1e-6, atol=1e-6, err_msg=name
         )
@@ -639,18 +641,18 @@ def test_a_change_of_one_robot_reaches_no_other():
     ours.model.body_mass[:] = 7.0
     ours.physical.body_mass[:] = 7.0
     ours.spec.body("torso").name = "spoiled"
-    other = load_robot(tail="rigid")
-    assert other.model.body_mass.max() < 1.0
-    assert other.physical.body_mass.max() < 1.0
-    assert other.spec.body("spoiled") is None
+    unchanged = load_robot(tail="rigid")
+    assert unchanged.model.body_mass.max() < 1.0
+    assert unchanged.physical.body_mass.max() < 1.0
+    assert unchanged.spec.body("spoiled") is None
     assert (
-        other.fingerprint
+        unchanged.fingerprint
         == ours.fingerprint
         == fingerprint
         != load_robot(tail="articulated").fingerprint
     )
     with pytest.raises(ValueError, match="read-only"):
-        other.mass_model.front_com[0] = 7.0
+        unchanged.mass_model.front_com[0] = 7.0
 
 
 def test_defaults_cannot_be_written():
@@ -661,22 +663,22 @@ def test_defaults_cannot_be_written():
 
 def test_no_mass_and_no_number_of_a_servo_stands_twice():
     """Defaults of masses and servos, and masses of parts, with three digits or more, are written once in the source."""
-    known = {
-        about.default
-        for name, about in quantities(ModelParameters)
+    allowed = {
+        quantity.default
+        for name, quantity in quantities(ModelParameters)
         if name.startswith(("mass.", "servo."))
     }
-    known |= {part.mass for part in RIGID_PARTS.values()} | {
-        mass for both in ROBOT_MASSES.values() for mass in both
+    allowed |= {part.mass for part in RIGID_PARTS.values()} | {
+        mass for masses in ROBOT_MASSES.values() for mass in masses
     }
-    known = {
+    allowed = {
         value
-        for value in known
+        for value in allowed
         if len(f"{value:e}".split("e")[0].replace(".", "").rstrip("0")) >= 3
     }
-    assert {0.157, 0.1695, 0.1005, TORSO.mass} <= known
+    assert {0.157, 0.1695, 0.1005, TORSO.mass} <= allowed
     package = Path(nermo_mjx.__file__).parent
-    found = [
+    literals = [
         (node.value, path.name)
         for folder in (
             "robot",
@@ -689,9 +691,11 @@ def test_no_mass_and_no_number_of_a_servo_stands_twice():
         )
         for path in sorted((package / folder).rglob("*.py"))
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value in known
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, float)
+        and node.value in allowed
     ]
-    assert sorted(value for value, _ in found) == sorted(known), found
+    assert sorted(value for value, _ in literals) == sorted(allowed), literals
 
 
 def test_a_robot_is_loaded_from_its_config():
@@ -740,26 +744,26 @@ def test_it_moves_bit_for_bit_like_the_whole_model(scene, tail):
 def test_ids_that_engines_use_are_those_of_the_whole_model(scene):
     """Bodies, joints, actuators, tendons, sensors and contact pairs."""
     robot = load_robot(scene=scene)
-    whole, lean = robot.model, robot.physical
+    complete, lean = robot.model, robot.physical
     for kind in ("body", "joint", "actuator", "tendon", "sensor", "pair"):
         count = {"body": "nbody", "joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}")
         names = [
-            [getattr(m, kind)(i).name for i in range(getattr(m, count))] for m in (whole, lean)
+            [getattr(m, kind)(i).name for i in range(getattr(m, count))] for m in (complete, lean)
         ]
         assert names[0] == names[1], kind
-    assert whole.nu > 0
+    assert complete.nu > 0
 
 
 def test_nothing_that_is_only_drawn_is_left():
     """Every geom touches something or leads a tendon, and every site is on a tendon or read."""
     robot = load_robot()
     model = robot.physical
-    used = {
+    geoms = {
         *model.pair_geom1.tolist(),
         *model.pair_geom2.tolist(),
         *model.wrap_objid[model.wrap_type == 5].tolist(),
     }
-    assert used == set(range(model.ngeom))
+    assert geoms == set(range(model.ngeom))
     assert model.ngeom < 20 < robot.model.ngeom
     assert (model.ncam, model.nlight) == (0, 0)
     assert {model.site(i).name for i in range(model.nsite)} >= {
@@ -813,8 +817,8 @@ def test_what_a_pair_or_a_sensor_names_is_not_left_out_as_visual():
         <contact><pair geom1="floor" geom2="a"/></contact>
         <sensor><framepos objtype="geom" objname="b"/>
           <framepos objtype="site" objname="read" reftype="geom" refname="c"/></sensor></mujoco>""")
-    whole = spec.compile()
-    lean = physical_model(spec, whole)
+    complete = spec.compile()
+    lean = physical_model(spec, complete)
     assert [lean.geom(i).name for i in range(lean.ngeom)] == ["floor", "a", "b", "c"]
     assert [lean.site(i).name for i in range(lean.nsite)] == ["read"]
-    np.testing.assert_array_equal(lean.body_mass, whole.body_mass)
+    np.testing.assert_array_equal(lean.body_mass, complete.body_mass)

@@ -65,11 +65,11 @@ def test_a_picture_with_many_pixels_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(
         b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + size + size + bytes(9)
     )
-    given = scene('<asset><texture name="a" type="2d" file="a.png"/></asset>')
+    text = scene('<asset><texture name="a" type="2d" file="a.png"/></asset>')
     with pytest.raises(
         ParameterError, match=r"a\.png takes 10,000,000,000 bytes: allowed are 134,217,728"
     ):
-        resolve_scene(str(write_text(tmp_path / "a.xml", given)))
+        resolve_scene(str(write_text(tmp_path / "a.xml", text)))
 
 
 @SPECIAL
@@ -93,17 +93,17 @@ def test_a_special_file_in_a_scene_is_refused(inside: str, kind: str, tmp_path: 
         tmp_path / "under" / "nested.xml", scene('<asset><model name="n" file="a"/></asset>')
     )
     text = scene(inside.format(file, tmp_path / "under"))
-    for given in (text, str(write_text(tmp_path / "a.xml", text))):
+    for source in (text, str(write_text(tmp_path / "a.xml", text))):
         with (
             bounded(),
             pytest.raises(ParameterError, match=r"cannot be read \(not a regular file\)"),
         ):
-            resolve_scene(given)
+            resolve_scene(source)
 
 
-def yard(option: str = "", more: str = "") -> str:
+def yard(option: str = "", elements: str = "") -> str:
     floor = '<geom name="floor" type="plane" size="0 0 0.1"/>'
-    return f"<mujoco>{option}<worldbody>{floor}{more}</worldbody></mujoco>"
+    return f"<mujoco>{option}<worldbody>{floor}{elements}</worldbody></mujoco>"
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def yard(option: str = "", more: str = "") -> str:
             yard().replace('0.1"/>', '0.1" pos="0 0 nan"/>'),
             "numbers that are not finite, in geom_pos",
         ),
-        (yard(more='<camera name="track_side"/>'), "track_side"),
+        (yard(elements='<camera name="track_side"/>'), "track_side"),
     ],
 )
 def test_a_scene_says_what_of_it_is_not_taken(text: str, message: str) -> None:
@@ -145,7 +145,11 @@ def test_a_scene_may_have_names_of_the_robot(name: str) -> None:
     """On sites and bodies, which nothing of a scene refers to; the robot stands where it does without them."""
     box = '<geom type="box" size="0.1 0.1 0.1"/>'
     model = (
-        Setup(scene=yard(more=f'<site name="{name}"/><body name="{name}" pos="3 0 0">{box}</body>'))
+        Setup(
+            scene=yard(
+                elements=f'<site name="{name}"/><body name="{name}" pos="3 0 0">{box}</body>'
+            )
+        )
         .load()
         .model
     )

@@ -76,10 +76,10 @@ def test_every_scene_steps_and_looks_like_the_flat_one(name):
     np.testing.assert_array_equal(model.light_diffuse, flat.light_diffuse)
     np.testing.assert_array_equal(model.light_dir, flat.light_dir)
     for texture in ("sky", "mat"):
-        start, there = flat.tex(texture).adr[0], model.tex(texture).adr[0]
+        start, address = flat.tex(texture).adr[0], model.tex(texture).adr[0]
         size = int(np.prod([flat.tex(texture).height[0], flat.tex(texture).width[0], 3]))
         np.testing.assert_array_equal(
-            model.tex_data[there : there + size], flat.tex_data[start : start + size]
+            model.tex_data[address : address + size], flat.tex_data[start : start + size]
         )
 
 
@@ -87,8 +87,8 @@ def test_every_scene_steps_and_looks_like_the_flat_one(name):
 def test_a_scene_stands_alone_as_one_file(name):
     """The MJCF that `model --xml` writes needs no included file, and gives the same model."""
     robot = scene(name)
-    again = mujoco.MjModel.from_xml_string(robot.to_xml())
-    assert (again.ngeom, again.npair, again.nq) == (
+    reloaded = mujoco.MjModel.from_xml_string(robot.to_xml())
+    assert (reloaded.ngeom, reloaded.npair, reloaded.nq) == (
         robot.model.ngeom,
         robot.model.npair,
         robot.model.nq,
@@ -111,8 +111,8 @@ def test_only_obstacles_add_contact_pairs_and_the_walk_in_the_open_is_the_same_t
         data = mujoco.MjData(model)
         mujoco.mj_step(model, data, 300)
         ends.append((data.qpos.copy(), data.sensordata.copy(), [c.dist for c in data.contact]))
-    for here, there in zip(*ends, strict=True):
-        np.testing.assert_array_equal(here, there)
+    for free, obstructed in zip(*ends, strict=True):
+        np.testing.assert_array_equal(free, obstructed)
 
 
 def test_the_straight_line_is_two_metres_with_a_tick_every_half():
@@ -138,13 +138,13 @@ def test_the_quarter_circles_leave_the_start_and_end_after_a_right_angle(side, s
     model = scene("quarter_circles").model
     names = [model.geom(i).name for i in range(model.ngeom)]
     dashes = [name for name in names if name.startswith(f"{side}_{radius}_") and name[-1].isdigit()]
-    away = np.array([middle(model, name) for name in dashes])[:, :2] - [sign * radius, 0.0]
-    np.testing.assert_allclose(np.hypot(*away.T), radius, rtol=1e-9)
-    angle = np.arctan2(-away[:, 1], -sign * away[:, 0])
+    offsets = np.array([middle(model, name) for name in dashes])[:, :2] - [sign * radius, 0.0]
+    np.testing.assert_allclose(np.hypot(*offsets.T), radius, rtol=1e-9)
+    angle = np.arctan2(-offsets[:, 1], -sign * offsets[:, 0])
     np.testing.assert_allclose(
         angle, (np.arange(len(dashes)) + 0.5) * np.pi / 2 / len(dashes), atol=1e-9
     )
-    for name, out in zip(dashes, away, strict=True):
+    for name, out in zip(dashes, offsets, strict=True):
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, model.geom(name).quat)
         assert turned.reshape(3, 3)[:2, 1] @ out == pytest.approx(
@@ -175,16 +175,18 @@ def test_the_mazes_boxes_are_the_published_ones():
 def test_the_mazes_dots_lie_on_its_course():
     """Every 0.1 m of the path; when they do not, the lines that would are printed."""
     course = maze_course()
-    at = np.arange(1, int(course.length / 0.1) + 1) * 0.1
+    distances = np.arange(1, int(course.length / 0.1) + 1) * 0.1
     samples = course.spacing * np.arange(len(course.x))
     lines = [
         f'    <geom name="path_{i:02}" class="dot" pos="{np.interp(s, samples, course.x):.3f} '
         f'{np.interp(s, samples, course.y):.3f} 0" size="0.008 0.0003" material="path"/>'
-        for i, s in enumerate(at, start=1)
+        for i, s in enumerate(distances, start=1)
     ]
     text = (mjcf_directory() / "scenes" / "common" / "maze_path.xml").read_text()
-    drawn = [line for line in text.splitlines() if "path_" in line]
-    assert drawn == lines, "\n".join(["The dots of maze_path.xml for this course are:", *lines])
+    lines_of_file = [line for line in text.splitlines() if "path_" in line]
+    assert lines_of_file == lines, "\n".join(
+        ["The dots of maze_path.xml for this course are:", *lines]
+    )
 
 
 def test_along_the_course_the_standing_robot_touches_no_box():
@@ -192,7 +194,7 @@ def test_along_the_course_the_standing_robot_touches_no_box():
     robot, course = scene("maze"), maze_course()
     model = robot.model
     outline = {
-        int(g) for both in zip(model.pair_geom1, model.pair_geom2, strict=True) for g in both
+        int(g) for geoms in zip(model.pair_geom1, model.pair_geom2, strict=True) for g in geoms
     }
     tail = model.geom("tail_tip").id
     outline -= {*robot.obstacles, model.geom("floor").id, tail}
@@ -240,14 +242,14 @@ def test_whichever_way_a_box_comes_its_contact_is_reported_before_it_is_seen_ins
         data.qpos[list(robot.joints.hip)] += 0.3, -0.3, -0.3, 0.3
         data.qpos[list(robot.joints.spine)] += 0.1
     box = robot.obstacles[0]
-    both = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
-    outline = [int(g) for pair in both if box in pair for g in pair if g != box]
+    geom_pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    outline = [int(g) for pair in geom_pairs if box in pair for g in pair if g != box]
     body = {g: model.body(model.geom_bodyid[g]).name for g in range(model.ngeom)}
     tail = [g for g in body if body[g].startswith("tail") or model.geom(g).name.startswith("tail")]
-    shown = [g for g in body if model.geom_group[g] == 2 and g not in tail]
+    visual_geoms = [g for g in body if model.geom_group[g] == 2 and g not in tail]
 
-    def gap(geoms: list[int], place: np.ndarray) -> float:
-        model.geom_pos[box, :2] = place
+    def gap(geoms: list[int], position: np.ndarray) -> float:
+        model.geom_pos[box, :2] = position
         mujoco.mj_kinematics(model, data)
         return min(mujoco.mj_geomDistance(model, data, box, g, 1.0, None) for g in geoms)
 
@@ -257,16 +259,18 @@ def test_whichever_way_a_box_comes_its_contact_is_reported_before_it_is_seen_ins
         for aside in np.linspace(-0.12, 0.12, 13):
             for yaw in (angle, angle + np.pi / 4):
                 model.geom_quat[box] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
-                place = np.array([0.0, -0.02]) + 0.35 * side + aside * np.array([-side[1], side[0]])
+                position = (
+                    np.array([0.0, -0.02]) + 0.35 * side + aside * np.array([-side[1], side[0]])
+                )
                 # A straight march by the free distance never steps over a contact.
                 for _ in range(200):
-                    free = gap(outline, place)
-                    if free < 1e-4 or (place - [0.0, -0.02]) @ side < -0.1:
+                    free = gap(outline, position)
+                    if free < 1e-4 or (position - [0.0, -0.02]) @ side < -0.1:
                         break
-                    place = place - free * side
+                    position = position - free * side
                 if free < 1e-4:
                     met += 1
-                    assert gap(shown, place) > -UNNOTICED
+                    assert gap(visual_geoms, position) > -UNNOTICED
     assert met > 400
 
 
@@ -285,23 +289,23 @@ EXTREMITIES = {
 def test_a_part_of_the_body_that_enters_a_box_is_noticed(part):
     """The part's farthest visible point is put 3 mm inside a box's face, as if the robot had come from outside."""
     robot = scene("maze")
-    body, way = EXTREMITIES[part]
+    body, direction = EXTREMITIES[part]
     model, data = robot.model, standing(robot.model)
-    shown = np.flatnonzero(
+    visual_geoms = np.flatnonzero(
         (model.geom_bodyid == model.body(body).id) & (model.geom_group == 2)
     ).tolist()
     box = robot.obstacles[LONELY]
     # The distance to the part of this box, moved before it, tells how far the part reaches.
-    side = np.array([*way, 0.0])
-    lateral = np.mean([data.geom_xpos[g] for g in shown], axis=0) * (1.0 - np.abs(side))
-    moved = copy.copy(model)
-    moved.geom_pos[box] = [*(lateral + 0.35 * side)[:2], 0.05]
-    mujoco.mj_kinematics(moved, data)
-    gap = min(mujoco.mj_geomDistance(moved, data, box, g, 1.0, None) for g in shown)
-    shift = model.geom_pos[box] - moved.geom_pos[box] + (gap + 0.003) * side
+    side = np.array([*direction, 0.0])
+    lateral = np.mean([data.geom_xpos[g] for g in visual_geoms], axis=0) * (1.0 - np.abs(side))
+    shifted_model = copy.copy(model)
+    shifted_model.geom_pos[box] = [*(lateral + 0.35 * side)[:2], 0.05]
+    mujoco.mj_kinematics(shifted_model, data)
+    gap = min(mujoco.mj_geomDistance(shifted_model, data, box, g, 1.0, None) for g in visual_geoms)
+    shift = model.geom_pos[box] - shifted_model.geom_pos[box] + (gap + 0.003) * side
     data = standing(model, *shift[:2])
     assert min(
-        mujoco.mj_geomDistance(model, data, box, g, 1.0, None) for g in shown
+        mujoco.mj_geomDistance(model, data, box, g, 1.0, None) for g in visual_geoms
     ) == pytest.approx(-0.003, abs=5e-4)
     assert touched(robot, data)
     assert all(contact.dist < 0 for contact in data.contact if box in contact.geom)

@@ -99,8 +99,8 @@ def test_no_pose_leads_a_tendon_to_the_other_side_of_its_pulley(limb, routing):
     data, draw = mujoco.MjData(model), np.random.default_rng(0)
     with jax.enable_x64(True):
         hips, low, high = draw.uniform(-1.5, 1.5, 1000), *model.actuator_ctrlrange[1]
-        less, more, _ = leg.knee_range(numbers, hips, routing)
-        knees = np.asarray(less + (more - less) * draw.uniform(0, 1, hips.shape))
+        minimum, maximum, _ = leg.knee_range(numbers, hips, routing)
+        knees = np.asarray(minimum + (maximum - minimum) * draw.uniform(0, 1, hips.shape))
         servos = np.asarray(leg.knee_servo(numbers, hips, knees, routing))
     for hip, knee, servo in zip(hips, knees, servos, strict=True):
         if low < servo < high:
@@ -117,7 +117,7 @@ def test_a_knee_tendon_pulls_only(limb):
     model = assemble_leg(limb).compile()
     low, high = model.actuator_ctrlrange[1]
     knee, servo = f"{limb}_knee", f"{limb}_knee_servo"
-    stiffness, rest, (low, high) = (
+    stiffness, rest_angle, (low, high) = (
         model.joint(knee).stiffness[0],
         KNEE_REST_RAD[pair],
         model.actuator_ctrlrange[1],
@@ -125,7 +125,7 @@ def test_a_knee_tendon_pulls_only(limb):
 
     taut = settle(model, np.array([0.0, low if pair == "front" else high]), 500)
     force, bend = tendon_force(model, taut)[0], taut.joint(knee).qpos[0]
-    assert bend > rest + 0.5
+    assert bend > rest_angle + 0.5
     assert force > 1.0
     # Its pull is the servo's torque over the pulley's radius; it balances the knee's spring, and does not turn the hip.
     torque = {
@@ -134,14 +134,14 @@ def test_a_knee_tendon_pulls_only(limb):
     }
     assert force * GEOMETRY[pair].pulley_radius == pytest.approx(abs(torque["pulley"]), rel=1e-6)
     assert torque["pulley"] == pytest.approx(-taut.actuator(servo).force[0], rel=1e-3)
-    assert torque["knee"] == pytest.approx(stiffness * (bend - rest), rel=1e-3)
+    assert torque["knee"] == pytest.approx(stiffness * (bend - rest_angle), rel=1e-3)
     assert torque["hip"] == pytest.approx(0.0, abs=1e-6)
 
     # Bent further by hand, the knee leaves the tendon slack: only the spring resists, and the servo feels nothing.
     loose = settle(model, np.array([0.0, 0.1]), 1000, {knee: 0.25})
     assert slack(model, loose)[0] > 1e-4
     assert tendon_force(model, loose)[0] == 0.0
-    assert loose.joint(knee).qpos[0] == pytest.approx(rest + 0.25 / stiffness, abs=1e-3)
+    assert loose.joint(knee).qpos[0] == pytest.approx(rest_angle + 0.25 / stiffness, abs=1e-3)
     assert loose.actuator(servo).force[0] == pytest.approx(0.0, abs=1e-6)
 
 
@@ -165,8 +165,8 @@ def test_right_legs_do_what_left_legs_do(pair):
     )
     np.testing.assert_allclose(right.qpos, left.qpos, atol=1e-12)
     for point in ("foot", "attachment", "rim"):
-        there = right.site(f"{pair}_right_{point}").xpos * (-1, 1, 1)
-        np.testing.assert_allclose(there, left.site(f"{pair}_left_{point}").xpos, atol=1e-12)
+        mirrored = right.site(f"{pair}_right_{point}").xpos * (-1, 1, 1)
+        np.testing.assert_allclose(mirrored, left.site(f"{pair}_left_{point}").xpos, atol=1e-12)
 
 
 #: Spine servo angles that give each joint up to 0.1 rad, both sides.

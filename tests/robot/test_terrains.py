@@ -55,13 +55,13 @@ def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
         model = compile_model(robot, values)
         places = np.random.default_rng(0).uniform([-0.5, -3.0], [0.5, 0.4], (150, 2))
         heights = np.asarray(robot.terrain.height(*places.T, tree_of(values)))
-        before = np.asarray(robot.terrain.height(*places.T))
+        default_heights = np.asarray(robot.terrain.height(*places.T))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(
-        heights, [ray_height(model, data, scene, *place) for place in places], atol=1e-7
+        heights, [ray_height(model, data, scene, *position) for position in places], atol=1e-7
     )
-    assert np.abs(heights - before).max() > 1e-3
+    assert np.abs(heights - default_heights).max() > 1e-3
 
 
 @pytest.mark.release
@@ -119,12 +119,15 @@ def test_the_spiral_stair_rises_along_its_circle_and_gates_alternate():
 @pytest.mark.parametrize("scene", TERRAINS)
 def test_a_world_of_a_batch_stands_on_its_own_ground(scene):
     """Dropped ahead of the start, two worlds of a batch end where the robot does in a model of each alone."""
-    robot, other = load_robot(scene=scene, physics="fast"), other_shape(scene)
-    shapes = [{f"terrain.{name}": value for name, value in TERRAINS[scene].defaults.items()}, other]
+    robot, shape_values = load_robot(scene=scene, physics="fast"), other_shape(scene)
+    shapes = [
+        {f"terrain.{name}": value for name, value in TERRAINS[scene].defaults.items()},
+        shape_values,
+    ]
     variation, start = Variation(robot), robot.physical.qpos0.copy()
     start[1:3] += [-0.4, 0.02]
-    both = {name: np.array([shape[name] for shape in shapes]) for name in other}
-    fields = variation.batch(replace_quantities(ModelParameters(), both), 2, both)
+    values = {name: np.array([shape[name] for shape in shapes]) for name in shape_values}
+    fields = variation.batch(replace_quantities(ModelParameters(), values), 2, values)
     batch = mujoco.batch.Batch(robot.physical, 2)
     vary(batch, robot.physical, fields)
     qpos = batch.bind("qpos")
@@ -171,7 +174,10 @@ def test_a_fixed_shape_goes_to_the_scenes_that_read_it():
     sweep = Sweep.from_dict(
         {"vary": {"scene": ["flat", "planks"]}, "set": {"terrain.height": 0.004}}
     )
-    assert [dict(each.constants) for each in sweep.structures] == [{}, {"terrain.height": 0.004}]
+    assert [dict(structure.constants) for structure in sweep.structures] == [
+        {},
+        {"terrain.height": 0.004},
+    ]
 
 
 # --- single surfaces
@@ -190,7 +196,7 @@ SURFACES = {
 
 
 def compiled(geoms: str) -> mujoco.MjModel:
-    heights = " ".join(f"{each:.6f}" for each in np.random.default_rng(0).uniform(0, 1, 35))
+    heights = " ".join(f"{height:.6f}" for height in np.random.default_rng(0).uniform(0, 1, 35))
     return mujoco.MjModel.from_xml_string(
         "<mujoco><asset><hfield name='hills' nrow='5' ncol='7' size='0.8 0.6 0.2 0.1' "
         f"elevation='{heights}'/></asset><worldbody>{geoms}</worldbody></mujoco>"
@@ -215,7 +221,7 @@ def test_the_height_is_where_a_ray_from_above_meets_the_ground(kind):
     places = np.random.default_rng(1).uniform(-1.0, 1.0, (200, 2))
     with jax.enable_x64(True):
         heights = np.asarray(Terrain(model, range(model.ngeom)).height(*places.T))
-    rays = np.array([from_above(model, *place) for place in places])
+    rays = np.array([from_above(model, *position) for position in places])
     hit = np.isfinite(rays)
     np.testing.assert_allclose(heights[hit], rays[hit], atol=1e-7)
     assert hit.sum() > 20

@@ -79,18 +79,10 @@ def _run(on_line: bool) -> Any:
             beside = straight(Pilot(), sensors.position[-1]) if on_line else None
             # A trot on the spot: each diagonal pair is commanded to stand for half a cycle.
             stance = jnp.sin(2 * jnp.pi * RATE * time) * jnp.array([1.0, -1.0, -1.0, 1.0]) >= 0.0
-            state = metrics.update(
-                window,
-                state,
-                sensors,
-                time,
-                DT,
-                rate,
-                beside,
-                stance,
-                brake=servo.brake,
-                servo=servo,
+            known = metrics.Tick(
+                sensors, time, DT, rate, beside, stance, brake=servo.brake, servo=servo
             )
+            state = metrics.update(window, state, known)
             return state, state
 
         # As in the loop: the first reading is that at rest, at time 0, and belongs to no tick.

@@ -26,13 +26,16 @@ def test_a_write_that_fails_in_orbaxs_threads_is_one_error_and_loses_no_checkpoi
         )
 
     parts = {"state": {"x": np.arange(3.0)}}
-    with RunDirectory(tmp_path, "tuning") as held, Checkpoints(held, "tuning") as checkpoints:
+    with (
+        RunDirectory(tmp_path, "tuning") as directory,
+        Checkpoints(directory, "tuning") as checkpoints,
+    ):
         checkpoints.save(1, parts, {"identity": "it"})
         with monkeypatch.context() as patch:
             patch.setattr(checkpoints._manager, "save", fails)
             with pytest.raises((OSError, DirectoryError), match=reason) as raised:
                 checkpoints.save(2, parts, {"identity": "it"})
         assert isinstance(raised.value, OSError) == (reason == os.strerror(errno.ENOSPC))
-        found = checkpoints.restore(lambda about: parts)
-    assert found is not None
-    np.testing.assert_array_equal(found[0]["state"]["x"], np.arange(3.0))
+        state_and_metadata = checkpoints.restore(lambda metadata: parts)
+    assert state_and_metadata is not None
+    np.testing.assert_array_equal(state_and_metadata[0]["state"]["x"], np.arange(3.0))

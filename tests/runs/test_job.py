@@ -14,18 +14,18 @@ from nermo_mjx.runs.job import interruptible
 def test_an_interruption_while_a_file_is_written_ends_the_job_afterwards(
     number: signal.Signals,
 ) -> None:
-    written = []
+    events = []
 
     def job() -> None:
         with interruptible() as interruption:
             with interruption.shielded():
                 signal.raise_signal(number)
-                written.append("the rest of the file")
-            written.append("the next file")
+                events.append("the rest of the file")
+            events.append("the next file")
 
     with pytest.raises(KeyboardInterrupt):
         job()
-    assert written == ["the rest of the file"]
+    assert events == ["the rest of the file"]
 
 
 def test_an_interruption_that_a_library_swallows_ends_the_job_at_the_next_check() -> None:

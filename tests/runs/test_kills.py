@@ -29,15 +29,15 @@ CLOCK = "wall_seconds"
 
 @pytest.mark.long
 def test_forty_kills_leave_the_tables_as_they_were(tmp_path: Path) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, __file__, str(tmp_path)],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr[-3000:]
-    kills = json.loads(done.stdout.splitlines()[-1])
+    assert process.returncode == 0, process.stderr[-3000:]
+    kills = json.loads(process.stdout.splitlines()[-1])
     assert sum(kills.values()) >= 40, kills
     assert min(kills.values()) >= 3, kills
 
@@ -81,8 +81,8 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
         return read_table(out)
 
     def tuning(out: Path) -> pa.Table:
-        wanted = Tuning.from_dict(TUNE | {"iterations": 4})
-        run_tuning(wanted, out, problem=FakeProblem(wanted))
+        tuning = Tuning.from_dict(TUNE | {"iterations": 4})
+        run_tuning(tuning, out, problem=FakeProblem(tuning))
         return read_history(out).drop([CLOCK])
 
     def experiments(out: Path) -> pa.Table:
@@ -98,7 +98,7 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
     }
 
 
-def ended(job: Callable[[Path], pa.Table], out: Path, before: int = 0) -> bool:
+def ended(job: Callable[[Path], pa.Table], out: Path, calls: int = 0) -> bool:
     """Run a job in a process of its own, which writes its table beside the directory; whether it was killed."""
     child = os.fork()
     if child:
@@ -110,12 +110,12 @@ def ended(job: Callable[[Path], pa.Table], out: Path, before: int = 0) -> bool:
     code, changes = 1, 0
 
     def counted(act: Callable[..., Any]) -> Callable[..., Any]:
-        def acting(*given: Any, **named: Any) -> Any:
+        def acting(*arguments: Any, **keywords: Any) -> Any:
             nonlocal changes
-            changes += str(given[0]).startswith(str(out))
-            if changes == before > 0:
+            changes += str(arguments[0]).startswith(str(out))
+            if changes == calls > 0:
                 os.kill(os.getpid(), signal.SIGKILL)
-            return act(*given, **named)
+            return act(*arguments, **keywords)
 
         return acting
 
@@ -146,15 +146,18 @@ if __name__ == "__main__":
     faulthandler.enable()
     top, kills = Path(sys.argv[1]), {}
     for kind, job in jobs().items():
-        alone = top / f"{kind}-alone"
-        assert not ended(job, alone)
-        for before in BEFORE:
-            out = top / f"{kind}-{before}"
-            if not ended(job, out, before):
+        reference = top / f"{kind}-alone"
+        assert not ended(job, reference)
+        for calls in BEFORE:
+            out = top / f"{kind}-{calls}"
+            if not ended(job, out, calls):
                 break
             kills[kind] = kills.get(kind, 0) + 1
             assert not ended(job, out), out
-            texts = [place.with_name(f"{place.name}.txt").read_text() for place in (alone, out)]
+            texts = [
+                directory.with_name(f"{directory.name}.txt").read_text()
+                for directory in (reference, out)
+            ]
             assert texts[0] == texts[1], out
             assert [
                 path.name

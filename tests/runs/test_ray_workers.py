@@ -81,10 +81,10 @@ def nodes(tmp_path_factory):
 
 def test_a_cluster_that_loses_and_gains_nodes_makes_the_undisturbed_table(tmp_path, nodes):
     """Three nodes, one killed, one added: bit for bit, and only what the lost one was at is computed again."""
-    undisturbed, (out, ended) = run_sweep(SPEC, tmp_path, simulator=FakeSimulator()).table, nodes
-    assert (ended["sweep"]["complete"], ended["sweep"]["chunks_run"]) == (True, 36)
+    undisturbed, (out, reports) = run_sweep(SPEC, tmp_path, simulator=FakeSimulator()).table, nodes
+    assert (reports["sweep"]["complete"], reports["sweep"]["chunks_run"]) == (True, 36)
     assert read_table(out / "sweep").equals(undisturbed)
-    (sentence,) = ended["sweep"]["said"]
+    (sentence,) = reports["sweep"]["said"]
     assert re.fullmatch(
         r"a worker on \S+ \(\S+\) is lost \(\w+\); what it computed is computed again\.", sentence
     )
@@ -111,8 +111,11 @@ def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
     assert ("Interrupted: stopped; what is finished is kept" in log) == (
         number == signal.SIGTERM
     ), log[-3000:]
-    kept = len(list(tmp_path.glob("out/results/*.parquet")))
-    assert told(started("driver", tmp_path / "out", tmp_path / "log"))["chunks_run"] == 36 - kept
+    stored_chunks = len(list(tmp_path.glob("out/results/*.parquet")))
+    assert (
+        told(started("driver", tmp_path / "out", tmp_path / "log"))["chunks_run"]
+        == 36 - stored_chunks
+    )
     assert read_table(tmp_path / "out").equals(undisturbed)
     times, processes = computed(tmp_path / "log")
     assert len(times) == 36
@@ -122,15 +125,18 @@ def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
 
 def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tmp_path, nodes):
     """Five starts on three nodes are shares of two: the numbers are those of one batch but for XLA's rounding."""
-    (out, ended), tuning = nodes, Tuning.from_dict(STARTS)
-    alone = run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
-    assert (ended["tuning"]["iterations"], len(ended["tuning"]["said"])) == (
-        alone.iterations_run,
+    (out, reports), tuning = nodes, Tuning.from_dict(STARTS)
+    reference = run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
+    assert (reports["tuning"]["iterations"], len(reports["tuning"]["said"])) == (
+        reference.iterations_run,
         1,
     )
     table = pq.read_table(out / "tuning" / "history.parquet").drop_columns(["wall_seconds"])
     for name in table.column_names:
-        theirs, ours = (each.column(name).to_pylist() for each in (table, alone.history))
+        theirs, ours = (
+            table_of_tuning.column(name).to_pylist()
+            for table_of_tuning in (table, reference.history)
+        )
         assert theirs == (
             pytest.approx(ours, rel=1e-4, abs=1e-5, nan_ok=True) if name != "code" else ours
         ), name
@@ -138,17 +144,17 @@ def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tm
         *(line.split() for line in (out / "tuning.log").read_text().splitlines()), strict=True
     )
     assert set(sizes) == {"2"}, "one shape, so that each worker compiles once"
-    assert len(sizes) <= 3 * alone.iterations_run + 1, "the share in flight"
+    assert len(sizes) <= 3 * reference.iterations_run + 1, "the share in flight"
     assert len(set(processes)) == 3
 
 
 def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, nodes, simulator):
     """Real walks in MuJoCo C, bit for bit, whoever simulated them."""
-    walked, (out, ended) = (
+    walked, (out, reports) = (
         run_sweep(WALKS, tmp_path, chunk=2, simulator=simulator("c")).table,
         nodes,
     )
-    assert ended["command"]["chunks_run"] == 3, ended["command"]
+    assert reports["command"]["chunks_run"] == 3, reports["command"]
     table = read_table(out / "command")
     for name in walked.column_names:
         np.testing.assert_array_equal(
@@ -162,10 +168,10 @@ def test_experiments_on_a_cluster_are_those_of_one_process(tmp_path, monkeypatch
     monkeypatch.setattr(
         "nermo_mjx.experiments.run.AT_ONCE", 1
     )  # as there; the seed follows a batch's first body
-    ended = told(started("real", tmp_path))
+    report = told(started("real", tmp_path))
     names = ["balance", "body"]
-    assert ended["names"] == names
-    assert {"balance", "body", "balance, 3 bodies", "body, 3 bodies"} <= set(ended["done"])
+    assert report["names"] == names
+    assert {"balance", "body", "balance, 3 bodies", "body, 3 bodies"} <= set(report["done"])
     run_experiments(names, tmp_path / "one", engine="c", quick=True, bodies=3)
     for name in (*names, *(f"{name}-bodies" for name in names)):
         theirs, ours = (
@@ -181,23 +187,25 @@ def test_experiments_on_a_cluster_are_those_of_one_process(tmp_path, monkeypatch
 
 def test_tasks_and_nodes_that_fail_are_named(tmp_path):
     """What fails in a task, kills its worker again and again, has other code, or cannot run, is one sentence each."""
-    told_by = told(started("tasks"))
-    ended = told_by["ended"]
-    assert ended["None"] == {str(k): 2 * k for k in range(6)}
-    assert ended["3"] == "3: ZeroDivisionError('not 3')"
-    assert re.fullmatch(r"3: RuntimeError\('its worker was lost 3 times \(\w+\)'\)", ended["dies"])
+    output = told(started("tasks"))
+    outcomes = output["ended"]
+    assert outcomes["None"] == {str(k): 2 * k for k in range(6)}
+    assert outcomes["3"] == "3: ZeroDivisionError('not 3')"
+    assert re.fullmatch(
+        r"3: RuntimeError\('its worker was lost 3 times \(\w+\)'\)", outcomes["dies"]
+    )
     node = r"node \S+ \(127\.0\.0\.1\) is not used: "
     assert re.fullmatch(
         rf"{node}it has other code: nermo-mjx 9\.9\.9, not {re.escape(__version__)}\.",
-        ended["code"],
+        outcomes["code"],
     )
     assert re.fullmatch(
-        rf"{node}no worker starts there: RuntimeError: no engine here\.", ended["cold"]
+        rf"{node}no worker starts there: RuntimeError: no engine here\.", outcomes["cold"]
     )
-    assert {ended["code"], ended["cold"]} < set(told_by["said"])
+    assert {outcomes["code"], outcomes["cold"]} < set(output["said"])
     loopback = {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
-    assert told_by["addresses"]
-    assert set(told_by["addresses"]) <= loopback, "who is elsewhere cannot run code here"
+    assert output["addresses"]
+    assert set(output["addresses"]) <= loopback, "who is elsewhere cannot run code here"
 
 
 @pytest.mark.long
@@ -218,28 +226,28 @@ def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path)
         "--kill-driver",
     ]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
+    process = subprocess.run(
         [*map(str, command)], env=environment, capture_output=True, text=True, timeout=580
     )
-    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-    found = json.loads(done.stdout.splitlines()[-1])
-    assert (found["same"], found["unexplained"], found["chunks"], found["drivers_lost"]) == (
+    assert process.returncode == 0, process.stdout + process.stderr[-3000:]
+    report = json.loads(process.stdout.splitlines()[-1])
+    assert (report["same"], report["unexplained"], report["chunks"], report["drivers_lost"]) == (
         True,
         0,
         40,
         1,
     )
-    assert found["nodes_killed"] >= 1
+    assert report["nodes_killed"] >= 1
 
 
-@pytest.mark.parametrize("what", ["sweep", "tune", "experiment"])
-def test_an_address_without_ray_is_wrong_use(tmp_path, what):
+@pytest.mark.parametrize("command", ["sweep", "tune", "experiment"])
+def test_an_address_without_ray_is_wrong_use(tmp_path, command):
     """One sentence, and no directory."""
     spec = tmp_path / "spec.yaml"
-    spec.write_text(json.dumps(TUNING if what == "tune" else WALKS))
-    subject = {"experiment": ["body"]}.get(what, [str(spec)])
+    spec.write_text(json.dumps(TUNING if command == "tune" else WALKS))
+    subject = {"experiment": ["body"]}.get(command, [str(spec)])
     result = CliRunner().invoke(
-        main, [what, *subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"]
+        main, [command, *subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"]
     )
     assert result.exit_code == 2
     assert "--ray-address is given without --workers ray" in result.stderr
@@ -267,7 +275,7 @@ def test_a_cluster_that_is_not_there_is_one_sentence_at_once(address, why):
 
 def test_this_process_asks_for_a_task_when_it_is_free():
     """The local side of the seam: one at a time, in order, and its progress by the task's key."""
-    asked, told_of = [], []
+    items, results_and_times = [], []
 
     class Computer:
         def __call__(self, task, progress):
@@ -279,10 +287,11 @@ def test_this_process_asks_for_a_task_when_it_is_free():
     workers = LocalWorkers()
     workers.begin(Computer())
     results = workers.results(
-        ((asked.append(k), (k, 10 * k))[1] for k in range(3)), lambda *told: told_of.append(told)
+        ((items.append(k), (k, 10 * k))[1] for k in range(3)),
+        lambda *arguments: results_and_times.append(arguments),
     )
     assert next(results) == (0, 0)
-    assert (asked, told_of) == ([0], [(0, 0.5)])
+    assert (items, results_and_times) == ([0], [(0, 0.5)])
     assert list(results) == [(1, 20), (2, 40)]
 
 
@@ -294,8 +303,8 @@ def test_a_process_that_would_open_the_cluster_to_other_machines_is_refused():
         for name, value in os.environ.items()
         if name != "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
     }
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True
     )
-    assert done.returncode == 1
-    assert "set this environment variable before `import ray`" in done.stderr
+    assert process.returncode == 1
+    assert "set this environment variable before `import ray`" in process.stderr

@@ -30,135 +30,139 @@ def keys(values):
     return keys_of("walk", {"a": np.asarray(values, float)}, len(values))
 
 
-def opened(held, group="aa", also=(), **how):
-    return Runs(held.out, group, also, held=held, **how)
+def opened(directory, group="aa", also=(), **options):
+    return Runs(directory.out, group, also, held=directory, **options)
 
 
 def add(runs, values, first=0, series=False):
     rows = first + np.arange(len(values))
-    about = {"engine": "c", "steps": "10", "wall_seconds": "2.0"}
+    metadata = {"engine": "c", "steps": "10", "wall_seconds": "2.0"}
     table = pa.table({"row": rows, "speed": np.asarray(values) * 2.0}).replace_schema_metadata(
-        about
+        metadata
     )
     samples = pa.table({"row": np.repeat(rows, 2), "x": np.repeat(values, 2)}) if series else None
     return runs.add(keys(values), table, samples)
 
 
 @pytest.fixture
-def held(tmp_path):
-    with RunDirectory(tmp_path / "out", "sweep") as held:
-        yield held
+def directory(tmp_path):
+    with RunDirectory(tmp_path / "out", "sweep") as directory:
+        yield directory
 
 
 # --- found by content
 
 
 def test_a_key_is_of_content_and_of_nothing_else():
-    both = keys_of("walk", {"b": np.array([1.0, np.nan]), "a": np.array([0.0, -0.0])}, 2)
-    assert both[0] == keys_of("walk", {"a": np.zeros(1), "b": np.ones(1)}, 1)[0]
-    assert both[1] == keys_of("walk", {"a": np.zeros(1)}, 1)[0]
-    assert keys_of("other", {"a": np.zeros(1)}, 1)[0] != both[1]
+    row_keys = keys_of("walk", {"b": np.array([1.0, np.nan]), "a": np.array([0.0, -0.0])}, 2)
+    assert row_keys[0] == keys_of("walk", {"a": np.zeros(1), "b": np.ones(1)}, 1)[0]
+    assert row_keys[1] == keys_of("walk", {"a": np.zeros(1)}, 1)[0]
+    assert keys_of("other", {"a": np.zeros(1)}, 1)[0] != row_keys[1]
     assert (
         keys_of("walk", {"a": np.full(1, 0.1)}, 1)[0]
         != keys_of("walk", {"a": np.full(1, 0.1 + 1e-16)}, 1)[0]
     )
 
 
-def test_runs_are_found_again_in_any_order_and_by_another_job(held):
-    add(opened(held), [1.0, 2.0])
-    add(opened(held), [3.0], first=2)
-    assert sorted(opened(held).numbers.tolist()) == [0, 1, 2]
-    other = opened(held, "bb")  # extended: the same folder, another job
-    assert len(other.numbers) == 0
-    places = other.find(keys([3.0, 9.0, 1.0]))
+def test_runs_are_found_again_in_any_order_and_by_another_job(directory):
+    add(opened(directory), [1.0, 2.0])
+    add(opened(directory), [3.0], first=2)
+    assert sorted(opened(directory).numbers.tolist()) == [0, 1, 2]
+    second_job = opened(directory, "bb")  # extended: the same folder, another job
+    assert len(second_job.numbers) == 0
+    places = second_job.find(keys([3.0, 9.0, 1.0]))
     assert (places >= 0).tolist() == [True, False, True]
-    found = other.take(places[places >= 0])
-    assert found.column("speed").to_pylist() == [6.0, 2.0]
-    assert found.schema.metadata[b"steps"] == b"15.0"  # the whole of one part, half of the other
+    rows = second_job.take(places[places >= 0])
+    assert rows.column("speed").to_pylist() == [6.0, 2.0]
+    assert rows.schema.metadata[b"steps"] == b"15.0"  # the whole of one part, half of the other
 
 
-def test_parts_of_another_job_leave_the_folder_that_is_read_whole_and_come_back(held):
-    first = add(opened(held, series=True), [1.0], series=True)
-    runs = opened(held, "bb", series=True)
+def test_parts_of_another_job_leave_the_folder_that_is_read_whole_and_come_back(directory):
+    first = add(opened(directory, series=True), [1.0], series=True)
+    runs = opened(directory, "bb", series=True)
     places = runs.find(keys([1.0]))
     runs.take_codes([STAMP], accept=True)
     assert runs.take(places)["speed"].to_pylist() == [2.0], "also after they were moved"
     second = add(runs, [2.0])
-    assert [path.name for path in part_files(held.out)] == [second.path.name]
-    assert not first.series.is_relative_to(held.out / "series")
-    assert len(list(held.out.glob("former/*/*.parquet"))) == 2
-    runs = opened(held, series=True)
+    assert [path.name for path in part_files(directory.out)] == [second.path.name]
+    assert not first.series.is_relative_to(directory.out / "series")
+    assert len(list(directory.out.glob("former/*/*.parquet"))) == 2
+    runs = opened(directory, series=True)
     assert runs.numbers.tolist() == [0]
     assert first.path.exists()
 
 
-@pytest.mark.parametrize("moved", [0, 1, 2])
-def test_a_process_killed_while_it_moves_parts_loses_none(held, monkeypatch, moved):
+@pytest.mark.parametrize("move_number", [0, 1, 2])
+def test_a_process_killed_while_it_moves_parts_loses_none(directory, monkeypatch, move_number):
     """Of runs and of their series, which are moved one after the other: both jobs find all of them."""
-    add(opened(held), [1.0], series=True)
+    add(opened(directory), [1.0], series=True)
     moves, rename = itertools.count(), Path.rename
 
     def killed(path, target):
-        if next(moves) == moved:
+        if next(moves) == move_number:
             raise KeyboardInterrupt
         return rename(path, target)
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", killed)
-        if moved < 2:
+        if move_number < 2:
             with pytest.raises(KeyboardInterrupt):
-                retire(held, "bb")
+                retire(directory, "bb")
         else:
-            retire(held, "bb")
+            retire(directory, "bb")
     for group in ("bb", "aa"):
         warned = []
-        runs = opened(held, group, series=True, warn=warned.append)
-        (place,) = runs.find(keys([1.0]))
-        assert [each["x"].to_pylist() for each in runs.series(np.array([place]))] == [[1.0, 1.0]]
+        runs = opened(directory, group, series=True, warn=warned.append)
+        (index,) = runs.find(keys([1.0]))
+        assert [
+            series_table["x"].to_pylist() for series_table in runs.series(np.array([index]))
+        ] == [[1.0, 1.0]]
         assert warned == []
 
 
-def test_another_directory_is_only_read(held, tmp_path):
-    with RunDirectory(tmp_path / "there", "sweep") as there:
-        store = opened(there)
+def test_another_directory_is_only_read(directory, tmp_path):
+    with RunDirectory(tmp_path / "there", "sweep") as other_directory:
+        store = opened(other_directory)
         store.take_codes([STAMP], accept=False)
         path = add(store, [1.0], series=True).path
-    runs = opened(held, also=[tmp_path / "there"], series=True)
-    (place,) = runs.find(keys([1.0]))
-    assert runs.take(np.array([place])).column("speed").to_pylist() == [2.0]
-    assert [each.column("x").to_pylist() for each in runs.series(np.array([place]))] == [[1.0, 1.0]]
+    runs = opened(directory, also=[tmp_path / "there"], series=True)
+    (index,) = runs.find(keys([1.0]))
+    assert runs.take(np.array([index])).column("speed").to_pylist() == [2.0]
+    assert [
+        series_table.column("x").to_pylist() for series_table in runs.series(np.array([index]))
+    ] == [[1.0, 1.0]]
     assert runs.codes(accept=False) == [STAMP]
     path.write_bytes(path.read_bytes()[:-1])
-    said = []
-    assert opened(held, also=[tmp_path / "there"], warn=said.append).find(keys([1.0])).tolist() == [
-        -1
-    ]
+    warned = []
+    assert opened(directory, also=[tmp_path / "there"], warn=warned.append).find(
+        keys([1.0])
+    ).tolist() == [-1]
     assert path.exists()
-    assert str(path) in said[0]
+    assert str(path) in warned[0]
 
 
 def test_without_the_directory_nothing_is_written(tmp_path):
     """As a forecast asks: neither folders nor what is damaged change."""
     assert len(Runs(tmp_path / "none", "aa").numbers) == 0
     assert not (tmp_path / "none").exists()
-    with RunDirectory(tmp_path / "out", "sweep") as held:
-        path = add(opened(held), [1.0]).path
-        retire(held, "bb")
-        add(opened(held, "bb"), [2.0])
-    moved = next(tmp_path.glob("out/former/results/*"))
-    moved.write_bytes(b"half")
-    before = contents(tmp_path)
-    said = []
-    assert len(Runs(tmp_path / "out", "aa", warn=said.append).numbers) == 0
-    assert said == [f"{moved} is damaged; its runs are not used."]
-    assert before == contents(tmp_path)
+    with RunDirectory(tmp_path / "out", "sweep") as directory:
+        path = add(opened(directory), [1.0]).path
+        retire(directory, "bb")
+        add(opened(directory, "bb"), [2.0])
+    retired_path = next(tmp_path.glob("out/former/results/*"))
+    retired_path.write_bytes(b"half")
+    former_contents = contents(tmp_path)
+    warned = []
+    assert len(Runs(tmp_path / "out", "aa", warn=warned.append).numbers) == 0
+    assert warned == [f"{retired_path} is damaged; its runs are not used."]
+    assert former_contents == contents(tmp_path)
     assert not path.exists()
 
 
-def test_runs_of_unknown_code_are_used_only_when_that_is_accepted(held, tmp_path):
-    with RunDirectory(tmp_path / "there", "sweep") as there:
-        add(opened(there), [1.0])
-    runs = opened(held, also=[tmp_path / "there"])
+def test_runs_of_unknown_code_are_used_only_when_that_is_accepted(directory, tmp_path):
+    with RunDirectory(tmp_path / "there", "sweep") as other_directory:
+        add(opened(other_directory), [1.0])
+    runs = opened(directory, also=[tmp_path / "there"])
     with pytest.raises(
         OtherCode,
         match="there does not say which code made it: its runs are used with --accept-new",
@@ -170,30 +174,33 @@ def test_runs_of_unknown_code_are_used_only_when_that_is_accepted(held, tmp_path
 # --- faults
 
 
-def test_any_damage_is_seen_and_nothing_is_deleted(held):
+def test_any_damage_is_seen_and_nothing_is_deleted(directory):
     """A flipped byte of pages, footer, its length, the letters at both ends, of runs and of series; a file that is cut,
     or another part's: its name has its content's digest, not only a valid Parquet file counts."""
-    runs = opened(held, series=True)
+    runs = opened(directory, series=True)
     part = add(runs, [1.0, 2.0], series=True)
-    other = add(runs, [3.0], first=2, series=True)
-    for file, instead in ((part.path, other.path), (part.series, other.series)):
+    second_part = add(runs, [3.0], first=2, series=True)
+    for file, instead in ((part.path, second_part.path), (part.series, second_part.series)):
         content = file.read_bytes()
         flips = [
-            (at, content[at] ^ 1 << (at % 8))
-            for at in [*range(0, len(content), 41), len(content) - 1]
+            (position, content[position] ^ 1 << (position % 8))
+            for position in [*range(0, len(content), 41), len(content) - 1]
         ]
-        wrong = [content[:at] + bytes([flipped]) + content[at + 1 :] for at, flipped in flips]
+        wrong = [
+            content[:position] + bytes([flipped]) + content[position + 1 :]
+            for position, flipped in flips
+        ]
         wrong += [content[:cut] for cut in (0, 1, 7, 8, 100, -1, -200)]
         for damaged in [*wrong, instead.read_bytes()]:
             file.write_bytes(damaged)
-            said = []
-            runs = opened(held, series=True, warn=said.append)
+            warned = []
+            runs = opened(directory, series=True, warn=warned.append)
             assert runs.numbers.tolist() == [2], damaged
-            assert [str(part.path) in each for each in said] == [True]
-            assert damaged in [path.read_bytes() for path in held.out.glob("*.aside/*")]
+            assert [str(part.path) in message for message in warned] == [True]
+            assert damaged in [path.read_bytes() for path in directory.out.glob("*.aside/*")]
             add(runs, [1.0, 2.0], series=True)
-            assert sorted(opened(held, series=True).numbers.tolist()) == [0, 1, 2]
-            for path in held.out.glob("*.aside/*"):
+            assert sorted(opened(directory, series=True).numbers.tolist()) == [0, 1, 2]
+            for path in directory.out.glob("*.aside/*"):
                 path.unlink()
 
 
@@ -206,9 +213,9 @@ class FullDisk(io.FileIO):
 
 
 @pytest.mark.parametrize("folder", ["series", "results"])
-def test_a_full_disk_leaves_nothing_half_written(held, monkeypatch, folder):
+def test_a_full_disk_leaves_nothing_half_written(directory, monkeypatch, folder):
     """Whether the series or the runs have no room: the runs are not there, and all others are."""
-    runs = opened(held, series=True)
+    runs = opened(directory, series=True)
     add(runs, [1.0], series=True)
     with monkeypatch.context() as patch:
 
@@ -220,26 +227,26 @@ def test_a_full_disk_leaves_nothing_half_written(held, monkeypatch, folder):
             DirectoryError, match=r"No space left on device\. What is finished is kept"
         ):
             add(runs, [2.0], first=1, series=True)
-    assert not list(held.out.rglob("*.nermo-tmp"))
-    runs = opened(held, series=True)
+    assert not list(directory.out.rglob("*.nermo-tmp"))
+    runs = opened(directory, series=True)
     assert runs.numbers.tolist() == [0]
-    assert len(list(held.out.glob("series/*"))) == 1
+    assert len(list(directory.out.glob("series/*"))) == 1
     add(runs, [2.0], first=1, series=True)
-    assert sorted(opened(held, series=True).numbers.tolist()) == [0, 1]
+    assert sorted(opened(directory, series=True).numbers.tolist()) == [0, 1]
 
 
-@pytest.mark.parametrize("lost", ["rename", "bytes"])
-def test_what_a_disk_loses_is_missing_when_it_is_looked_at_again(held, monkeypatch, lost):
+@pytest.mark.parametrize("operation", ["rename", "bytes"])
+def test_what_a_disk_loses_is_missing_when_it_is_looked_at_again(directory, monkeypatch, operation):
     replace = os.replace
 
     def loses(source, target):
-        if lost == "rename":
+        if operation == "rename":
             os.unlink(source)
         else:
             Path(source).write_bytes(Path(source).read_bytes()[:-1])
             replace(source, target)
 
-    runs = opened(held)
+    runs = opened(directory)
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", loses)
         add(runs, [1.0])
@@ -252,8 +259,8 @@ CHILD = """
 import sys, numpy as np; sys.path[:0] = sys.argv[2].split()
 from test_rows import *
 shard = (int(sys.argv[3]), 3) if len(sys.argv) > 3 else None
-with RunDirectory(sys.argv[1], "sweep", shard) as held:
-    runs = opened(held, series=True)
+with RunDirectory(sys.argv[1], "sweep", shard) as directory:
+    runs = opened(directory, series=True)
     done = set(runs.numbers.tolist())
     for i in range(shard[0] if shard else 0, 300, 3 if shard else 1):
         if i not in done:
@@ -271,20 +278,20 @@ def child(out, *shard):
 @pytest.mark.release
 def test_what_killed_processes_stored_is_whole(tmp_path):
     """Three times, at other moments, in one directory: all that they said to be stored is there, undamaged."""
-    said, chance = [], random.Random(1)
+    output_lines, chance = [], random.Random(1)
     for round_ in range(3):
         process = child(tmp_path)
-        said += [process.stdout.readline() for _ in range(5 + round_)]
+        output_lines += [process.stdout.readline() for _ in range(5 + round_)]
         time.sleep(chance.uniform(0.0, 0.01))
         process.send_signal(signal.SIGKILL)
-        said += process.stdout.readlines()
+        output_lines += process.stdout.readlines()
         process.wait()
-    with RunDirectory(tmp_path, "sweep") as held:
+    with RunDirectory(tmp_path, "sweep") as directory:
         warned = []
-        rows = opened(held, warn=warned.append, series=True).numbers.tolist()
+        rows = opened(directory, warn=warned.append, series=True).numbers.tolist()
     assert not warned
     assert sorted(rows) == list(range(len(rows)))
-    assert set(rows) >= {int(line) for line in said if line.endswith("\n")}
+    assert set(rows) >= {int(line) for line in output_lines if line.endswith("\n")}
 
 
 @pytest.mark.release
@@ -302,9 +309,9 @@ def test_shards_add_at_the_same_time(tmp_path):
     processes.append(child(tmp_path, 1))
     for process in processes:
         process.communicate(timeout=60)
-    with RunDirectory(tmp_path, "sweep") as held:
+    with RunDirectory(tmp_path, "sweep") as directory:
         warned = []
-        assert sorted(opened(held, warn=warned.append, series=True).numbers.tolist()) == list(
+        assert sorted(opened(directory, warn=warned.append, series=True).numbers.tolist()) == list(
             range(300)
         )
         assert warned == []

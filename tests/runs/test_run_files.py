@@ -58,9 +58,9 @@ def test_a_name_that_is_not_utf8_is_refused(tmp_path: Path) -> None:
 
     name = b"gr\xf6\xdfe".decode(errors="surrogateescape")
     for words in (["sweep", "s.yaml", "--out", name], ["status", name]):
-        done = call(*words)
-        assert done.exit_code == 2
-        assert r"'gr\udcf6\udcdfe' is not UTF-8: rename" in done.stderr
+        result = call(*words)
+        assert result.exit_code == 2
+        assert r"'gr\udcf6\udcdfe' is not UTF-8: rename" in result.stderr
     with pytest.raises(RuntimeError, match="is not UTF-8"):
         make_writable(tmp_path / name)
     assert not list(tmp_path.iterdir())

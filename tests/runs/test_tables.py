@@ -26,8 +26,9 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def documented(start: str) -> str:
-    """The first line of the page that begins so."""
-    return re.findall(rf"^({re.escape(start)}.*)$", PAGE.read_text(), re.MULTILINE)[0]
+    """The first statement of the page that begins so, with its indented lines and the closing brace."""
+    statement = rf"^({re.escape(start)}.*(?:\n[ }}].*)*)$"
+    return re.findall(statement, PAGE.read_text(), re.MULTILINE)[0]
 
 
 @pytest.mark.parametrize("package", ["pandas", "polars", "duckdb"])
@@ -35,13 +36,13 @@ def test_tables_open_in_one_line(package: str, out: Path) -> None:
     """As the page has it, with all rows and the same numbers."""
     module = pytest.importorskip(package)
     line = documented(f"{package}.").replace("DIR", str(out)).partition("  #")[0]
-    found = eval(line, {package: module})
-    frame = found.df() if package == "duckdb" else found
+    loaded = eval(line, {package: module})
+    frame = loaded.df() if package == "duckdb" else loaded
     table = read_table(out)
-    place = np.argsort(np.asarray(frame["row"]))
+    order = np.argsort(np.asarray(frame["row"]))
     assert len(frame) == table.num_rows == 6
     for name in ("frequency", "stride", "speed"):
-        np.testing.assert_array_equal(np.asarray(frame[name])[place], table.column(name).to_numpy())
+        np.testing.assert_array_equal(np.asarray(frame[name])[order], table.column(name).to_numpy())
     assert set(frame["status"]) == {"ok"}
 
 

@@ -1,4 +1,4 @@
-# Tests of runs/job.py
+# Tests of runs/job.py, sweep/scalars.py
 """Scalars of each chunk for TensorBoard: read with its own reader, over two sessions."""
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     table = read_table(tmp_path)
     well = np.array(table.column("status").to_pylist()) == "ok"
     speed = table.column("speed").to_numpy()[well]
-    known = {
+    expected_values = {
         "best/speed": speed.max(),
         "mean/speed": speed.mean(),
         "rows": 36,
@@ -38,7 +38,7 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
         "status/ok": well.sum(),
         "status/fell": (~well).sum(),
     }
-    found: dict[str, dict[int, float]] = {}
+    series: dict[str, dict[int, float]] = {}
     for path in sorted((tmp_path / "tensorboard").iterdir()):
         content = path.read_bytes()
         while (
@@ -47,10 +47,10 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
             size = int.from_bytes(content[:8], "little")
             event, content = Event.FromString(content[12 : 12 + size]), content[16 + size :]
             for value in event.summary.value:
-                found.setdefault(value.tag, {})[event.step] = value.simple_value
-    assert sorted(found["rows"]) == [9, 18, 27, 36]
-    for name, value in known.items():
-        assert found[name][36] == pytest.approx(value, rel=1e-6)
+                series.setdefault(value.tag, {})[event.step] = value.simple_value
+    assert sorted(series["rows"]) == [9, 18, 27, 36]
+    for name, value in expected_values.items():
+        assert series[name][36] == pytest.approx(value, rel=1e-6)
     # Of every chunk, however fast the machine: a chunk of a fake simulator takes less than a millisecond.
-    assert sorted(found["steps_per_second"]) == [9, 18, 27, 36]
-    assert all(value > 0 for value in found["steps_per_second"].values())
+    assert sorted(series["steps_per_second"]) == [9, 18, 27, 36]
+    assert all(value > 0 for value in series["steps_per_second"].values())

@@ -35,12 +35,14 @@ UPDATE = (
     "        phase = (phase + params.frequency * self.dt) % 1.0\n"
     "        return phase, self.servos(params, phase)\n"
 )
+#: The first line of `UPDATE` in the file.
+LINE = BOUND[: BOUND.index(UPDATE)].count("\n") + 1
 #: What is replaced in `bound.py`, by what, and what is said of it.
 CONTROLLERS = {
     "nothing": (
         UPDATE,
         "        pass\n",
-        r"update \(own.py:39\), which gives NoneType: expected two",
+        rf"update \(own.py:{LINE - 1}\), which gives NoneType: expected two",
     ),
     "no servos": (
         UPDATE,
@@ -56,27 +58,27 @@ CONTROLLERS = {
     "raises": (
         UPDATE,
         "        raise RuntimeError('boom')\n",
-        "update .* fails at own.py:40: RuntimeError: boom",
+        f"update .* fails at own.py:{LINE}: RuntimeError: boom",
     ),
     "if": (
         UPDATE,
         "        if phase > 0.5: pass\n" + UPDATE,
-        "at own.py:40: it cannot be compiled",
+        f"at own.py:{LINE}: it cannot be compiled",
     ),
     "numpy": (
         UPDATE,
         "        import numpy\n        numpy.asarray(phase)\n" + UPDATE,
-        "at own.py:41: it cannot be",
+        f"at own.py:{LINE + 1}: it cannot be",
     ),
     "range": (
         UPDATE,
         "        for i in range(phase): pass\n" + UPDATE,
-        "at own.py:40: (it cannot be|TypeError)",
+        f"at own.py:{LINE}: (it cannot be|TypeError)",
     ),
     "sensor": (
         UPDATE,
         "        sensors.gyros\n" + UPDATE,
-        "at own.py:40: AttributeError.*did you mean 'gyro'",
+        f"at own.py:{LINE}: AttributeError.*did you mean 'gyro'",
     ),
     "whole start": (
         "        return phase\n\n    def initial",
@@ -129,7 +131,7 @@ CONTROLLERS = {
     "maker": (
         "    dt = 0.01",
         "    dt = 0.01\n    def __init__(self): 1 / 0",
-        "at own.py:24: ZeroDivisionError",
+        f"at own.py:{LINE - 19}: ZeroDivisionError",
     ),
     "arguments": (
         "    dt = 0.01",
@@ -162,10 +164,10 @@ def test_a_wrong_controller_is_refused_with_file_and_line(tmp_path: Path, case: 
 @pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
 def test_angles_that_become_nan_are_a_divergence(tmp_path: Path, engine: str) -> None:
     """Whether servos, and not only the body, lose their numbers."""
-    late = UPDATE.replace(
+    code = UPDATE.replace(
         "self.servos(params, phase)", "self.servos(params, jnp.sqrt(params.lag - phase) ** 2)"
     )
-    (tmp_path / "own.py").write_text(BOUND.replace(UPDATE, late))
+    (tmp_path / "own.py").write_text(BOUND.replace(UPDATE, code))
     simulator = Simulator(
         Setup(controller=f"{tmp_path / 'own.py'}:Bound", physics="fast"), engine=engine
     )
@@ -180,13 +182,13 @@ def test_derived_values_are_refused_at_the_field_that_was_written(tmp_path: Path
         "vary:\n  duty: [0.5, 0.6, 0.005]",
         "x",
     )
-    own = (
+    controller_text = (
         BOUND
         + "\n    def complete(self, values):\n        return {'lag': 1 / values.get('reach', 1.0), **values}\n"
     )
-    own += "\n\nclass Root(Bound):\n    def cycle_rate(self, params):\n"
-    own += "        return jnp.sqrt(params.frequency - 1.0)\n"
-    (tmp_path / "own.py").write_text(own)
+    controller_text += "\n\nclass Root(Bound):\n    def cycle_rate(self, params):\n"
+    controller_text += "        return jnp.sqrt(params.frequency - 1.0)\n"
+    (tmp_path / "own.py").write_text(controller_text)
     for name, varied, message in (
         (
             "Bound",

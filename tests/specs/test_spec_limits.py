@@ -22,7 +22,7 @@ from nermo_mjx.sweep import Sweep, run_sweep
 
 
 @pytest.mark.parametrize(
-    ("read", "spec", "said"),
+    ("function", "spec", "message"),
     [
         (
             Sweep.from_dict,
@@ -57,27 +57,27 @@ from nermo_mjx.sweep import Sweep, run_sweep
         ),
         *(
             (
-                read,
+                function,
                 spec | {"pilot": {"waypoints": {"points": [[0.0, 0.0], [0.0, -0.5], [far, -1.0]]}}},
-                said,
+                message,
             )
-            for read, spec in (
+            for function, spec in (
                 (Sweep.from_dict, {"vary": {"frequency": [0.8]}}),
                 (Search.from_dict, SEARCH),
                 (Tuning.from_dict, TUNE),
                 (Training.from_dict, {}),
             )
-            for far, said in (
+            for far, message in (
                 (1e308, "field 'pilot.waypoints.points' is refused: Way point 2 is (1e+308, -1): "),
             )
         ),
     ],
 )
 def test_a_batch_that_does_not_fit_and_a_run_without_end_are_refused(
-    read: Any, spec: Any, said: str
+    function: Any, spec: Any, message: str
 ) -> None:
-    with pytest.raises(SpecError, match=re.escape(said)):
-        read(spec)
+    with pytest.raises(SpecError, match=re.escape(message)):
+        function(spec)
 
 
 def test_the_ticks_of_a_sweep_have_a_limit(tmp_path: Path) -> None:

@@ -37,9 +37,9 @@ def schemas() -> dict[str, dict[str, Any]]:
 def kind_of(path: Path) -> str:
     """Which command a shipped file is for."""
     data = read_file(path).data
-    named = next((name for name in ("tune", "task") if name in data), "")
-    if named:
-        return {"tune": "tune", "task": "train"}[named]
+    section = next((name for name in ("tune", "task") if name in data), "")
+    if section:
+        return {"tune": "tune", "task": "train"}[section]
     return "search" if {"objective", "pareto"} & set(data) else "sweep"
 
 
@@ -73,8 +73,8 @@ def test_resolved_files_are_valid(schemas, path):
     from nermo_mjx.sweep import Sweep
 
     kind = kind_of(path)
-    read = {"tune": Tuning, "search": Search, "sweep": Sweep, "train": Training}[kind]
-    assert faults(schemas[kind], read.from_file(path).resolved()) == []
+    spec_class = {"tune": Tuning, "search": Search, "sweep": Sweep, "train": Training}[kind]
+    assert faults(schemas[kind], spec_class.from_file(path).resolved()) == []
 
 
 SWEEP, TUNE = "vary: {frequency: [0.5]}\n", "tune: {duty: }\nobjective: [{maximize: speed}]\n"
@@ -97,13 +97,13 @@ GOOD = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "more"), GOOD)
-def test_what_is_read_is_valid(schemas, kind, more):
+@pytest.mark.parametrize(("kind", "addition"), GOOD)
+def test_what_is_read_is_valid(schemas, kind, addition):
     """A schema that rejects valid files would be ignored."""
     from nermo_mjx.optimize import Tuning
     from nermo_mjx.sweep import Sweep
 
-    text = (SWEEP if kind == "sweep" else TUNE) + more
+    text = (SWEEP if kind == "sweep" else TUNE) + addition
     (Sweep if kind == "sweep" else Tuning).from_text(text)
     assert faults(schemas[kind], read_text(text, "s.yaml").data) == []
 
@@ -158,9 +158,9 @@ def test_what_is_wrong_in_a_field_is_not_valid(schemas, kind, wrong):
     field = wrong.partition(":")[0]
     text = re.sub(rf"(?m)^{field}:.*\n", "", base) + wrong
     data = read_text(text, "s.yaml").data
-    read = {"sweep": Sweep.from_dict, "tune": Tuning.from_dict, "servos": read_channels}[kind]
+    reader = {"sweep": Sweep.from_dict, "tune": Tuning.from_dict, "servos": read_channels}[kind]
     with pytest.raises(SpecError):
-        read(data)
+        reader(data)
     assert faults(schemas[kind], data) != []
 
 
@@ -170,20 +170,20 @@ def test_every_parameter_is_offered_with_meaning_unit_default_and_range(schemas)
     sections += [schemas["sweep"]["$defs"][name] for name in ("Vary", "Randomized")]
     sections += [schemas["tune"]["properties"]["tune"]]
     for section in sections:
-        for name, about in all_parameters().items():
-            shown = section["properties"][name]["description"]
-            assert about.doc in shown
-            assert f"default {about.default:g}" in shown
-            assert about.allowed() in shown
+        for name, quantity in all_parameters().items():
+            description = section["properties"][name]["description"]
+            assert quantity.doc in description
+            assert f"default {quantity.default:g}" in description
+            assert quantity.allowed() in description
         assert section["additionalProperties"] is False
 
 
 def test_the_command_writes_a_file(tmp_path):
     """It prints only its name then, and with --quiet nothing; its folder is made."""
     out = tmp_path / "new" / "sweep.schema.json"
-    for more, said in (((), f"wrote {out}\n"), (("--quiet",), "")):
-        ran = call("schema", "sweep", "--out", out, *more)
-        assert (ran.exit_code, ran.output) == (0, said)
+    for options, message in (((), f"wrote {out}\n"), (("--quiet",), "")):
+        ran = call("schema", "sweep", "--out", out, *options)
+        assert (ran.exit_code, ran.output) == (0, message)
     assert (
         json_of("schema", "sweep", "--out", out)
         == json.loads(out.read_text())
@@ -218,13 +218,13 @@ ODD = [
     [{}],
     {},
 ]
-ODD += [{"x": each} for each in (None, 1, "a", [1], {})]
+ODD += [{"x": value} for value in (None, 1, "a", [1], {})]
 
 
 def sections(kind: type[Fields]) -> Iterator[type[Fields]]:
     """Every section of every file that is a model of its own; what others build on is part of them."""
-    for each in kind.__subclasses__():
-        yield from sections(each) if each.__subclasses__() else [each]
+    for subclass in kind.__subclasses__():
+        yield from sections(subclass) if subclass.__subclasses__() else [subclass]
 
 
 @pytest.mark.release
@@ -233,7 +233,8 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.learn import PPO, Modulation, Residual, Task
     from nermo_mjx.learn.spec import EvaluationSpec, TrainingFile
     from nermo_mjx.optimize.objective import ObjectiveTerm
-    from nermo_mjx.optimize.spec import CmaMe, Differences, Limit, SearchFile, Tuned, TuningFile
+    from nermo_mjx.optimize.search_spec import CmaMe, Limit, SearchFile
+    from nermo_mjx.optimize.tuning_spec import Differences, Tuned, TuningFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
 
@@ -246,23 +247,23 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
                 except SpecError as error:
                     messages.append(str(error))
     places = {
-        Task: (TrainingFile, lambda given: {"task": given}),
-        EvaluationSpec: (TrainingFile, lambda given: {"evaluate": given}),
-        PPO: (TrainingFile, lambda given: {"algorithm": {"ppo": given}}),
-        Residual: (TrainingFile, lambda given: {"task": {"action": {"residual": given}}}),
-        Modulation: (TrainingFile, lambda given: {"task": {"action": {"modulation": given}}}),
-        ObjectiveTerm: (TuningFile, lambda given: {"objective": [given]}),
-        Tuned: (TuningFile, lambda given: {"tune": {"duty": given}}),
-        Differences: (TuningFile, lambda given: {"method": {"wide_differences": given}}),
-        Limit: (SearchFile, lambda given: {"subject_to": {"speed": given}}),
-        CmaMe: (SearchFile, lambda given: {"method": {"cma_me": given}}),
+        Task: (TrainingFile, lambda value: {"task": value}),
+        EvaluationSpec: (TrainingFile, lambda value: {"evaluate": value}),
+        PPO: (TrainingFile, lambda value: {"algorithm": {"ppo": value}}),
+        Residual: (TrainingFile, lambda value: {"task": {"action": {"residual": value}}}),
+        Modulation: (TrainingFile, lambda value: {"task": {"action": {"modulation": value}}}),
+        ObjectiveTerm: (TuningFile, lambda value: {"objective": [value]}),
+        Tuned: (TuningFile, lambda value: {"tune": {"duty": value}}),
+        Differences: (TuningFile, lambda value: {"method": {"wide_differences": value}}),
+        Limit: (SearchFile, lambda value: {"subject_to": {"speed": value}}),
+        CmaMe: (SearchFile, lambda value: {"method": {"cma_me": value}}),
     }
     for section, (file, placed) in places.items():
-        for name in [each.name for each in dataclasses.fields(section)]:
+        for name in [field.name for field in dataclasses.fields(section)]:
             for odd in ODD:
                 try:
                     read(read_mapping(placed({name: odd})), file)
                 except SpecError as error:
                     messages.append(str(error))
     assert len(messages) > 5000
-    assert [each for each in messages if each[-1] not in ".?" or "\n" in each] == []
+    assert [message for message in messages if message[-1] not in ".?" or "\n" in message] == []

@@ -4,7 +4,7 @@
 import pytest
 
 from nermo_mjx.hardware.channels import read_channels
-from nermo_mjx.optimize.spec import Tuning
+from nermo_mjx.optimize.tuning_spec import Tuning
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.specs.reading import read_text
 from nermo_mjx.sweep import SpecError, Sweep
@@ -27,10 +27,10 @@ def test_of_a_list_of_merged_mappings_the_first_one_wins():
 
 def test_an_alias_stands_for_its_value_and_is_not_shared():
     """Changing one of the two does not change the other."""
-    read = data("a: &a [1, {b: 2}]\nc: *a\n")
-    assert read["c"] == read["a"] == [1, {"b": 2}]
-    assert read["c"] is not read["a"]
-    assert read["c"][1] is not read["a"][1]
+    document = data("a: &a [1, {b: 2}]\nc: *a\n")
+    assert document["c"] == document["a"] == [1, {"b": 2}]
+    assert document["c"] is not document["a"]
+    assert document["c"][1] is not document["a"][1]
 
 
 def test_a_quoted_merge_key_is_a_name():

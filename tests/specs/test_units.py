@@ -230,7 +230,8 @@ def test_python_takes_units(simulator):
         "spine.amplitude": math.pi / 18,
     }
     prepared = [
-        Simulator(setup, engine="c").prepare(each, Run(duration=0.2)) for each in (units, numbers)
+        Simulator(setup, engine="c").prepare(parameters, Run(duration=0.2))
+        for parameters in (units, numbers)
     ]
     assert prepared[0].named == prepared[1].named
     for name, values in prepared[0].worlds.control.spine.__dict__.items():

@@ -1,4 +1,4 @@
-# Tests of sweep/run.py
+# Tests of sweep/forecast.py
 """What a sweep would cost: counts that come true, nothing written, and where the rate is from."""
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from fakes.sweep_fake import SPEC, FakeSimulator, contents
 
 from nermo_mjx import Sweep, run_sweep
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.sweep.run import sweep_forecast
+from nermo_mjx.sweep.forecast import sweep_forecast
 
 
 def rate(sweep: Sweep, engine: str) -> float:

@@ -1,4 +1,4 @@
-# Tests of sweep/optimum.py
+# Tests of sweep/optimum.py, sweep/selection.py, sweep/optimum_tables.py, sweep/optimum_figure.py
 """The optimum of a sweep: how often its region and its interval hold the truth, and its runs, files and refusals."""
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from scipy import stats
 
 from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 from nermo_mjx.sweep.counting import two_stage
-from nermo_mjx.sweep.optimum import hsu_margin, judged, optimum_in
+from nermo_mjx.sweep.optimum import optimum_in
 from nermo_mjx.sweep.plots import sweep_figures
+from nermo_mjx.sweep.selection import hsu_margin, judged
 from nermo_mjx.sweep.spec import SoughtOptimum
 
 REPEATS, FRESH, TRIALS = 4, 24, 400

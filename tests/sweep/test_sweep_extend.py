@@ -1,4 +1,4 @@
-# Tests of sweep/store.py, sweep/run.py
+# Tests of sweep/directory.py, sweep/store.py, sweep/merging.py
 """Sweeps that are extended, reuse rows of other directories, and are merged: always the table of a single run."""
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def test_between_its_steps_the_former_sweep_can_be_gone_on_with_instead(tmp_path
     """Its rows are in the folder by then; nothing is simulated again."""
     run_sweep(SMALL, tmp_path, chunk=2, simulator=FakeSimulator())
     table = read_table(tmp_path)
-    monkeypatch.setattr("nermo_mjx.sweep.store._with_files", lambda *given: 1 / 0)
+    monkeypatch.setattr("nermo_mjx.sweep.directory._with_files", lambda *given: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run_sweep(
             changed(randomize={"repeats": 2}), tmp_path, simulator=FakeSimulator(), extend=True

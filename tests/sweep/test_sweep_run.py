@@ -1,4 +1,4 @@
-# Tests of sweep/run.py
+# Tests of sweep/run.py, runs/work.py
 """Running a sweep: resuming, chunks, shards, interruption, and the summary."""
 
 import dataclasses

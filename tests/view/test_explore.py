@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from command import call
+from fakes.experiment_fake import pretend
 from fakes.explore_data import MEASURES, atlas, falling, many, sweep
 from fakes.sweep_fake import SPEC, FakeSimulator
 from scipy.spatial.transform import Rotation
@@ -22,10 +23,18 @@ from scipy.spatial.transform import Rotation
 from nermo_mjx import Recording, Run, load_robot, show
 from nermo_mjx.cli.walk import planned_walk
 from nermo_mjx.cli.walk import walk_command as walk
+from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.runs import DirectoryError
 from nermo_mjx.sweep import Sweep, run_sweep
 from nermo_mjx.view.clip import COMPACT_DETAIL, FULL_DETAIL, Frames, Models, clip_of
-from nermo_mjx.view.explore import commands_of, explore, runs_of, start_of, with_gain
+from nermo_mjx.view.explore import (
+    commands_of,
+    explore,
+    recordings_in,
+    runs_of,
+    start_of,
+    with_gain,
+)
 from nermo_mjx.view.page import Packer
 from nermo_mjx.view.recorded import motion_of
 
@@ -46,9 +55,13 @@ def dropped() -> Recording:
 def test_columns_bring_their_meaning_with_them(tmp_path: Path) -> None:
     path, values = atlas(tmp_path / "atlas")
     runs = runs_of(path)
-    own = runs.columns["shake"]
-    assert (own.unit, own.better, own.description) == ("rad/s", "low", "a custom metric")
-    np.testing.assert_array_equal(own.values, values["shake"])
+    custom_column = runs.columns["shake"]
+    assert (custom_column.unit, custom_column.better, custom_column.description) == (
+        "rad/s",
+        "low",
+        "a custom metric",
+    )
+    np.testing.assert_array_equal(custom_column.values, values["shake"])
     assert runs.kind == "atlas"
     assert runs.columns["price"].better == "low", "the objective is minimized"
     assert list(runs.columns) == ["frequency", "speed", "shake", "price", "cell"]
@@ -117,9 +130,9 @@ def test_a_sweep_begins_with_the_gain_that_its_file_asks_for(swept: Path, tmp_pa
         runs.columns["speed_gain"].description
         == "speed relative to the mean of none, all else equal"
     )
-    none = runs.columns["spine"].values == "none"
-    assert np.isnan(runs.columns["speed_gain"].values[none]).all()
-    assert np.isfinite(runs.columns["speed_gain"].values[~none]).all()
+    is_none = runs.columns["spine"].values == "none"
+    assert np.isnan(runs.columns["speed_gain"].values[is_none]).all()
+    assert np.isfinite(runs.columns["speed_gain"].values[~is_none]).all()
     assert (start_of(runs)["x"], start_of(runs)["colour"]) == ("frequency", "speed_gain")
 
 
@@ -134,11 +147,11 @@ def test_the_picture_in_the_readme_is_what_its_command_gives() -> None:
 
 def test_a_grids_values_are_steps_and_a_samples_are_not(swept: Path, tmp_path: Path) -> None:
     def steps(path: Path) -> dict[str, bool]:
-        found = re.search(
+        fields_text = re.search(
             r'id="header">(.*?)</script>', explore(path, recordings=0).html, re.DOTALL
         )
-        assert found is not None
-        return {field["name"]: field["stepped"] for field in json.loads(found[1])["fields"]}
+        assert fields_text is not None
+        return {field["name"]: field["stepped"] for field in json.loads(fields_text[1])["fields"]}
 
     grid = steps(swept)
     assert grid["spine.phase"]
@@ -202,10 +215,12 @@ def test_bodies_and_tendons_come_back_from_their_frames(dropped: Recording) -> N
         np.stack(places, axis=1) + origin[:, None], motion.position[:, frames.bodies], atol=1e-9
     )
     for tendon in motion.tendons:
-        within, points = frames.fixed(tendon.path - origin[:, None])
-        for k, frame in enumerate(within):
-            there = points[:, k] if frame < 0 else places[frame] + turns[frame].apply(points[:, k])
-            np.testing.assert_allclose(there + origin, tendon.path[:, k], atol=1e-9)
+        frame_ids, points = frames.fixed(tendon.path - origin[:, None])
+        for k, frame in enumerate(frame_ids):
+            points_in_world = (
+                points[:, k] if frame < 0 else places[frame] + turns[frame].apply(points[:, k])
+            )
+            np.testing.assert_allclose(points_in_world + origin, tendon.path[:, k], atol=1e-9)
 
 
 def test_a_compact_recording_has_a_third_of_the_samples_and_less_than_half_the_size(
@@ -231,9 +246,9 @@ def test_recordings_share_one_robot_and_damaged_ones_are_named(swept: Path, tmp_
     assert page.html.count('"eyes":') == 1
     assert len(notes) == 1
     assert "row-000007.npz is left out" in notes[0]
-    few: list[str] = []
-    assert explore(path, recordings=1, notify=few.append).recordings == 1
-    assert few[0].startswith("1 of 3 recordings")
+    messages: list[str] = []
+    assert explore(path, recordings=1, notify=messages.append).recordings == 1
+    assert messages[0].startswith("1 of 3 recordings")
     assert repr(explore(path, recordings=0)).endswith("36 rows, 0 recordings)")
 
 
@@ -243,9 +258,9 @@ def test_recordings_share_one_robot_and_damaged_ones_are_named(swept: Path, tmp_
 def spec_of(path: Path, **changes: Any) -> Path:
     """A copy of the sweep with other lines in its resolved file."""
     text = (path / "sweep.yaml").read_text()
-    kept = [line for line in text.splitlines() if line.partition(":")[0] not in changes]
+    unchanged_lines = [line for line in text.splitlines() if line.partition(":")[0] not in changes]
     lines = [f"{name}: {value}" for name, value in changes.items()]
-    (path / "sweep.yaml").write_text("\n".join([*kept, *lines, ""]))
+    (path / "sweep.yaml").write_text("\n".join([*unchanged_lines, *lines, ""]))
     return path
 
 
@@ -262,25 +277,25 @@ def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> 
     )
     runs = runs_of(path)
     command = commands_of(path, runs)["walk"]
-    place = 17
+    row_index = 17
     words = shlex.split(command["words"])
     for name in command["set"]:
-        words += ["--set", f"{name}={runs.columns[name].values[place]}"]
+        words += ["--set", f"{name}={runs.columns[name].values[row_index]}"]
     context = walk.make_context("walk", words[2:])
-    other = ("engine", "record", "video", "camera", "as_json", "quiet")
-    wanted = planned_walk(
-        **{name: value for name, value in context.params.items() if name not in other}
+    display_options = ("engine", "record", "video", "camera", "as_json", "quiet")
+    expected_walk = planned_walk(
+        **{name: value for name, value in context.params.items() if name not in display_options}
     )
-    assert wanted.run == Run(duration=4.0, warmup=1.5)
-    setup = wanted.setup
+    assert expected_walk.run == Run(duration=4.0, warmup=1.5)
+    setup = expected_walk.setup
     assert (setup.gait, setup.spine, setup.steering) == ("lateral_walk", "stride_extension", "mix")
     assert (setup.pilot, setup.physics) == ("arc", "fast")
-    assert wanted.values == {
+    assert expected_walk.values == {
         "duty": 0.7,
         "pilot.radius": 0.5,
         "pilot.direction": -1.0,
         **{
-            name: runs.columns[name].values[place]
+            name: runs.columns[name].values[row_index]
             for name in ("frequency", "spine.amplitude", "spine.phase")
         },
     }
@@ -327,8 +342,8 @@ def test_show_and_the_command_make_the_same_page(swept: Path, tmp_path: Path) ->
     out = tmp_path / "page.html"
     result = call("view", swept, "--out", out, "--no-open", "--json")
     assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)
-    assert told == {
+    output = json.loads(result.stdout)
+    assert output == {
         "page": str(out),
         "bytes": out.stat().st_size,
         "rows": 36,
@@ -356,11 +371,7 @@ def test_wrong_use_is_said_in_a_sentence(swept: Path, dropped: Recording, tmp_pa
         ([file, "--recordings", "3"], 2, "--recordings is for the page of a directory"),
         ([swept, "--recordings", "-1"], 2, "-1"),
         ([tmp_path / "empty"], 2, "is not a results directory"),
-        (
-            [tmp_path / "tuned"],
-            2,
-            "is the directory of a tuning: the page of a directory shows the runs",
-        ),
+        ([tmp_path / "tuned"], 2, "tuning.yaml: there is no such file"),
         ([tmp_path / "begun"], 1, "holds no results yet"),
         ([path], 1, "atlas.parquet cannot be read"),
         ([tmp_path / "missing"], 2, "does not exist"),
@@ -369,3 +380,22 @@ def test_wrong_use_is_said_in_a_sentence(swept: Path, dropped: Recording, tmp_pa
         result = call("view", *arguments, "--no-open")
         assert result.exit_code == code, (arguments, result.output)
         assert sentence in result.stderr, (sentence, result.stderr)
+
+
+def test_experiments_are_shown_one_by_one_or_all_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their recordings belong to rows; what is measured in one alone is missing in the others."""
+    pretend(monkeypatch)
+    run_experiments(["turning", "maze"], tmp_path, engine="c", video=False)
+    alone, both = (runs_of(path) for path in (tmp_path / "maze", tmp_path))
+    assert (alone.kind, both.kind) == ("experiment", "experiments")
+    assert (len(alone.rows), len(both.rows), both.rows.tolist()) == (18, 36, list(range(36)))
+    assert {*both.columns} - {*alone.columns} == {"experiment"}
+    assert both.columns["experiment"].distinct.tolist() == ["maze", "turning"]
+    assert list(recordings_in(tmp_path)) == [3, 21]
+    assert commands_of(tmp_path, both)["replay"] == ""
+    assert call("view", tmp_path, "--no-open", "--out", tmp_path / "a.html").exit_code == 0
+    result = call("compare", tmp_path / "maze", tmp_path / "turning", "--metric", "speed")
+    assert result.exit_code == 0, result.stderr
+    assert call("plot", tmp_path / "maze", "--x", "frequency", "--y", "speed").exit_code == 0

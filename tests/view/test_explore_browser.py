@@ -115,8 +115,8 @@ def test_a_gain_is_white_at_none_and_red_where_it_is_a_loss(tab: Any, page: Path
         script = f"explorer.chart.colouring.css(explorer.chart.colouring.level({value}))"
         return [int(tab.evaluate(script)[i : i + 2], 16) for i in (1, 3, 5)]
 
-    none, loss, gain = map(rgb, (0, low, high))
-    assert min(none) > 235
+    neutral, loss, gain = map(rgb, (0, low, high))
+    assert min(neutral) > 235
     assert loss[0] > loss[2]
     assert gain[2] > gain[0]
     groups = tab.evaluate(
@@ -141,13 +141,13 @@ def test_points_are_where_their_numbers_say_in_colours_of_viridis(
         line = np.polyfit(values[good], places[:, column], 1)
         np.testing.assert_allclose(np.polyval(line, values[good]), places[:, column], atol=0.6)
         assert (line[0] > 0) == (column == 0), "to the right, and up"
-    seen = tab.pixels()
+    pixels = tab.pixels()
     for row, colour in (
         (int(np.argmin(rows["speed"])), (68, 1, 84)),
         (int(np.argmax(rows["speed"])), (253, 231, 37)),
     ):
         x, y = np.round(place_of(tab, row)).astype(int)
-        near = seen[y - 6 : y + 7, x - 6 : x + 7].reshape(-1, 3)
+        near = pixels[y - 6 : y + 7, x - 6 : x + 7].reshape(-1, 3)
         assert np.abs(near - colour).max(axis=1).min() < 12, (row, rows["status"][row])
     text = tab.evaluate("document.getElementById('scale').textContent")
     assert text.startswith("speed [mm/s]")
@@ -159,31 +159,35 @@ def test_cells_have_the_best_the_mean_and_the_worst_of_their_runs(
 ) -> None:
     """Of those that count: a run that fell is in its cell, and not in its value."""
     opened(tab, page)
-    for of, function in (("best", np.max), ("mean", np.mean), ("worst", np.min)):
-        choose(tab, of=of)
-        found = tab.evaluate(
+    for statistic, function in (("best", np.max), ("mean", np.mean), ("worst", np.min)):
+        choose(tab, of=statistic)
+        cell_positions = tab.evaluate(
             "explorer.chart.items.map((item) => [item.x, item.y, item.value, item.places.length, item.lost])"
         )
-        assert len(found) == 12
-        across, up = (sorted({round(item[i], 1) for item in found}) for i in (0, 1))
-        for x, y, value, count, lost in found:
+        assert len(cell_positions) == 12
+        across, up = (sorted({round(item[i], 1) for item in cell_positions}) for i in (0, 1))
+        for x, y, value, count, lost_runs in cell_positions:
             frequency = np.unique(rows["frequency"])[across.index(round(x, 1))]
             amplitude = np.unique(rows["spine.amplitude"])[::-1][up.index(round(y, 1))]
             inside = (rows["frequency"] == frequency) & (rows["spine.amplitude"] == amplitude)
             well = inside & (rows["status"] == "ok")
             assert value == pytest.approx(function(rows["speed"][well]), rel=1e-5)
-            assert (count, lost) == (inside.sum(), inside.sum() - well.sum()) == (3, 3 - well.sum())
+            assert (
+                (count, lost_runs)
+                == (inside.sum(), inside.sum() - well.sum())
+                == (3, 3 - well.sum())
+            )
 
 
 def test_an_atlas_shows_its_cells_where_its_measures_are(tab: Any, tmp_path: Path) -> None:
     path, values = atlas(tmp_path / "atlas")
     opened(tab, explore(path).save(tmp_path / "atlas.html"))
-    found = tab.evaluate(
+    elements = tab.evaluate(
         "explorer.chart.items.map((item) => [item.box, explorer.table.rows[item.place]])"
     )
-    assert sorted(row for _, row in found) == values["row"].tolist()
+    assert sorted(row for _, row in elements) == values["row"].tolist()
     frame = tab.evaluate("explorer.chart.frame")
-    for (left, top, _, height), row in found:
+    for (left, top, _, height), row in elements:
         cell = int(values["cell"][np.flatnonzero(values["row"] == row)[0]])
         across, up = cell // MEASURES[1]["cells"], cell % MEASURES[1]["cells"]
         assert left == pytest.approx(frame["left"] + across * frame["width"] / 5, abs=0.1)
@@ -194,9 +198,9 @@ def test_an_atlas_shows_its_cells_where_its_measures_are(tab: Any, tmp_path: Pat
     commands = tab.evaluate(
         "[...document.querySelectorAll('#row code')].map((code) => code.textContent)"
     )
-    again, walk = commands
-    assert again.startswith("nermo-mjx replay ")
-    assert again.endswith(f" --row {values['row'][0]}")
+    replay_command, walk = commands
+    assert replay_command.startswith("nermo-mjx replay ")
+    assert replay_command.endswith(f" --row {values['row'][0]}")
     assert (
         walk
         == f"nermo-mjx walk --gait lateral_walk --cycles 8 --warmup 2 --set frequency={values['frequency'][0]}"
@@ -262,7 +266,7 @@ def test_keys_walk_choose_and_let_go(tab: Any, page: Path, rows: dict[str, Any])
     assert f"row {ranked[1]}," in tab.evaluate(TOLD)
     tab.key("Enter")
     assert tab.evaluate(SELECTED) == ranked[1]
-    here = {name: rows[name][ranked[1]] for name in ("frequency", "spine.amplitude")}
+    parameters = {name: rows[name][ranked[1]] for name in ("frequency", "spine.amplitude")}
     for key, name, next_one in (
         ("ArrowLeft", "frequency", -1),
         ("ArrowDown", "spine.amplitude", -1),
@@ -270,9 +274,11 @@ def test_keys_walk_choose_and_let_go(tab: Any, page: Path, rows: dict[str, Any])
     ):
         tab.key(key)
         values = np.unique(rows[name])
-        here[name] = values[np.searchsorted(values, here[name]) + next_one]
+        parameters[name] = values[np.searchsorted(values, parameters[name]) + next_one]
         row = int(tab.evaluate("explorer.table.rows[explorer.chart.current.place]"))
-        assert {each: rows[each][row] for each in here} == here, key
+        assert {column_name: rows[column_name][row] for column_name in parameters} == parameters, (
+            key
+        )
     assert tab.evaluate(SELECTED) == ranked[1], "walking chooses nothing"
     tab.key("End")
     assert f"row {ranked[-1]}," in tab.evaluate(TOLD)
@@ -423,11 +429,11 @@ def test_a_recording_plays_in_3d_and_closes(tab: Any, page: Path) -> None:
         data = posed(walk, sample)
         tab.evaluate(f"{inside}.player.seek({walk.time[sample]})")
         for body in ("torso", "head", "rear_left_foot", "front_right_pulley"):
-            place = tab.evaluate(f"""(() => {{ const [clip] = {inside}.clips; let found;
+            position = tab.evaluate(f"""(() => {{ const [clip] = {inside}.clips; let found;
                 clip.pose(clip.at({walk.time[sample]}), (body, position) => {{
                     if (body === {data.body(body).id}) found = Array.from(position); }}); return found; }})()""")
             np.testing.assert_allclose(
-                place, data.body(body).xpos, atol=4e-4, err_msg=f"{body} at {sample}"
+                position, data.body(body).xpos, atol=4e-4, err_msg=f"{body} at {sample}"
             )
     assert (
         tab.evaluate("document.getElementById('theatre-title').textContent") == f"Row {RECORDED[0]}"
@@ -478,7 +484,7 @@ def test_a_dark_page_is_dark_and_its_points_can_be_seen(
     opened(tab, page, dark=True)
     assert tab.pixels().mean() < light / 2
     tab.key("c")
-    seen = tab.pixels()
+    pixels = tab.pixels()
     x, y = np.round(place_of(tab, int(np.argmin(rows["speed"])))).astype(int)
-    disc = seen[y - 8 : y + 9, x - 8 : x + 9].reshape(-1, 3).sum(axis=1)
+    disc = pixels[y - 8 : y + 9, x - 8 : x + 9].reshape(-1, 3).sum(axis=1)
     assert disc.max() - disc.min() > 120, "the darkest colour has an edge"

@@ -74,8 +74,8 @@ def recording() -> Recording:
     time = 0.01 * np.arange(1, 601)
     half = 0.5 * np.radians(5.0) * np.sin(2 * np.pi * time)
     zero = np.zeros_like(time)
-    late = (VALUES["start.phase"] + time - 0.05)[:, None]
-    force = np.where((late - np.array(list(OFFSETS.values()))) % 1.0 < 0.68, 0.7, 0.0)
+    phase = (VALUES["start.phase"] + time - 0.05)[:, None]
+    force = np.where((phase - np.array(list(OFFSETS.values()))) % 1.0 < 0.68, 0.7, 0.0)
     position = np.stack([zero, -0.1 * time, zero + 0.08], axis=-1)
     feet = position[:, None] + np.array(
         [[0.04, -0.06, -0.08], [-0.04, -0.06, -0.08], [0.04, 0.06, -0.08], [-0.04, 0.06, -0.08]]
@@ -113,10 +113,10 @@ def test_all_figures_are_written_with_units_and_are_no_blanks(
         picture = imread(file)
         assert min(picture.shape[:2]) > 200  # tests draw at half the size
         assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 30
-    again, _ = drawn_of(recording, tmp_path / "again")
-    assert [file.read_bytes() for file in again] == [file.read_bytes() for file in files]
-    only, _ = drawn_of(recording, tmp_path / "png", ("png",))
-    assert [file.suffix for file in only] == [".png"] * len(NAMES)
+    repeated_files, _ = drawn_of(recording, tmp_path / "again")
+    assert [file.read_bytes() for file in repeated_files] == [file.read_bytes() for file in files]
+    png_files, _ = drawn_of(recording, tmp_path / "png", ("png",))
+    assert [file.suffix for file in png_files] == [".png"] * len(NAMES)
 
 
 def bars(figure: matplotlib.figure.Figure) -> list[list[tuple[float, float]]]:
@@ -135,9 +135,9 @@ def test_the_gait_diagram_shows_planned_and_measured_contact(recording: Recordin
     for i, (limb, offset) in enumerate(OFFSETS.items()):
         begin = (offset - VALUES["start.phase"]) % 1.0
         for row, shift in ((rows[2 * i + 1], 0.0), (rows[2 * i], 0.05)):
-            whole = [(a, b) for a, b in row if a > 2.05 and b < 5.95]
-            assert len(whole) >= 3, limb
-            for a, b in whole:
+            complete_intervals = [(a, b) for a, b in row if a > 2.05 and b < 5.95]
+            assert len(complete_intervals) >= 3, limb
+            for a, b in complete_intervals:
                 assert (a - shift - begin + 0.5) % 1.0 - 0.5 == pytest.approx(0.0, abs=0.011)
                 assert b - a == pytest.approx(0.68, abs=0.011)
     text = texts(figure)
@@ -157,8 +157,8 @@ def test_a_recording_that_does_not_say_its_gait_shows_what_was_measured(
 
 def test_stretches_of_contact() -> None:
     time = 0.1 * np.arange(1, 7)
-    found = spans(np.array([True, True, False, False, True, True]), time)
-    np.testing.assert_allclose(found, [(0.0, 0.2), (0.4, 0.2)])
+    intervals = spans(np.array([True, True, False, False, True, True]), time)
+    np.testing.assert_allclose(intervals, [(0.0, 0.2), (0.4, 0.2)])
     assert spans(np.zeros(6, bool), time) == []
 
 
@@ -188,11 +188,11 @@ def test_feet_over_the_ground_are_thick_where_they_bear_a_load(recording: Record
     figure = over_ground(RecordedGait(recording))
     assert figure is not None
     for i, ax in enumerate(figure.axes):
-        way, loaded = ax.lines[:2]
-        shown = np.asarray(loaded.get_ydata())
-        bearing = recording.sensors["foot_force"][-len(shown) :, i] > 0
-        np.testing.assert_array_equal(np.isfinite(shown), bearing)
-        np.testing.assert_allclose(np.diff(way.get_xdata()), 1.0, atol=1e-6)
+        path, loaded = ax.lines[:2]
+        heights = np.asarray(loaded.get_ydata())
+        bearing = recording.sensors["foot_force"][-len(heights) :, i] > 0
+        np.testing.assert_array_equal(np.isfinite(heights), bearing)
+        np.testing.assert_allclose(np.diff(path.get_xdata()), 1.0, atol=1e-6)
 
 
 @pytest.mark.release
@@ -205,8 +205,8 @@ def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> No
     qpos[:, joints.hip], qpos[:, joints.pulley] = servo[:, 0], servo[:, 1]
     qpos[:, np.ravel(joints.knee)] = np.asarray(pose.knee_angle)
     qpos[1, joints.root : joints.root + 7] = [0.1, -0.2, 0.3, *np.array([0.8, 0.2, -0.4, 0.4])]
-    for found in in_leg_frame(robot.model, qpos):
-        np.testing.assert_allclose(found, np.asarray(pose.foot), atol=4e-4)
+    for feet in in_leg_frame(robot.model, qpos):
+        np.testing.assert_allclose(feet, np.asarray(pose.foot), atol=4e-4)
     ctrl = np.concatenate([servo[:, 0], servo[:, 1], [0.0, 0.0]])[None]
     np.testing.assert_allclose(
         commanded_feet(ctrl, "type3", ROBOT)[0], np.asarray(pose.foot), atol=1e-6

@@ -40,9 +40,9 @@ def test_mujocos_forward_gives_the_recorded_readings(recording: Recording, sampl
         ("servo_angle", "servo_velocity"),
         ("foot_position", "foot_velocity"),
     ):
-        before = np.asarray(getattr(now, name)) - step * np.asarray(getattr(now, rate))
+        integrated = np.asarray(getattr(now, name)) - step * np.asarray(getattr(now, rate))
         span = step * np.abs(recording.sensors[rate][sample]).max() + 1e-6
-        np.testing.assert_allclose(before, recording.sensors[name][sample], atol=0.25 * span)
+        np.testing.assert_allclose(integrated, recording.sensors[name][sample], atol=0.25 * span)
     assert data.time == recording.time[sample]
 
 
@@ -66,10 +66,10 @@ def test_a_file_of_keyframes_needs_mujoco_alone(recording: Recording, tmp_path: 
     assert len(keys) == count == 11
     samples = np.abs(recording.time - keys[:, :1]).argmin(axis=1)
     np.testing.assert_allclose(np.diff(keys[:, 0]), 0.05, atol=1e-9)
-    wanted = np.concatenate(
+    expected = np.concatenate(
         [recording.time[:, None], recording.qpos, recording.qvel, recording.ctrl], axis=1
     )
-    np.testing.assert_allclose(keys, wanted[samples], atol=2e-5)
+    np.testing.assert_allclose(keys, expected[samples], atol=2e-5)
 
 
 class Window:
@@ -104,11 +104,11 @@ def test_a_recording_plays_in_real_time_or_faster_and_again(recording: Recording
     """Time follows the clock, times the speed, and restarts at the end; finally the window is closed."""
     window = Window(60)
     play(recording, speed=2.0, viewer=window)
-    shown = np.array(window.shown)
+    times_of_samples = np.array(window.shown)
     assert window.closed
-    assert shown.min() == pytest.approx(recording.time[0], abs=0.1)
-    assert shown.max() > 0.8 * recording.time[-1]
-    assert (np.diff(shown) < 0).any(), "it begins again"
+    assert times_of_samples.min() == pytest.approx(recording.time[0], abs=0.1)
+    assert times_of_samples.max() > 0.8 * recording.time[-1]
+    assert (np.diff(times_of_samples) < 0).any(), "it begins again"
     assert (window.cam.type, window.cam.trackbodyid) == (
         mujoco.mjtCamera.mjCAMERA_TRACKING,
         window.model.body("torso").id,

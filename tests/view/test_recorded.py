@@ -22,10 +22,10 @@ def test_the_mean_over_a_cycle_is_shown_where_the_whole_cycle_was_recorded():
     """Of t + sin(2 pi t / T) it is t; half a cycle at either end has no number."""
     time, period = np.linspace(1.0, 3.0, 2001), 0.5
     mean = _over_cycle(time + np.sin(2 * np.pi * time / period), time, period)
-    whole = (time >= 1.25 - 1e-9) & (time <= 2.75 + 1e-9)
-    np.testing.assert_allclose(mean[whole], time[whole], atol=1e-6)
-    assert np.isnan(mean[~whole]).all()
-    assert (~whole).sum() == 500
+    has_full_cycle = (time >= 1.25 - 1e-9) & (time <= 2.75 + 1e-9)
+    np.testing.assert_allclose(mean[has_full_cycle], time[has_full_cycle], atol=1e-6)
+    assert np.isnan(mean[~has_full_cycle]).all()
+    assert (~has_full_cycle).sum() == 500
     assert np.isnan(_over_cycle(np.ones(1), np.zeros(1), period)).all()
 
 
@@ -40,12 +40,12 @@ def test_quaternions_without_jumps_are_the_same_rotations_and_never_far_from_the
     steady = without_jumps(flipped)
     assert ((steady[1:] * steady[:-1]).sum(axis=-1) > 0.9).all()
     for i in range(2):
-        same = Rotation.from_quat(steady[:, i], scalar_first=True) * turns.inv()
-        np.testing.assert_allclose(same.magnitude(), 0.0, atol=1e-12)
+        residual_rotation = Rotation.from_quat(steady[:, i], scalar_first=True) * turns.inv()
+        np.testing.assert_allclose(residual_rotation.magnitude(), 0.0, atol=1e-12)
 
 
 def test_a_stretch_lasts_from_the_sample_before_it():
     """A sample stands for the time since the sample before."""
     time = np.arange(1, 7) * 0.1
-    found = spans(np.array([True, False, True, True, False, True]), time)
-    np.testing.assert_allclose(found, [(0.0, 0.1), (0.2, 0.2), (0.5, 0.1)])
+    intervals = spans(np.array([True, False, True, True, False, True]), time)
+    np.testing.assert_allclose(intervals, [(0.0, 0.1), (0.2, 0.2), (0.5, 0.1)])

@@ -67,7 +67,7 @@ def test_an_mp4_has_the_size_and_length_asked_for_and_moves(
         fps=20,
         width=128,
         height=96,
-        progress=lambda done, total: calls.append((done, total)),
+        progress=lambda completed, total: calls.append((completed, total)),
     )
     with imageio.get_reader(path) as reader:
         frames, meta = [np.asarray(frame) for frame in reader], reader.get_meta_data()
@@ -109,12 +109,12 @@ def test_a_webp_shows_what_a_gif_shows(model: mujoco.MjModel, tmp_path: Path) ->
     gif, webp = (
         render(walk(model), model, tmp_path / f"walk.{kind}", **options) for kind in ("gif", "webp")
     )
-    with Image.open(gif) as one, Image.open(webp) as other:
-        assert other.format == "WEBP"
-        assert other.info["loop"] == 0
-        assert other.n_frames == one.n_frames == 4
+    with Image.open(gif) as gif_image, Image.open(webp) as webp_image:
+        assert webp_image.format == "WEBP"
+        assert webp_image.info["loop"] == 0
+        assert webp_image.n_frames == gif_image.n_frames == 4
         for first, second in zip(
-            ImageSequence.Iterator(one), ImageSequence.Iterator(other), strict=True
+            ImageSequence.Iterator(gif_image), ImageSequence.Iterator(webp_image), strict=True
         ):
             difference = np.subtract(first.convert("RGB"), second.convert("RGB"), dtype=float)
             assert np.abs(difference).mean() < 8.0
@@ -287,9 +287,9 @@ def test_the_footfall_passes_below_the_picture_in_step_with_the_time(
             seconds - video.PAST_SECONDS, 0.0, 4.0 - video.PAST_SECONDS - video.FUTURE_SECONDS
         )
         for share in (0.1, 0.3, 0.5, 0.65):
-            then = first + share * (video.PAST_SECONDS + video.FUTURE_SECONDS)
-            if then < seconds and 0.04 < then % 0.5 < 0.46:
-                assert blue[round(share * room)] == (then % 1.0 < 0.5), (seconds, then)
+            moment = first + share * (video.PAST_SECONDS + video.FUTURE_SECONDS)
+            if moment < seconds and 0.04 < moment % 0.5 < 0.46:
+                assert blue[round(share * room)] == (moment % 1.0 < 0.5), (seconds, moment)
 
 
 def test_the_support_polygon_is_that_of_the_feet_that_stand() -> None:
@@ -401,7 +401,7 @@ def test_the_order_of_imports_does_not_matter_without_a_display() -> None:
     )
     hidden = {"MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM"}
     environment = {key: value for key, value in os.environ.items() if key not in hidden}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
     )
-    assert done.stdout == "(32, 48, 3)\n"
+    assert process.stdout == "(32, 48, 3)\n"

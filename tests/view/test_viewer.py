@@ -81,13 +81,15 @@ def test_contact_forces_are_those_that_the_feet_felt(walk: Recording) -> None:
         )
         mujoco.mj_step(model, data, steps - 1)
         states.append((data.qpos.copy(), data.qvel.copy()))
-    after = slice(21, 281)
-    qpos, qvel = (np.array(each) for each in zip(*states, strict=True))
-    before = Recording(walk.time[after], qpos, qvel, walk.ctrl[after], model_hash=walk.model_hash)
-    motion = motion_of(before, load_robot().model)
+    window = slice(21, 281)
+    qpos, qvel = (np.array(column) for column in zip(*states, strict=True))
+    section = Recording(
+        walk.time[window], qpos, qvel, walk.ctrl[window], model_hash=walk.model_hash
+    )
+    motion = motion_of(section, load_robot().model)
     for limb in range(4):
         normal = sum(contact.force[:, 2] for contact in motion.contacts if contact.limb == limb)
-        error = normal - walk.sensors["foot_force"][after, limb]
+        error = normal - walk.sensors["foot_force"][window, limb]
         # The engine's solver began each step where the one before had ended; at impacts that shows.
         assert np.quantile(np.abs(error), 0.9) < 0.01, f"{limb}: {np.sort(np.abs(error))[-30:]}"
 
@@ -122,9 +124,9 @@ def test_drawn_tendons_are_as_long_as_mujocos(walk: Recording, motion: Motion) -
     for sample in (10, 120, 290):
         data = posed(walk, sample)
         for i, tendon in enumerate(motion.tendons):
-            drawn = np.linalg.norm(np.diff(tendon.path[sample], axis=0), axis=1).sum()
+            length = np.linalg.norm(np.diff(tendon.path[sample], axis=0), axis=1).sum()
             # The arcs are polygons of six chords.
-            assert drawn == pytest.approx(data.ten_length[i], rel=0.005)
+            assert length == pytest.approx(data.ten_length[i], rel=0.005)
 
 
 def test_forces_are_those_of_the_runs_own_body(walk: Recording) -> None:
@@ -140,11 +142,11 @@ def test_forces_are_those_of_the_runs_own_body(walk: Recording) -> None:
 
 
 def test_a_run_is_shown_up_to_where_it_lost_its_numbers(walk: Recording) -> None:
-    broken = walk.qpos.copy()
-    broken[120:] = np.nan
-    lost = dataclasses.replace(walk, qpos=broken)
-    assert len(motion_of(lost, load_robot().model).time) == 120
-    assert '"cut":true' in show(lost).html
+    invalid_qpos = walk.qpos.copy()
+    invalid_qpos[120:] = np.nan
+    invalid_recording = dataclasses.replace(walk, qpos=invalid_qpos)
+    assert len(motion_of(invalid_recording, load_robot().model).time) == 120
+    assert '"cut":true' in show(invalid_recording).html
     nothing = dataclasses.replace(walk, qpos=np.full_like(walk.qpos, np.nan))
     with pytest.raises(RecordingError, match="no finite state"):
         show(nothing)
@@ -203,8 +205,8 @@ def test_plots_show_what_the_sensors_read(walk: Recording, motion: Motion) -> No
     np.testing.assert_allclose(knee.values, np.rad2deg(walk.sensors["servo_angle"][:, 4]))
     np.testing.assert_allclose(commanded.values, np.rad2deg(walk.ctrl[:, 4]))
     smooth = plots["speed"].lines[0].values
-    way = -np.diff(walk.sensors["position"][:, 1])[62:187].sum() / 1.25
-    assert np.nanmean(smooth[100:150]) == pytest.approx(1e3 * way, rel=0.15)
+    speed = -np.diff(walk.sensors["position"][:, 1])[62:187].sum() / 1.25
+    assert np.nanmean(smooth[100:150]) == pytest.approx(1e3 * speed, rel=0.15)
     assert {plot.unit for plot in plots.values()} == {"", "N", "°", "mm/s", "mm"}
 
 
@@ -230,9 +232,9 @@ def test_packed_steps_are_within_half_a_step() -> None:
     raw = np.frombuffer(content, np.uint8, 2 * size, entry["at"])
     words = (raw[:size].astype(np.uint16) << 8 | raw[size:]).view(np.int16).reshape(6, 40)
     steps = np.cumsum(words, axis=1, dtype=np.int16).T.reshape(values.shape)
-    read = np.where(steps == NAN_STEP, np.nan, entry["zero"] + entry["scale"] * steps)
-    np.testing.assert_allclose(read, values, atol=np.nanmax(np.abs(values)) / 60_000)
-    assert np.isnan(read[5, 1, 1])
+    decoded = np.where(steps == NAN_STEP, np.nan, entry["zero"] + entry["scale"] * steps)
+    np.testing.assert_allclose(decoded, values, atol=np.nanmax(np.abs(values)) / 60_000)
+    assert np.isnan(decoded[5, 1, 1])
 
 
 def test_constant_and_empty_values_can_be_packed() -> None:
@@ -287,13 +289,13 @@ def test_vendored_libraries_have_licence_and_version(name: str, version: str, fi
 
 
 def test_an_experiments_recording_has_its_cases_name_and_figures(walk: Recording) -> None:
-    about = {
+    metadata = {
         "case": "trot, 0.67 Hz, with spine",
         "labels": {"profile": "exact", "spine": True},
         "metrics": {"speed": 0.0791, "status": "ok"},
         "parameters": {"frequency": 0.67},
     }
-    recording = dataclasses.replace(walk, metadata=about)
+    recording = dataclasses.replace(walk, metadata=metadata)
     assert title_of(recording) == "trot, 0.67 Hz, with spine"
     assert headline_of(recording) == [["speed", "79.1 mm/s"], ["profile", "exact"]]
     assert details_of(recording)[0] == {
@@ -315,8 +317,8 @@ def test_the_command_writes_a_page(walk: Recording, tmp_path: Path) -> None:
     out = tmp_path / "walk.html"
     result = call("view", path, path, "--out", out, "--no-open", "--json")
     assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)
-    assert told == {
+    output = json.loads(result.stdout)
+    assert output == {
         "page": str(out),
         "bytes": out.stat().st_size,
         "samples": len(walk.time),
@@ -334,9 +336,9 @@ def test_the_command_opens_a_browser_where_there_is_one(
     path = walk.save(tmp_path / "walk.npz")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
-    alone = call("view", path)
+    result_without_browser = call("view", path)
     assert opened == []
-    assert "no browser was found" in alone.stdout
+    assert "no browser was found" in result_without_browser.stdout
     monkeypatch.setenv("DISPLAY", ":0")
     result = call("view", path)
     assert len(opened) == 1

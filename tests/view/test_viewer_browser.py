@@ -33,7 +33,7 @@ def pair(walks) -> tuple[Recording, Recording]:
 
 
 @pytest.fixture(scope="module")
-def one(pair: tuple[Recording, Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page_path(pair: tuple[Recording, Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return show(pair[0]).save(tmp_path_factory.mktemp("pages") / "one.html")
 
 
@@ -77,18 +77,20 @@ def share_changed(a: np.ndarray, b: np.ndarray) -> float:
 # --- data and pose
 
 
-def test_the_page_has_all_it_needs_and_complains_of_nothing(tab: chromium.Tab, one: Path) -> None:
-    opened(tab, one)
-    assert tab.requests() == [one.resolve().as_uri()]
+def test_the_page_has_all_it_needs_and_complains_of_nothing(
+    tab: chromium.Tab, page_path: Path
+) -> None:
+    opened(tab, page_path)
+    assert tab.requests() == [page_path.resolve().as_uri()]
     assert tab.evaluate("document.title") == "Nermo: Trot, 0.8 Hz, spine stride extension"
     assert "speed" in tab.evaluate("document.querySelector('.figures').textContent")
 
 
 def test_bodies_are_where_mujoco_puts_them(
-    tab: chromium.Tab, one: Path, pair: tuple[Recording, Recording]
+    tab: chromium.Tab, page_path: Path, pair: tuple[Recording, Recording]
 ) -> None:
     """Between samples they are between."""
-    opened(tab, one)
+    opened(tab, page_path)
     walk, bodies = pair[0], "viewer.stage.actors[0].robot.bodies"
     for sample in (0, 77, 150, 199):
         data = posed(walk, sample)
@@ -101,40 +103,40 @@ def test_bodies_are_where_mujoco_puts_them(
             "rear_right_foot",
             "rear_left_pulley",
         ):
-            shown = f"{bodies}[{data.body(body).id}]"
-            place, (x, y, z, w) = tab.evaluate(
-                f"[{shown}.position.toArray(), {shown}.quaternion.toArray()]"
+            element = f"{bodies}[{data.body(body).id}]"
+            position, (x, y, z, w) = tab.evaluate(
+                f"[{element}.position.toArray(), {element}.quaternion.toArray()]"
             )
             np.testing.assert_allclose(
-                place, data.body(body).xpos, atol=1e-4, err_msg=f"{body} at sample {sample}"
+                position, data.body(body).xpos, atol=1e-4, err_msg=f"{body} at sample {sample}"
             )
             assert abs(np.dot([w, x, y, z], data.body(body).xquat)) == pytest.approx(1, abs=1e-7), (
                 body
             )
     tab.evaluate(f"viewer.player.seek({walk.time[100:102].mean()})")
     places = [posed(walk, sample).body("front_right_foot").xpos for sample in (100, 101)]
-    place = tab.evaluate(f"{bodies}[{data.body('front_right_foot').id}].position.toArray()")
-    np.testing.assert_allclose(place, np.mean(places, axis=0), atol=1e-4)
+    position = tab.evaluate(f"{bodies}[{data.body('front_right_foot').id}].position.toArray()")
+    np.testing.assert_allclose(position, np.mean(places, axis=0), atol=1e-4)
 
 
 def test_tensions_and_forces_arrive_as_they_were(
-    tab: chromium.Tab, one: Path, pair: tuple[Recording, Recording]
+    tab: chromium.Tab, page_path: Path, pair: tuple[Recording, Recording]
 ) -> None:
-    opened(tab, one)
+    opened(tab, page_path)
     motion = motion_of(pair[0], robot_of(pair[0]).model)
     for i, tendon in enumerate(motion.tendons):
-        read = tab.evaluate(f"Array.from(viewer.clips[0].tendons[{i}].tension)")
-        np.testing.assert_allclose(read, tendon.tension, atol=1e-3)
+        values_of_page = tab.evaluate(f"Array.from(viewer.clips[0].tendons[{i}].tension)")
+        np.testing.assert_allclose(values_of_page, tendon.tension, atol=1e-3)
     for i, contact in enumerate(motion.contacts):
-        read = tab.evaluate(f"Array.from(viewer.clips[0].contacts[{i}].force)")
-        np.testing.assert_allclose(np.reshape(read, (-1, 3)), contact.force, atol=1e-3)
+        values_of_page = tab.evaluate(f"Array.from(viewer.clips[0].contacts[{i}].force)")
+        np.testing.assert_allclose(np.reshape(values_of_page, (-1, 3)), contact.force, atol=1e-3)
 
 
 # --- time
 
 
-def test_the_page_opens_in_motion(tab: chromium.Tab, one: Path) -> None:
-    tab.open(one)
+def test_the_page_opens_in_motion(tab: chromium.Tab, page_path: Path) -> None:
+    tab.open(page_path)
     tab.wait(READY)
     tab.wait("viewer.player.time > viewer.player.begin")
     assert tab.evaluate("viewer.player.playing")
@@ -156,8 +158,8 @@ def test_a_phone_cuts_no_number_and_names_both_recordings(
     assert [head.partition(":")[0] for head in heads] == ["Afree", "Bstiff"]
 
 
-def test_playing_goes_on_scrubbing_jumps_and_keys_step(tab: chromium.Tab, one: Path) -> None:
-    opened(tab, one)
+def test_playing_goes_on_scrubbing_jumps_and_keys_step(tab: chromium.Tab, page_path: Path) -> None:
+    opened(tab, page_path)
     time = "viewer.player.time"
     tab.key(" ")
     tab.wait(f"{time} > 0.3")
@@ -183,8 +185,8 @@ def test_playing_goes_on_scrubbing_jumps_and_keys_step(tab: chromium.Tab, one: P
     )
 
 
-def test_speed_and_loop(tab: chromium.Tab, one: Path) -> None:
-    opened(tab, one)
+def test_speed_and_loop(tab: chromium.Tab, page_path: Path) -> None:
+    opened(tab, page_path)
     tab.key("ArrowDown")
     assert tab.evaluate("document.getElementById('speed').value") == "0.5"
     tab.evaluate("viewer.player.setSpeed(4)")
@@ -199,13 +201,13 @@ def test_speed_and_loop(tab: chromium.Tab, one: Path) -> None:
     assert tab.evaluate("viewer.player.playing")
 
 
-def test_plots_go_with_the_time_and_a_click_seeks(tab: chromium.Tab, one: Path) -> None:
-    opened(tab, one, 1000, 700)
+def test_plots_go_with_the_time_and_a_click_seeks(tab: chromium.Tab, page_path: Path) -> None:
+    opened(tab, page_path, 1000, 700)
     tab.evaluate("viewer.player.seek(1.0)")
-    place = "new DOMMatrix(getComputedStyle(document.querySelector('[data-plot=force] .cursor')).transform).e"
-    middle = tab.evaluate(place)
+    cursor_position = "new DOMMatrix(getComputedStyle(document.querySelector('[data-plot=force] .cursor')).transform).e"
+    middle = tab.evaluate(cursor_position)
     tab.evaluate("viewer.player.seek(1.5)")
-    assert tab.evaluate(place) > middle + 40
+    assert tab.evaluate(cursor_position) > middle + 40
     width = tab.evaluate("document.querySelector('[data-plot=force] .area').clientWidth")
     tab.click("[data-plot=force] .area", (40 + 0.25 * (width - 54)) / width)
     assert tab.evaluate("viewer.player.time") == pytest.approx(0.01 + 0.25 * 1.99, abs=0.02)
@@ -219,9 +221,9 @@ def test_plots_go_with_the_time_and_a_click_seeks(tab: chromium.Tab, one: Path) 
     assert float(reading) == pytest.approx(roll, abs=0.06)
 
 
-def test_a_tick_is_not_cut_where_values_hardly_differ(tab: chromium.Tab, one: Path) -> None:
+def test_a_tick_is_not_cut_where_values_hardly_differ(tab: chromium.Tab, page_path: Path) -> None:
     """As in the first moment of a drive: its forces are of a millionth of a newton."""
-    opened(tab, one, 1000, 700)
+    opened(tab, page_path, 1000, 700)
     begins = tab.evaluate("""(() => {
         const paper = CanvasRenderingContext2D.prototype, { fillText } = paper, begins = [];
         paper.fillText = function (text, x, y) {
@@ -241,27 +243,27 @@ def test_a_tick_is_not_cut_where_values_hardly_differ(tab: chromium.Tab, one: Pa
 # --- picture
 
 
-def test_keys_change_the_picture_and_change_it_back(tab: chromium.Tab, one: Path) -> None:
-    opened(tab, one)
+def test_keys_change_the_picture_and_change_it_back(tab: chromium.Tab, page_path: Path) -> None:
+    opened(tab, page_path)
     tab.evaluate("viewer.player.seek(1.2)")
-    before = stage_picture(tab)
+    picture = stage_picture(tab)
     for key in "tcrhg23456":
         tab.key(key)
-        assert share_changed(before, stage_picture(tab)) > 0.0005, key
+        assert share_changed(picture, stage_picture(tab)) > 0.0005, key
         tab.key("1" if key.isdigit() else key)
-    assert share_changed(before, stage_picture(tab)) < 0.0005
+    assert share_changed(picture, stage_picture(tab)) < 0.0005
 
 
 def test_dragging_turns_and_the_camera_follows_unless_told_not_to(
-    tab: chromium.Tab, one: Path
+    tab: chromium.Tab, page_path: Path
 ) -> None:
-    opened(tab, one)
+    opened(tab, page_path)
     tab.evaluate("viewer.player.seek(0.2)")
     camera = "viewer.stage.man.camera.position.toArray()"
-    before = np.array(tab.evaluate(camera))
+    initial_camera = np.array(tab.evaluate(camera))
     tab.evaluate("viewer.player.seek(1.8)")
     followed = np.array(tab.evaluate(camera))
-    assert (followed - before)[1] < -0.08, "it walks towards -y"
+    assert (followed - initial_camera)[1] < -0.08, "it walks towards -y"
     tab.key("f")
     tab.evaluate("viewer.player.seek(0.2)")
     np.testing.assert_allclose(tab.evaluate(camera), followed)
@@ -274,9 +276,9 @@ def test_dragging_turns_and_the_camera_follows_unless_told_not_to(
     assert np.linalg.norm(np.array(tab.evaluate(camera)) - turned) > 0.05, "it catches up"
 
 
-def test_a_dark_page_is_dark(tab: chromium.Tab, one: Path) -> None:
-    light = stage_picture(opened(tab, one)).mean()
-    assert stage_picture(opened(tab, one, dark=True)).mean() < light / 2
+def test_a_dark_page_is_dark(tab: chromium.Tab, page_path: Path) -> None:
+    light = stage_picture(opened(tab, page_path)).mean()
+    assert stage_picture(opened(tab, page_path, dark=True)).mean() < light / 2
 
 
 # --- two recordings
@@ -290,11 +292,11 @@ def test_two_recordings_are_shown_in_step(
     places = []
     for clip, walk in enumerate(pair):
         torso = posed(walk, 150).body("torso")
-        place = tab.evaluate(
+        position = tab.evaluate(
             f"viewer.stage.actors[{clip}].robot.bodies[{torso.id}].position.toArray()"
         )
-        np.testing.assert_allclose(place, torso.xpos, atol=1e-4)
-        places.append(place)
+        np.testing.assert_allclose(position, torso.xpos, atol=1e-4)
+        places.append(position)
     assert tab.evaluate("document.querySelectorAll('#runs .mark').length") == 2
     over = stage_picture(tab)
     tab.key("b")
@@ -335,8 +337,8 @@ def test_a_control_shows_its_focus(tab: chromium.Tab, two: Path) -> None:
         assert tab.evaluate("document.activeElement.tagName") == tag
 
 
-def test_help_opens_lists_the_keys_and_closes(tab: chromium.Tab, one: Path) -> None:
-    opened(tab, one)
+def test_help_opens_lists_the_keys_and_closes(tab: chromium.Tab, page_path: Path) -> None:
+    opened(tab, page_path)
     tab.key("?", shift=True)
     assert tab.evaluate("document.getElementById('help').open")
     assert "play, pause" in tab.evaluate("document.getElementById('help').textContent")
@@ -373,7 +375,7 @@ def test_a_page_of_another_model_draws_its_shapes_and_meshes(
     for _ in range(50):
         mujoco.mj_step(model, data)
         rows.append((data.qpos.copy(), data.qvel.copy()))
-    qpos, qvel = (np.array(each) for each in zip(*rows, strict=True))
+    qpos, qvel = (np.array(column) for column in zip(*rows, strict=True))
     monkeypatch.setattr(
         "nermo_mjx.view.clip.robot_of",
         lambda _: type("Robot", (), {"model": model, "config": None}),
@@ -389,9 +391,9 @@ def test_a_page_of_another_model_draws_its_shapes_and_meshes(
     )
 
 
-def test_the_curved_skull_is_smooth(tab: chromium.Tab, one: Path) -> None:
+def test_the_curved_skull_is_smooth(tab: chromium.Tab, page_path: Path) -> None:
     """Corners of a triangle on a curved mesh have normals of their own; on a faceted one they share the face's."""
-    opened(tab, one)
+    opened(tab, page_path)
     shares = tab.evaluate("""(() => {
         const { bodies, fine } = viewer.clips[0].model;
         const { attributes, index } = fine[bodies.indexOf("head")].seen;
@@ -407,9 +409,9 @@ def test_the_curved_skull_is_smooth(tab: chromium.Tab, one: Path) -> None:
     assert shares < 0.6
 
 
-def test_moving_pictures_are_coarse_and_stills_are_fine(tab: chromium.Tab, one: Path) -> None:
+def test_moving_pictures_are_coarse_and_stills_are_fine(tab: chromium.Tab, page_path: Path) -> None:
     """Where there is no graphics card, as here."""
-    opened(tab, one)
+    opened(tab, page_path)
     tab.wait(RESTING)
     triangles, pixels = "viewer.stage.renderer.info.render.triangles", "viewer.stage.canvas.width"
     still = tab.evaluate(f"[{triangles}, {pixels}]")
@@ -430,22 +432,24 @@ def test_moving_pictures_are_coarse_and_stills_are_fine(tab: chromium.Tab, one: 
     )
 
 
-def test_a_coarse_robot_is_as_large_as_the_fine_one(tab: chromium.Tab, one: Path) -> None:
-    opened(tab, one)
+def test_a_coarse_robot_is_as_large_as_the_fine_one(tab: chromium.Tab, page_path: Path) -> None:
+    opened(tab, page_path)
     boxes = tab.evaluate("""["fine", "coarse"].map((detail) => viewer.clips[0].model[detail].map(({ seen }) => {
         if (!seen) return null;
         seen.computeBoundingBox();
         return [...seen.boundingBox.min.toArray(), ...seen.boundingBox.max.toArray()];
     }))""")
-    drawn = [(fine, coarse) for fine, coarse in zip(*boxes, strict=True) if fine]
-    assert len(drawn) > 20
-    for fine, coarse in drawn:
+    box_pairs = [(fine, coarse) for fine, coarse in zip(*boxes, strict=True) if fine]
+    assert len(box_pairs) > 20
+    for fine, coarse in box_pairs:
         np.testing.assert_allclose(coarse, fine, atol=1.5e-3)
 
 
-def test_the_ground_is_as_light_without_lamps_as_with_them(tab: chromium.Tab, one: Path) -> None:
+def test_the_ground_is_as_light_without_lamps_as_with_them(
+    tab: chromium.Tab, page_path: Path
+) -> None:
     """Half of what is seen must not change its shade when the time begins to go on."""
-    opened(tab, one)
+    opened(tab, page_path)
     tab.evaluate("viewer.player.seek(1.0)")
     plain = stage_picture(tab)
     tab.evaluate(
@@ -461,10 +465,10 @@ def test_the_ground_is_as_light_without_lamps_as_with_them(tab: chromium.Tab, on
 
 
 def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(
-    program: str, one: Path
+    program: str, page_path: Path
 ) -> None:
     with chromium.browser(program, webgl=False) as running, running.tab() as tab:
-        opened(tab, one, 900, 600)
+        opened(tab, page_path, 900, 600)
         assert tab.evaluate("viewer.stage") is None
         assert "no WebGL" in tab.evaluate("document.getElementById('no-picture').innerText")
         tab.key(" ")
@@ -473,13 +477,14 @@ def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(
 
 
 def test_a_page_that_may_not_start_says_so(
-    browser: chromium.Browser, one: Path, tmp_path: Path
+    browser: chromium.Browser, page_path: Path, tmp_path: Path
 ) -> None:
     """As in a frame whose host forbids scripts from data URLs."""
     rule = "<meta http-equiv='Content-Security-Policy' content=\"script-src 'unsafe-inline'\">"
     path = tmp_path / "forbidden.html"
     path.write_text(
-        one.read_text(encoding="utf-8").replace("</title>", f"</title>{rule}", 1), encoding="utf-8"
+        page_path.read_text(encoding="utf-8").replace("</title>", f"</title>{rule}", 1),
+        encoding="utf-8",
     )
     with browser.tab() as tab:
         tab.open(path, 700, 400)

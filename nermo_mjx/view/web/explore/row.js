@@ -79,7 +79,7 @@ export class RowPanel {
 
 /** `[what it does, command]` of a run. */
 export function commandsOf({ replay, walk }, table, place) {
-  const found = [["Run it again", `${replay} ${table.rows[place]}`]];
+  const found = replay ? [["Run it again", `${replay} ${table.rows[place]}`]] : [];
   if (walk) {
     const words = [walk.words];
     for (const [option, name] of walk.options) words.push(`${option} ${table.field(name).exact(place)}`);

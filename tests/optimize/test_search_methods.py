@@ -1,4 +1,4 @@
-# Tests of optimize/methods.py
+# Tests of optimize/search_methods.py, optimize/search_spec.py, optimize/search_figures.py
 """Parts of a search: coordinates, scores, gradients, what is kept, and the command that a user meets."""
 
 import json
@@ -14,8 +14,15 @@ from tiers import needs
 
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Search, run_search
-from nermo_mjx.optimize.methods import Scores, Space, cells_of, ranked_cost, scores_of, searcher
-from nermo_mjx.optimize.run import search_forecast
+from nermo_mjx.optimize.search_methods import (
+    Scores,
+    Space,
+    cells_of,
+    ranked_cost,
+    scores_of,
+    searcher,
+)
+from nermo_mjx.optimize.search_run import search_forecast
 from nermo_mjx.recording import Recording
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.simulating import PROBE

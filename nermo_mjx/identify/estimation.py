@@ -11,20 +11,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 from mujoco import minimize
 from scipy.stats import qmc
 
-from nermo_mjx.optimize.methods import strategy
+from nermo_mjx.optimize.search_methods import strategy
 
-#: See `Estimation`.
-Kept: TypeAlias = Callable[[Callable[[], np.ndarray]], np.ndarray]
+#: Returns the array that a function computes from an array of inputs, computed now or stored before.
+Cache: TypeAlias = Callable[[Callable[[], np.ndarray], np.ndarray], np.ndarray]
 #: A parameter is determined if its 90 % interval is narrower than this share of its range.
 DETERMINED: Final = 0.1
-#: A ratio or a product is determined if it is known this much better than each of its parameters.
-BETTER: Final = 3.0
 #: Draws of the posterior, and replicates of the bootstrap.
 DRAWS: Final = 1000
 #: Ends of a 90 % interval.
@@ -41,8 +39,8 @@ CENTRAL: Final = 1e-3
 ACTS: Final = 1e-3
 #: Distance from the result at which searches begin again [standard deviations of the prior].
 BESIDE: Final = 0.3
-#: Exponents of products that are tried.
-_EXPONENTS: Final = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
+#: A deviation of more standard deviations than this is not chance.
+CHANCE: Final = 4.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,10 +85,10 @@ class ParameterSpace:
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
         self.parameters = tuple(parameters)
-        self.log = np.array([each.logarithmic for each in parameters], bool)
-        self._centre = self._scaled(np.array([each.value for each in parameters], float))
+        self.log = np.array([parameter.logarithmic for parameter in parameters], bool)
+        self._centre = self._scaled(np.array([parameter.value for parameter in parameters], float))
         ends = [
-            self._scaled(np.array([getattr(each, end) for each in parameters], float))
+            self._scaled(np.array([getattr(parameter, end) for parameter in parameters], float))
             for end in ("low", "high")
         ]
         self.width = ends[1] - ends[0]
@@ -130,10 +128,12 @@ class LoggedSamples:
     quantum: np.ndarray
 
     def by_channel(
-        self, of: Callable[[np.ndarray, int], float], residual: np.ndarray
+        self, statistic: Callable[[np.ndarray, int], float], residual: np.ndarray
     ) -> np.ndarray:
         """A number for each channel from its residuals and its index (channels,)."""
-        return np.array([of(residual[self.channel == i], i) for i in range(len(self.quantum))])
+        return np.array(
+            [statistic(residual[self.channel == i], i) for i in range(len(self.quantum))]
+        )
 
 
 def rms(residual: np.ndarray) -> float:
@@ -180,7 +180,7 @@ class Fit:
     @property
     def bodies(self) -> np.ndarray:
         """Values of the draws inside the ranges (n, p): cut at an end, one would lose what is determined together."""
-        free = [not each for each in self.at_bound]
+        free = [not is_bound for is_bound in self.at_bound]
         inside = ((self.draws >= self.space.low) & (self.draws <= self.space.high))[:, free].all(
             axis=1
         )
@@ -203,9 +203,41 @@ class Fit:
         near = 1e-3 * (self.space.high - self.space.low)
         low, high = self.x < self.space.low + near, self.x > self.space.high - near
         return [
-            "lower" if one else "upper" if other else ""
-            for one, other in zip(low, high, strict=True)
+            "lower" if is_low else "upper" if is_high else ""
+            for is_low, is_high in zip(low, high, strict=True)
         ]
+
+
+def computed(compute: Callable[[], np.ndarray], inputs: np.ndarray) -> np.ndarray:
+    """The `Cache` that stores nothing."""
+    return compute()
+
+
+class EstimationProblem(Protocol):
+    """A model whose parameters an `Estimation` fits to measured samples.
+
+    Attributes:
+        measured: The samples.
+        parts: Part of the model that contains each parameter (p,) and each channel (channels,); -1 is the whole model.
+    """
+
+    @property
+    def measured(self) -> LoggedSamples: ...
+
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray]: ...
+
+    def predict(self, values: np.ndarray) -> np.ndarray:
+        """Predictions (k, n) of the samples for values (k, p); NaN where the model fails."""
+        ...
+
+    def renew(self, values: np.ndarray) -> None:
+        """Linearize the effects of unknown initial states at values (p,)."""
+        ...
+
+    def project(self, residual: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Whitened residuals (n, k) without the effects of unknown initial states, see `without`."""
+        ...
 
 
 class Estimation:
@@ -213,22 +245,23 @@ class Estimation:
 
     Args:
         space: of the parameters.
-        problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; `renew` and `project`,
-            which remove from whitened residuals what unknown starts explain, see `without`; and `parts`, the part of
-            the model that each parameter (p,) and each channel is of, -1 of the whole.
-        kept: of what computes an array, that array: computed, or kept from before.
+        problem: The model and the samples.
+        cache: Stores the results of searches. The searches of the same data have the same order and inputs.
     """
 
     def __init__(
-        self, space: ParameterSpace, problem: Any, kept: Kept = lambda compute: compute()
+        self, space: ParameterSpace, problem: EstimationProblem, cache: Cache = computed
     ) -> None:
-        self.space, self.problem, self.measured, self._kept = space, problem, problem.measured, kept
+        self.space, self.problem, self.measured = space, problem, problem.measured
+        self._cache = cache
 
     def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Whitened residuals (n, k) at coordinates (p, k)."""
-        away = self.problem.predict(self.space.values(x.T)) - self.measured.values
+        difference = self.problem.predict(self.space.values(x.T)) - self.measured.values
         # A model that fails is far away, but not so far that the derivatives beside it are lost.
-        white = np.nan_to_num(away / sigma[self.measured.channel], nan=1e3, posinf=1e3, neginf=-1e3)
+        white = np.nan_to_num(
+            difference / sigma[self.measured.channel], nan=1e3, posinf=1e3, neginf=-1e3
+        )
         return self.problem.project(np.clip(white, -1e3, 1e3).T, sigma)
 
     def minimum(self, x: np.ndarray, sigma: np.ndarray, iterations: int) -> np.ndarray:
@@ -256,36 +289,50 @@ class Estimation:
             )  # fmt: skip
             return np.asarray(least).ravel()
 
-        return self._kept(found)
+        return self._cache(found, np.concatenate([x, sigma]))
 
     def _changes(
-        self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, before: np.ndarray
+        self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, base_residual: np.ndarray
     ) -> np.ndarray:
         """Of the residuals (n, 1) at x (p,), by a step (p,) of each parameter alone (n, p), in one batch.
 
         Parameters of parts of the model that do not act on each other share simulations.
         """
-        of, seen = self.problem.parts
-        if len(np.unique(seen)) > 1 and seen.min() >= 0:
-            at = seen[self.measured.channel][:, None]
+        part_of_parameter, part_of_channel = self.problem.parts
+        if len(np.unique(part_of_channel)) > 1 and part_of_channel.min() >= 0:
+            part_of_sample = part_of_channel[self.measured.channel][:, None]
             turn = np.array(
-                [np.sum(of[:i] == each) if each >= 0 else -1 - i for i, each in enumerate(of)]
+                [
+                    np.sum(part_of_parameter[:i] == part) if part >= 0 else -1 - i
+                    for i, part in enumerate(part_of_parameter)
+                ]
             )
-            turns, parts = np.unique(turn), np.unique(of[of >= 0])
-            together = np.concatenate([turn == turns[:, None], of == parts[:, None]])
-            found = self.residual(x[:, None] + step[:, None] * together.T, sigma) - before
-            alone = np.abs(found[:, len(turns) :])
+            turns, parts = np.unique(turn), np.unique(part_of_parameter[part_of_parameter >= 0])
+            joint_steps = np.concatenate(
+                [turn == turns[:, None], part_of_parameter == parts[:, None]]
+            )
+            differences = (
+                self.residual(x[:, None] + step[:, None] * joint_steps.T, sigma) - base_residual
+            )
+            single_parts = np.abs(differences[:, len(turns) :])
             if (
-                alone[at != parts].max(initial=0.0) <= ACTS * alone.max()
+                single_parts[part_of_sample != parts].max(initial=0.0) <= ACTS * single_parts.max()
             ):  # they do not touch each other
-                return np.where((of < 0) | (at == of), found[:, np.searchsorted(turns, turn)], 0.0)
-        return self.residual(x[:, None] + np.diag(step), sigma) - before
+                return np.where(
+                    (part_of_parameter < 0) | (part_of_sample == part_of_parameter),
+                    differences[:, np.searchsorted(turns, turn)],
+                    0.0,
+                )
+        return self.residual(x[:, None] + np.diag(step), sigma) - base_residual
 
     def spread(self) -> np.ndarray:
         """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
         values = self.measured.values
         wide = self.measured.by_channel(
-            lambda each, i: 0.1 * float(np.std(each)) if len(each) else 1.0, values
+            lambda channel_values, i: (
+                0.1 * float(np.std(channel_values)) if len(channel_values) else 1.0
+            ),
+            values,
         )
         return np.maximum(wide, 1e-9)
 
@@ -298,20 +345,27 @@ class Estimation:
 
     def costs(self, points: np.ndarray) -> np.ndarray:
         """Of coordinates (k, p): the sum of the logarithms of the channels' residuals, whose least needs no weights."""
-        of, floor = self.measured, self.spread() * 1e-6
+        samples, floor = self.measured, self.spread() * 1e-6
 
         def found() -> np.ndarray:
-            away = np.nan_to_num(
-                self.problem.predict(self.space.values(points)) - of.values, nan=1e6
+            difference = np.nan_to_num(
+                self.problem.predict(self.space.values(points)) - samples.values, nan=1e6
             )
             return np.array(
                 [
-                    np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each)))
-                    for each in away
+                    np.sum(
+                        np.log(
+                            floor
+                            + samples.by_channel(
+                                lambda channel_values, i: rms(channel_values), channel_values
+                            )
+                        )
+                    )
+                    for channel_values in difference
                 ]
             )
 
-        return self._kept(found)
+        return self._cache(found, points)
 
     def sought(self, generations: int, every: int, seed: int) -> Iterator[np.ndarray]:
         """Best coordinates (p,) so far of CMA-ES over the whole ranges, which local minima of contacts do not stop.
@@ -323,19 +377,19 @@ class Estimation:
         """
         low, wide = self.space.low, self.space.high - self.space.low
         middle, random = np.full(len(wide), 0.5), np.random.default_rng(seed)
-        found = strategy(middle, 0.3, POPULATION, random, bounds=[0.0, 1.0], maxiter=generations)
-        while not found.stop():
-            shares = found.ask()
-            found.tell(shares, self.costs(low + np.array(shares) * wide).tolist())
-            if found.countiter % every == 0:
-                yield low + np.asarray(found.best.x) * wide
+        search = strategy(middle, 0.3, POPULATION, random, bounds=[0.0, 1.0], maxiter=generations)
+        while not search.stop():
+            shares = search.ask()
+            search.tell(shares, self.costs(low + np.array(shares) * wide).tolist())
+            if search.countiter % every == 0:
+                yield low + np.asarray(search.best.x) * wide
 
     def weights(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Each channel's residuals, but no less than what its values can tell (channels,)."""
-        away = self.residual(x[:, None], sigma)[:, 0] * sigma[self.measured.channel]
+        difference = self.residual(x[:, None], sigma)[:, 0] * sigma[self.measured.channel]
         coarse = self.measured.quantum / math.sqrt(12)
         return np.maximum(
-            self.measured.by_channel(lambda each, i: rms(each), away),
+            self.measured.by_channel(lambda channel_values, i: rms(channel_values), difference),
             np.maximum(coarse, 1e-3 * self.spread()),
         )
 
@@ -430,19 +484,19 @@ class Estimation:
         few blocks the bootstrap alone would call what it cannot see certain.
         """
         number = self.blocks(white)
-        scores, whole = np.zeros((number.max() + 1, along.shape[1])), np.diag(values + 1.0)
+        scores, precision = np.zeros((number.max() + 1, along.shape[1])), np.diag(values + 1.0)
         for block in range(len(scores)):
             # Of a fit without this block: what it has fitted itself does not tell how much it scatters (CR3).
-            own = along[number == block]
-            scores[block] = whole @ np.linalg.solve(
-                whole - own.T @ own, own.T @ white[number == block]
+            block_rows = along[number == block]
+            scores[block] = precision @ np.linalg.solve(
+                precision - block_rows.T @ block_rows, block_rows.T @ white[number == block]
             )
         scores -= scores.mean(axis=0)
         blocks = len(scores)
         random = np.random.default_rng((seed, 1))
         times = random.multinomial(blocks, np.full(blocks, 1 / blocks), DRAWS)
-        moved = (times - 1) @ scores * math.sqrt(blocks / max(blocks - 1, 1))
-        bootstrap = moved.var(axis=0)
+        jackknife = (times - 1) @ scores * math.sqrt(blocks / max(blocks - 1, 1))
+        bootstrap = jackknife.var(axis=0)
         small = 1.0 + 2.0 / max(blocks - 3, 1)  # variance of Student's t
         return np.sqrt(
             small * np.maximum(bootstrap, values) / (1.0 + values) ** 2 + 1.0 / (1.0 + values) ** 2
@@ -454,10 +508,12 @@ class Estimation:
         span = float(np.ptp(time)) or 1.0
         memory = 0.0
         for i in range(len(self.measured.quantum)):
-            own = white[channel == i]
-            if len(own) > 8 and own.std() > 0:
-                lags = min(len(own) // 4, 400)
-                product = np.correlate(own, own, "full")[len(own) - 1 :][: lags + 1] / (own @ own)
+            channel_samples = white[channel == i]
+            if len(channel_samples) > 8 and channel_samples.std() > 0:
+                lags = min(len(channel_samples) // 4, 400)
+                product = np.correlate(channel_samples, channel_samples, "full")[
+                    len(channel_samples) - 1 :
+                ][: lags + 1] / (channel_samples @ channel_samples)
                 until = np.flatnonzero(product < 0.05)
                 reach = until[0] if len(until) else lags
                 step = float(np.median(np.diff(time[channel == i])))
@@ -488,10 +544,10 @@ def repeated(
         seed: of the starts and of draws.
         report: is told how many searches are done.
     """
-    whole = stages[-1]
-    for each in stages[1:-1]:
-        x, sigma = each.search(x, sigma, steps, 2)
-    fit = whole.fit(x, sigma, steps, seed=seed)
+    full_stage = stages[-1]
+    for stage in stages[1:-1]:
+        x, sigma = stage.search(x, sigma, steps, 2)
+    fit = full_stage.fit(x, sigma, steps, seed=seed)
     random, ends, others, alike = (
         np.random.default_rng((seed, 2)),
         list[np.ndarray](),
@@ -499,28 +555,28 @@ def repeated(
         True,
     )
 
-    def excess(of: Estimation, x: np.ndarray) -> float:
+    def excess(estimation: Estimation, x: np.ndarray) -> float:
         """How much worse a body explains a piece than the result, in standard deviations of what noise would do."""
-        squares = np.sum(of.residual(np.stack([fit.x, x], axis=1), fit.sigma) ** 2, axis=0)
-        return float((squares[1] / squares[0] - 1) * math.sqrt(len(of.measured.values) / 2))
+        squares = np.sum(estimation.residual(np.stack([fit.x, x], axis=1), fit.sigma) ** 2, axis=0)
+        return float((squares[1] / squares[0] - 1) * math.sqrt(len(estimation.measured.values) / 2))
 
     for k in range(times):
         report(k)
         end, weights = fit.x + BESIDE * random.standard_normal(len(fit.x)), None
-        for each in stages:
-            end, weights = each.search(end, weights, steps, 2)
-            if excess(each, end) > CHANCE:
+        for stage in stages:
+            end, weights = stage.search(end, weights, steps, 2)
+            if excess(stage, end) > CHANCE:
                 break
         else:
             ends.append(end)
-            if excess(whole, end) < 0:
-                ends[-1], fit = fit.x, whole.fit(end, weights, rounds=0, seed=seed)
-            others = [each for each in ends if excess(whole, each) < CHANCE]
+            if excess(full_stage, end) < 0:
+                ends[-1], fit = fit.x, full_stage.fit(end, weights, rounds=0, seed=seed)
+            others = [stage for stage in ends if excess(full_stage, stage) < CHANCE]
             near = 3.29 * fit.draws.std(axis=0)  # their intervals of 90 % touch
-            alike = all(np.all(np.abs(each - fit.x) < near) for each in others)
+            alike = all(np.all(np.abs(stage - fit.x) < near) for stage in others)
             if alike and len(others) > 1:
                 break
-    return fit if alike else whole.fit(fit.x, fit.sigma, rounds=0, seed=seed, others=others)
+    return fit if alike else full_stage.fit(fit.x, fit.sigma, rounds=0, seed=seed, others=others)
 
 
 def without(jacobian: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -528,158 +584,3 @@ def without(jacobian: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     basis = left[:, singular > 1e-9 * max(singular.max(initial=0.0), 1e-30)]
     return lambda residual: residual - basis @ (basis.T @ residual)
-
-
-# --- in words
-
-
-def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
-    """Ratios and products that are determined though their parameters are not.
-
-    Returns:
-        Formula, relative standard deviation, and the names in it; the best known first.
-    """
-    space, found = fit.space, list[tuple[str, float, tuple[str, ...]]]()
-    logs = fit.draws * space.deviation
-    loose = [i for i in range(len(space)) if space.log[i] and not fit.determined[i]]
-    group = {i: i for i in loose}
-    pairs = []
-    for a, i in enumerate(loose):
-        for j in loose[a + 1 :]:
-            for exponent in _EXPONENTS:
-                deviation = float(np.std(logs[:, i] + exponent * logs[:, j]))
-                alone = min(float(np.std(logs[:, i])), abs(exponent) * float(np.std(logs[:, j])))
-                narrow = 3.29 * deviation < DETERMINED * space.width[i]
-                if narrow and deviation * BETTER < alone:
-                    pairs.append((deviation, i, j, exponent))
-    for deviation, i, j, exponent in sorted(
-        pairs
-    ):  # the best known ones, each of which says something new
-        if group[i] == group[j]:
-            continue
-        group = {k: group[i] if g == group[j] else g for k, g in group.items()}
-        one, other = space.parameters[i].name, space.parameters[j].name
-        power = "" if abs(exponent) == 1 else f"^{abs(exponent):g}"
-        found.append(
-            (f"{one} {'/' if exponent < 0 else '*'} {other}{power}", deviation, (one, other))
-        )
-    return found
-
-
-def percent(share: float) -> str:
-    """A share as per cent with two digits."""
-    return f"{100 * share:.2g} %"
-
-
-def determinacy_sentences(fit: Fit) -> list[str]:
-    """What the data determine, in words."""
-    space, said = fit.space, list[str]()
-    names = np.array([each.name for each in space.parameters])
-    bound = fit.at_bound
-    known = [names[i] for i in range(len(names)) if fit.determined[i]]
-    loose = [names[i] for i in range(len(names)) if not fit.determined[i]]
-    products = combinations(fit)
-    if known:
-        said.append(f"Determined: {', '.join(known)}.")
-    if products:
-        listed = ", ".join(
-            f"{formula} to {percent(deviation)}" for formula, deviation, _ in products
-        )
-        said.append(
-            f"Determined only together: {listed}; each of these parameters alone could be another."
-        )
-    if loose:
-        said.append(
-            f"Not determined by these data: {', '.join(loose)}. Where they stay near the default, that is no result."
-        )
-    if not known and not products:
-        said.append("These data determine none of the parameters.")
-    for name, end in zip(names, bound, strict=True):
-        if end:
-            said.append(f"{name} is at its {end} bound.")
-    return said
-
-
-# --- model classes
-
-
-@dataclasses.dataclass(frozen=True)
-class Judgement:
-    """Whether residuals are noise.
-
-    Attributes:
-        rms, noise: of each channel (channels,): residuals, and their white part.
-        white: the ratio of von Neumann of each channel (channels,): 1 if residuals are white, 0 if they are smooth.
-        right: whether the model explains the data to the noise.
-    """
-
-    rms: np.ndarray
-    noise: np.ndarray
-    white: np.ndarray
-    right: bool
-
-
-#: Residuals that exceed their white part by this share are no noise, if that is not chance.
-EXCESS: Final = 0.05
-#: Standard deviations beyond which it is not chance, in any channel.
-CHANCE: Final = 4.0
-
-
-def judge(measured: LoggedSamples, residual: np.ndarray) -> Judgement:
-    """Compare residuals (n,) with their white part, channel by channel."""
-    size = measured.by_channel(lambda each, i: rms(each), residual)
-    noise = measured.by_channel(lambda each, i: floor(each, measured.quantum[i]), residual)
-    counts = np.bincount(measured.channel, minlength=len(measured.quantum))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        white = np.where(size > 0, np.minimum((noise / size) ** 2, 1.0), 1.0)
-    beyond = (size > (1 + EXCESS) * noise) & (1 - white > CHANCE / np.sqrt(np.maximum(counts, 1)))
-    return Judgement(size, noise, white, not bool(beyond.any()))
-
-
-def dispensable(fit: Fit) -> list[str]:
-    """Kinds of parameters that the data do not ask for, those that matter least first.
-
-    A kind is left out if the mean square rises by less than chance lets it (Wald, with the posterior's covariance).
-    """
-    space, left = fit.space, list[str]()
-    kinds = list(dict.fromkeys(each.kind for each in space.parameters))
-    optional = [
-        k for k in kinds if all(math.isfinite(p.neutral) for p in space.parameters if p.kind == k)
-    ]
-    covariance = (fit.directions * fit.share**2) @ fit.directions.T
-    away = fit.x - space.coordinates(np.array([each.absent for each in space.parameters]))
-    while optional:
-
-        def rise(kind: str) -> float:
-            chosen = [i for i, p in enumerate(space.parameters) if p.kind in (*left, kind)]
-            block = covariance[np.ix_(chosen, chosen)]
-            return float(away[chosen] @ np.linalg.solve(block, away[chosen])) / (
-                len(chosen) + 2 * math.sqrt(2 * len(chosen))
-            )
-
-        least = min(optional, key=rise)
-        if rise(least) > 1.0:
-            break
-        left.append(least)
-        optional.remove(least)
-    return left
-
-
-def gain_of(fit: Fit, extra: np.ndarray, white: np.ndarray) -> float:
-    """The share of the squares that further parameters would remove, by one linear step.
-
-    Args:
-        extra: derivatives of the whitened residuals to them (n, q).
-        white: the residuals (n,).
-    """
-    columns = np.concatenate([fit.jacobian, extra], axis=1)
-    step, *_ = np.linalg.lstsq(columns, white, rcond=1e-8)
-    return float(1 - np.sum((white - columns @ step) ** 2) / np.sum(white**2))
-
-
-def contribution(jacobian: np.ndarray, fit: Fit) -> float:
-    """Share of the least known direction's deviation that is left after another experiment, jacobian (n, p)."""
-    before = (fit.directions * fit.share**2) @ fit.directions.T
-    after = np.linalg.inv(np.linalg.inv(before) + jacobian.T @ jacobian)
-    worst: Any = fit.directions[:, int(np.argmax(fit.share))]
-    return math.sqrt(float(worst @ after @ worst) / float(worst @ before @ worst))

@@ -1,4 +1,4 @@
-# Tests of optimize/methods.py
+# Tests of optimize/tuner.py
 """Tunings by differences: their results and their cost."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fakes.tune_fake import BEST, SPEC, FakeProblem
 
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.problems import WalkProblem
-from nermo_mjx.optimize.run import tuning_forecasts
+from nermo_mjx.optimize.tuning_run import tuning_forecasts
 from nermo_mjx.runs import Interrupted, codes_of
 
 DIFFERENCES = SPEC | {"method": "wide_differences"}
@@ -93,7 +93,7 @@ def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
 
 def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
-    monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
     costs = {each.method: each for each in tuning_forecasts(Tuning.from_dict(DIFFERENCES))}
     assert list(costs) == ["wide_differences", "local_gradient"]
     assert costs["wide_differences"].counts["evaluations"] == 2 * 7 * 5

@@ -1,47 +1,24 @@
-"""How points are chosen: each method is asked for points (`ask`), and told what came of them (`tell`).
+"""The methods of a search, which are asked for points (`ask`), and receive their results (`tell`).
 
-A tuning steps a `TuneState` from several starts, along gradients. A method of a search (CMA-ES with restarts, NSGA-II,
-CMA-ME, a Sobol sequence) has the results as its only input, so that a search is repeated, or resumed, by telling it the
-contents of its table again.
+A method (CMA-ES with restarts, NSGA-II, CMA-ME, a Sobol sequence) has the results as its only input, so that a search
+is repeated, or resumed, by telling it the contents of its table again.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import importlib.metadata
 import math
 import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, Protocol
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import qmc
 
-from nermo_mjx.optimize.objective import (
-    Bounds,
-    Problem,
-    confine,
-    from_unconstrained,
-    slope,
-    to_unconstrained,
-)
-from nermo_mjx.optimize.optimizers import Optimizer
-from nermo_mjx.optimize.spec import (
-    Aim,
-    Cma,
-    CmaMe,
-    Nsga2,
-    Search,
-    SearchMethod,
-    Sobol,
-    Tuning,
-    is_turn,
-)
+from nermo_mjx.optimize.search_spec import Aim, Cma, CmaMe, Nsga2, Search, SearchMethod, Sobol
+from nermo_mjx.optimize.tuning_spec import is_turn
 from nermo_mjx.robot.quantity import require
 from nermo_mjx.sweep.counting import counts
 from nermo_mjx.sweep.sampling import Axis
@@ -56,149 +33,6 @@ class Request:
     """
 
     points: Any
-
-
-# ---
-# State of a tuning: everything that its next iteration depends on, as one pytree of arrays.
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class TuneState:
-    """A tuning of p parameters from several starts, before an iteration.
-
-    Attributes:
-        u: points in unbounded coordinates (starts, p), see `nermo_mjx.optimize.objective`.
-        optimizer: state of the optimizer, every leaf with a leading axis of starts.
-        iteration: iterations done.
-        best_u: the best point of each start so far (starts, p); its beginning, where none walked to the end yet.
-        best_value: objective there (starts,); infinite, where none walked to the end yet.
-        best_iteration: iteration that evaluated it (starts,); -1, where none walked to the end yet.
-    """
-
-    u: Float[Array, "starts p"]
-    optimizer: Any
-    iteration: Int[Array, ""]
-    best_u: Float[Array, "starts p"]
-    best_value: Float[Array, " starts"]
-    best_iteration: Int[Array, " starts"]
-
-    def after(self, u: Any, optimizer: Any, better: Any, better_u: Any, value: Any) -> TuneState:
-        """The state one iteration later, at u.
-
-        Args:
-            better, better_u, value: which starts found a better point (starts,), the point and its objective.
-        """
-        return TuneState(
-            u=u,
-            optimizer=optimizer,
-            iteration=self.iteration + 1,
-            best_u=jnp.where(better[:, None], better_u, self.best_u),
-            best_value=jnp.where(better, value, self.best_value).astype(self.best_value.dtype),
-            best_iteration=jnp.where(better, self.iteration, self.best_iteration),
-        )
-
-
-def initial_state(tuning: Tuning) -> TuneState:
-    """The state before the first iteration."""
-    u = to_unconstrained(tuning.bounds, jnp.asarray(tuning.start_points(), float))
-    return TuneState(
-        u=u,
-        optimizer=jax.vmap(tuning.optimizer.build().init)(u),
-        iteration=jnp.zeros((), int),
-        best_u=u,
-        best_value=jnp.full(len(u), jnp.inf, u.dtype),
-        best_iteration=jnp.full(len(u), -1),
-    )
-
-
-@dataclasses.dataclass(frozen=True)
-class Iterate:
-    """What an iteration found at the points it began with; numpy arrays, one entry per start.
-
-    Attributes:
-        points: parameters in their own units (starts, p).
-        value: objective (starts,); NaN where the robot did not walk to the end.
-        ok: whether it did (starts,).
-        gradient: d value / d parameters (starts, p); NaN without one.
-        metrics: name -> (starts,).
-        simulated_seconds: simulated time that the iteration took, gradients at their cost in forward runs [s].
-    """
-
-    points: np.ndarray
-    value: np.ndarray
-    ok: np.ndarray
-    gradient: np.ndarray
-    metrics: dict[str, np.ndarray]
-    simulated_seconds: float
-
-
-class Tuner:
-    """Steps a tuning on a problem along gradients; two small programs run before and after the problem's large one."""
-
-    def __init__(self, tuning: Tuning, problem: Problem) -> None:
-        assert tuple(problem.names) == tuning.names, (
-            "a problem takes the tuned parameters in the order of the file"
-        )
-        self.tuning, self.problem, self.bounds = tuning, problem, tuning.bounds
-        self.seconds, self.cost = problem.simulated_seconds, problem.gradient_cost
-
-    def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
-        """Evaluate the points of a state and take one step from them."""
-        points = placed(self.bounds, state)
-        found = self.problem.evaluate(points, True)
-        after, ok = _advanced(
-            self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok
-        )
-        ok = np.asarray(ok)
-        return after, Iterate(
-            points=np.asarray(points, float),
-            value=np.where(ok, np.asarray(found.value, float), np.nan),
-            ok=ok,
-            gradient=np.where(ok[:, None], np.asarray(found.gradient, float), np.nan),
-            metrics={name: np.asarray(column, float) for name, column in found.metrics.items()},
-            simulated_seconds=len(ok) * self.seconds * self.cost,
-        )
-
-
-@jax.jit
-def placed(bounds: Bounds, state: TuneState) -> Float[Array, "starts p"]:
-    """Parameters of all starts."""
-    return from_unconstrained(bounds, state.u)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _advanced(
-    optimizer: Optimizer,
-    bounds: Bounds,
-    state: TuneState,
-    value: Float[Array, " starts"],
-    gradient: Float[Array, "starts p"],
-    ok: Bool[Array, " starts"],
-) -> tuple[TuneState, Bool[Array, " starts"]]:
-    """The state after the iteration, and whether each point has a value and a gradient.
-
-    A start without a completed walk has no gradient: it moves halfway back to its best point, and
-    its optimizer is not updated; an optimizer that uses values reacts by itself.
-    """
-    update = optimizer.build().update
-    ok = ok & jnp.isfinite(value) & jnp.isfinite(gradient).all(axis=-1)
-    # What does not count is replaced before anything is computed from it, so that no NaN can come through a product.
-    gradient = jnp.where(ok[:, None], gradient, 0.0) * slope(bounds, state.u)
-    better = ok & (value < state.best_value)
-    best_u = jnp.where(better[:, None], state.u, state.best_u)
-    step, updated = jax.vmap(
-        lambda gradient, past, u, value: update(gradient, past, u, value=value)
-    )(gradient, state.optimizer, state.u, jnp.where(ok, value, jnp.inf))
-    forward = confine(bounds, state.u + step)
-    waits = ~ok & (not optimizer.reads_values)
-    u = jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward)
-    kept = jax.tree.map(
-        lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new),
-        updated,
-        state.optimizer,
-    )
-    return state.after(u, kept, better, state.u, value), ok
 
 
 # ---
@@ -309,10 +143,8 @@ def scores_of(
         measures[:, i] = means[measure.metric]
     violation = np.zeros(len(ok))
     for limit in aim.limits:
-        value, unit = (
-            means[limit.metric],
-            max(abs(b) for b in (limit.low, limit.high) if np.isfinite(b)) or 1.0,
-        )
+        value = means[limit.metric]
+        unit = max(abs(b) for b in (limit.low, limit.high) if np.isfinite(b)) or 1.0
         violation += (
             np.maximum(value - limit.high, 0.0) / unit + np.maximum(limit.low - value, 0.0) / unit
         )
@@ -346,8 +178,8 @@ def cells_of(aim: Aim, measures: np.ndarray) -> np.ndarray:
         np.where(inside[:, None], measures, 0.0).T, aim.measures, strict=True
     ):
         inside &= (values >= measure.low) & (values <= measure.high)
-        place = np.floor((values - measure.low) / (measure.high - measure.low) * measure.cells)
-        cell = cell * measure.cells + np.clip(place, 0, measure.cells - 1).astype(int)
+        cell_index = np.floor((values - measure.low) / (measure.high - measure.low) * measure.cells)
+        cell = cell * measure.cells + np.clip(cell_index, 0, measure.cells - 1).astype(int)
     return np.where(inside, cell, -1)
 
 
@@ -377,10 +209,10 @@ def strategy(
         warnings.simplefilter("ignore")
         import cma
 
-    own = np.random.default_rng(rng.integers(2**63))
+    generator = np.random.default_rng(rng.integers(2**63))
     common = {
         "popsize": max(population, 4),
-        "randn": lambda *shape: own.standard_normal(shape),
+        "randn": lambda *shape: generator.standard_normal(shape),
         "seed": math.nan,
         "verbose": -9,
         "maxiter": math.inf,
@@ -395,7 +227,7 @@ class Searcher(Protocol):
         """The next batch."""
         ...
 
-    def tell(self, found: Scores) -> None:
+    def tell(self, scores: Scores) -> None:
         """The results of the batch, in its order."""
         ...
 
@@ -432,10 +264,10 @@ class RestartedCma(Searcher):
         self._points = np.array(self._strategy.ask())
         return Request(self._space.shares(self._points))
 
-    def tell(self, found: Scores) -> None:
-        if found.allowed.any():
-            self._worst = max(self._worst, float(found.cost[found.allowed, 0].max()))
-        cost = ranked_cost(found, self._worst)
+    def tell(self, scores: Scores) -> None:
+        if scores.allowed.any():
+            self._worst = max(self._worst, float(scores.cost[scores.allowed, 0].max()))
+        cost = ranked_cost(scores, self._worst)
         if self._strategy is None:
             first = self._space.spread(SPREAD * self._batch)[int(np.argmin(cost))]
             self._begin(first, self._method.sigma, self._batch)
@@ -492,9 +324,9 @@ class Genetic(Searcher):
         self._population = self._algorithm.ask()
         return Request(np.clip(self._population.get("X").astype(float), 0.0, 1.0))
 
-    def tell(self, found: Scores) -> None:
-        self._population.set("F", np.where(found.ok[:, None], found.cost, 0.0))
-        self._population.set("G", np.where(found.ok, found.violation, _FALLEN)[:, None])
+    def tell(self, scores: Scores) -> None:
+        self._population.set("F", np.where(scores.ok[:, None], scores.cost, 0.0))
+        self._population.set("G", np.where(scores.ok, scores.violation, _FALLEN)[:, None])
         for individual in self._population:
             individual.evaluated.update(["F", "G"])
         self._algorithm.tell(infills=self._population)
@@ -520,17 +352,15 @@ class AtlasEmitters(Searcher):
             from ribs.archives import GridArchive
 
         assert isinstance(search.method, CmaMe)
-        self._space, self._aim, self._seed, self._batch = (
-            space,
-            search.aim,
-            search.sweep.seed,
-            batch,
-        )
+        self._space = space
+        self._aim = search.aim
+        self._seed = search.sweep.seed
+        self._batch = batch
         self._method, self._count = search.method, max(1, min(search.method.emitters, batch // 2))
         self._archive = GridArchive(
             solution_dim=space.dimensions,
-            dims=[each.cells for each in search.aim.measures],
-            ranges=[(each.low, each.high) for each in search.aim.measures],
+            dims=[measure.cells for measure in search.aim.measures],
+            ranges=[(measure.low, measure.high) for measure in search.aim.measures],
             seed=search.sweep.seed,
         )
         self._emitters: list[Any] = []
@@ -544,15 +374,15 @@ class AtlasEmitters(Searcher):
             self._shares = self._space.spread(first + self._batch)[first:]
             return Request(self._shares)
         points = [emitter.ask() for emitter in self._emitters]
-        self._ends = np.cumsum([len(each) for each in points])
+        self._ends = np.cumsum([len(points_of_emitter) for points_of_emitter in points])
         self._shares = self._space.shares(np.concatenate(points))
         return Request(self._shares)
 
-    def tell(self, found: Scores) -> None:
-        inside = found.allowed & (cells_of(self._aim, found.measures) >= 0)
+    def tell(self, scores: Scores) -> None:
+        inside = scores.allowed & (cells_of(self._aim, scores.measures) >= 0)
         status, value = np.zeros(len(inside), np.int32), np.full(len(inside), _WORTHLESS)
-        objective = np.where(inside, found.quality, _WORTHLESS)
-        measures = np.where(np.isfinite(found.measures), found.measures, 0.0)
+        objective = np.where(inside, scores.quality, _WORTHLESS)
+        measures = np.where(np.isfinite(scores.measures), scores.measures, 0.0)
         if inside.any():
             info = self._archive.add(self._shares[inside], objective[inside], measures[inside])
             status[inside], value[inside] = info["status"], info["value"]
@@ -572,9 +402,9 @@ class AtlasEmitters(Searcher):
 
         elites = self._archive.data(["solution", "index"], return_type="dict")
         order = np.argsort(elites["index"])
-        chosen = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
+        selected = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
         sizes = [len(part) for part in np.array_split(np.arange(self._batch), self._count)]
-        for i, (start, size) in enumerate(zip(elites["solution"][chosen], sizes, strict=True)):
+        for i, (start, size) in enumerate(zip(elites["solution"][selected], sizes, strict=True)):
             common: dict[str, Any] = {
                 "x0": start,
                 "sigma0": self._method.sigma,
@@ -605,10 +435,8 @@ class SobolSample(Searcher):
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
         self._batch, self._first = batch, space.first
-        self._points, self._begun = (
-            qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)),
-            False,
-        )
+        self._points = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed))
+        self._begun = False
 
     def ask(self) -> Request:
         with warnings.catch_warnings():
@@ -622,7 +450,7 @@ class SobolSample(Searcher):
                 np.concatenate([self._first[None], self._points.random(self._batch - 1)])
             )
 
-    def tell(self, found: Scores) -> None:
+    def tell(self, scores: Scores) -> None:
         """The points do not depend on it."""
 
 
@@ -642,8 +470,8 @@ def searcher(search: Search, batch: int) -> Searcher:
         CmaMe: AtlasEmitters,
         Sobol: SobolSample,
     }
-    made: Searcher = kinds[type(search.method)](Space(search), search, batch)
-    return made
+    instance: Searcher = kinds[type(search.method)](Space(search), search, batch)
+    return instance
 
 
 def check_library(method: SearchMethod) -> None:

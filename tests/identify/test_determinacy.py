@@ -1,4 +1,4 @@
-# Tests of experiments/determinacy.py
+# Tests of identify/determinacy.py, identify/estimation.py
 """What a log determines of named parameters: values, intervals, combinations, and classes of models."""
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import (
+from nermo_mjx.identify import determinacy
+from nermo_mjx.identify.estimation import (
     Estimation,
     Fit,
     LoggedSamples,

@@ -1,4 +1,4 @@
-# Tests of rollout/own_metrics.py, rollout/reduction.py
+# Tests of rollout/custom_metrics.py, rollout/metric_table.py, rollout/reduction.py
 """Custom metrics: reductions of a function of the sensors, where it may be named, and what is rejected."""
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from test_metrics import DT, STEPS, stream
 from nermo_mjx import METRICS, ParameterError, Rollout, Run, Setup, Simulator, all_metrics, metric
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Tuning
-from nermo_mjx.optimize.directory import history_columns as columns
+from nermo_mjx.optimize.tuning_history import history_columns as columns
 from nermo_mjx.rollout import metrics as measures
-from nermo_mjx.rollout.own_metrics import ACROSS, REDUCTIONS, OwnMetric, load_metrics
+from nermo_mjx.rollout.custom_metrics import ACROSS, REDUCTIONS, OwnMetric, load_metrics
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
 from nermo_mjx.sweep.plots import sweep_figures
@@ -82,13 +82,14 @@ def reduced(readings: np.ndarray, begin: float, end: float) -> dict[str, float]:
     seen, window = stream(len(readings), gyro=gyro), Window(begin=begin, end=end, distance=1e6)
 
     def tick(state: Any, now: Any) -> tuple[Any, None]:
-        return measures.update(window, state, now[1], now[0], DT, 1.0, own=chosen), None
+        known = measures.Tick(now[1], now[0], DT, 1.0)
+        return measures.update(window, state, known, chosen), None
 
     start = measures.init(
         jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen
     )
     state, _ = jax.lax.scan(tick, start, (DT * np.arange(len(readings)), seen))
-    found = measures.result(state, jnp.asarray(0.27), own=chosen)
+    found = measures.result(state, jnp.asarray(0.27), custom=chosen)
     return {name: float(found[name]) for name in REDUCTIONS}
 
 
@@ -138,15 +139,15 @@ def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None
     )
 
     def tick(state: Any, now: Any) -> tuple[Any, None]:
-        return measures.update(
-            Window(begin=0.0, end=1e6, distance=1e6), state, now[1], now[0], DT, 0.95, own=chosen
-        ), None
+        known = measures.Tick(now[1], now[0], DT, 0.95)
+        window = Window(begin=0.0, end=1e6, distance=1e6)
+        return measures.update(window, state, known, chosen), None
 
     start = measures.init(
         jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen
     )
     state, _ = jax.lax.scan(tick, start, (DT * np.arange(ticks), seen))
-    found = measures.result(state, jnp.asarray(0.27), own=chosen)
+    found = measures.result(state, jnp.asarray(0.27), custom=chosen)
     # The front right foot is down from ticks 55, 155, 255 and 355 on, and settles in the eleventh tick.
     strides = [random[begin : begin + period] for begin in (66, 166, 266)]
     ranges = [
@@ -198,12 +199,11 @@ def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
         start = measures.init(jax.tree.map(lambda leaf: leaf[0, -1], seen), (root,))
 
         def add(state: Any, now: Any) -> tuple[Any, None]:
-            return measures.update(
-                Window(begin=0.0), state, now[1], now[0], DT, 1.0, own=(root,)
-            ), None
+            known = measures.Tick(now[1], now[0], DT, 1.0)
+            return measures.update(Window(begin=0.0), state, known, (root,)), None
 
         state, _ = jax.lax.scan(add, start, (DT * np.arange(4), seen))
-        return measures.result(state, jnp.asarray(0.27), own=(root,))["mean"]
+        return measures.result(state, jnp.asarray(0.27), custom=(root,))["mean"]
 
     assert float(jax.jit(mean)(1.0)) == pytest.approx(2.0)
     for derivative in (jax.grad, jax.jacfwd):

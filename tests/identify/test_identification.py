@@ -1,4 +1,4 @@
-# Tests of experiments/log_identification.py, experiments/log_twin.py, experiments/log_report.py
+# Tests of identify/identification.py, identify/body.py, identify/twin.py, identify/report.py, identify/proposal.py
 """Identification from a log: a model under logged commands, and what the command says of it."""
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from nermo_mjx.cli import main as command
-from nermo_mjx.experiments.log_identification import Identification, identify_log
-from nermo_mjx.experiments.log_report import kept_in
-from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody, until
 from nermo_mjx.files import FileError
 from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.identify.body import MjcfBody, NermoBody
+from nermo_mjx.identify.identification import Identification, identify_log
+from nermo_mjx.identify.twin import LoggedTwin, until
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.optimize import Search, Tuning
 from nermo_mjx.robot import SERVOS, ParameterError, identified
@@ -407,37 +407,16 @@ def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     assert re.search(r"an identification from a log, \d+ steps, complete", capsys.readouterr().out)
     assert main(["plot", str(out)])
     assert "only the command that made" in capsys.readouterr().err
+    assert not main(["view", str(out), "--out", str(tmp_path / "page.html"), "--no-open"])
+    assert (tmp_path / "page.html").read_text() == (out / "report.html").read_text()
+    assert (out / "report.html").read_text().count("data:image/svg+xml;base64,") == 3
+    (out / "identification.json").unlink()
+    assert main(["view", str(out), "--no-open"])
+    assert "contains no complete identification" in capsys.readouterr().err
     (tmp_path / "sweep").mkdir()
     (tmp_path / "sweep" / "run.json").write_text('{"kind": "sweep"}')
     assert main([*arguments, "--model", str(path), "--out", str(tmp_path / "sweep")])
     assert "holds a sweep, and not an identification from a log" in capsys.readouterr().err
-
-
-@pytest.mark.release
-def test_what_was_killed_goes_on_after_its_last_step(path: Path, tmp_path: Path) -> None:
-    log, computed = logged(2.0), list[int]()
-    (tmp_path / "out").mkdir()
-
-    def identified_until(most: int, decides: str = "this") -> np.ndarray:
-        keeps, computed[:] = kept_in(tmp_path / "out", decides), [0]
-
-        def kept(compute: Callable[[], np.ndarray]) -> np.ndarray:
-            def counted() -> np.ndarray:
-                if computed[0] == most:
-                    raise KeyboardInterrupt
-                computed[0] += 1
-                return compute()
-
-            return keeps(counted)
-
-        return identify_log([log], path, ("damping", "kp"), kept=kept).fit.draws
-
-    with pytest.raises(KeyboardInterrupt):
-        identified_until(3)
-    resumed, rest = identified_until(99), computed[0]
-    np.testing.assert_array_equal(identified_until(0), resumed)
-    np.testing.assert_array_equal(identified_until(99, "another"), resumed)
-    assert computed[0] == rest + 3
 
 
 @pytest.mark.parametrize(

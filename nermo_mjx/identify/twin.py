@@ -1,0 +1,494 @@
+"""A model driven by a log's commands, in batches of bodies: what its sensors would have shown.
+
+Any MJCF, or Nermo. A control of a step is the mean of the command that is held during it, `delay` earlier, so that a
+delay is no staircase. A base that no channel sees is held in place. A model on servos starts where the log's angles
+do, one with a free base stands before; one that motors push is set to the measured angles again every half second,
+since its errors grow.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+
+from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.twin import SETTLING_SECONDS
+from nermo_mjx.identify.body import LANES, Body, body_of
+from nermo_mjx.identify.estimation import LoggedSamples, without
+from nermo_mjx.physics.servo_play import Play, ServosWithPlay
+from nermo_mjx.physics.variation import moves_constants
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.runtime import thread_count
+
+#: Interval at which a model without servos begins anew [s].
+AGAIN: Final = 0.5
+#: Time after which servos have forgotten where a log begins [s].
+FORGOTTEN: Final = 2.0
+#: Perturbations of unknown starts: position and velocity.
+START_WIDTH: Final = (1e-4, 1e-3)
+#: Quantities that a model predicts.
+PREDICTED: Final = ("angle", "velocity", "gyro", "accelerometer", "position", "yaw", "torque")
+_SENSORS: Final = {"gyro": "GYRO", "accelerometer": "ACCELEROMETER"}
+
+
+class LoggedTwin:
+    """The predictions of a body for logs: the problem that an `Estimation` solves."""
+
+    def __init__(
+        self,
+        body: Body,
+        logs: Sequence[Log],
+        names: Sequence[str],
+        selection: Callable[[np.ndarray, float], np.ndarray] | None = None,
+    ) -> None:
+        """
+        Args:
+            body: that is driven.
+            logs: one or several.
+            names: of the parameters that the values of `predict` are of.
+            selection: which samples count, of times (n,) and the duration of their log: (n,) bool.
+
+        Raises:
+            ParameterError: a channel of a part that the model does not have, no command, or nothing to compare.
+        """
+        for log in logs:
+            if body.model.nu and not log.of_quantity("command"):
+                raise ParameterError(
+                    f"{log.file}: no channel is a command, by which the model could be driven."
+                )
+        self.body, self.names, self.logs = body, tuple(names), tuple(logs)
+        pushed = not body.servos.all() and body.model.nu > 0
+        self._legs = [_Driven(body, log, AGAIN if pushed else None) for log in logs]
+        if not all(leg.channels for leg in self._legs):
+            raise ParameterError(
+                "no channel of the log is one that a model predicts: give angles, an IMU, or a track."
+            )
+        self.stands = any(leg.stands for leg in self._legs)
+        labels = list(
+            dict.fromkeys(leg_channel.name for leg in self._legs for leg_channel in leg.channels)
+        )
+        parts, keep, offset = [], [], 0.0
+        for leg in self._legs:
+            for leg_channel in leg.channels:
+                size = leg_channel.values.reshape(len(leg_channel.times), -1).shape[1]
+                is_selected = leg.inside(leg_channel) & (
+                    True if selection is None else selection(leg_channel.times, leg.log.duration)
+                )
+                keep.append(np.repeat(is_selected, size))
+                sample_times = np.repeat(offset + leg_channel.times, size)
+                values = (
+                    np.unwrap(leg_channel.values)
+                    if leg_channel.quantity == "yaw"
+                    else leg_channel.values
+                )
+                parts.append(
+                    (
+                        values.ravel(),
+                        np.full(len(sample_times), labels.index(leg_channel.name)),
+                        sample_times,
+                    )
+                )
+            offset += leg.log.duration + 1.0
+        self.keep = np.concatenate(keep)
+        values, channel, times = (
+            np.concatenate(column)[self.keep] for column in zip(*parts, strict=True)
+        )
+        self.labels = tuple(labels)
+        sizes = {
+            leg_channel.name: leg_channel.values[:1].size
+            for leg in self._legs
+            for leg_channel in leg.channels
+        }
+        self.components = tuple(sizes[label] for label in labels)
+        quantum = np.array([_quantum(values[channel == i]) for i in range(len(labels))])
+        self.measured = LoggedSamples(values, channel, times, quantum)
+        self._around: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def predict(self, values: np.ndarray) -> np.ndarray:
+        """Predictions (k, n) of the samples that count for values (k, p)."""
+        rows = []
+        for block in np.array_split(values, -(-len(values) // LANES)):
+            parts = [leg.predict(self.names, block) for leg in self._legs]
+            rows.append(np.concatenate(parts, axis=1)[:, self.keep])
+        return np.concatenate(rows)
+
+    @functools.cached_property
+    def parts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Kinematic tree that each parameter (p,) and each channel is of; -1 of several, or of one that others pull."""
+        body, model = self.body, self.body.model
+        part_of_channel = {
+            channel.name: model.jnt_dofadr[body.joint(channel.of)]
+            if channel.quantity in ("angle", "velocity")
+            else -1
+            for leg in self._legs
+            for channel in leg.channels
+        }
+        dofs = np.array(
+            [
+                *(body.dofs.get(name, -1) for name in self.names),
+                *(part_of_channel[label] for label in self.labels),
+            ]
+        )
+        trees = np.where((dofs < 0) | (model.neq + model.ntendon > 0), -1, model.dof_treeid[dofs])
+        return trees[: len(self.names)], trees[len(self.names) :]
+
+    def renew(self, values: np.ndarray) -> None:
+        """Linearize what depends on unknown starts, at values (p,)."""
+        self._around, first = [], 0
+        for leg in self._legs:
+            columns, window = leg.nuisance(self.names, values)
+            is_kept = self.keep[first : first + len(window)]
+            row = np.cumsum(self.keep)[first : first + len(window)] - 1
+            first += len(window)
+            for w in np.unique(window[is_kept]):
+                rows = np.flatnonzero(is_kept & (window == w))
+                if len(rows) > columns.shape[1] > 0:
+                    self._around.append((row[rows], columns[rows]))
+        self._remove: dict[bytes, list[tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]]] = {}
+
+    def project(self, residual: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Whitened residuals (n, k) without what the unknown starts explain."""
+        if not self._around:
+            return residual
+        if (key := sigma.tobytes()) not in self._remove:
+            channel_index = self.measured.channel
+            self._remove[key] = [
+                (rows, without(c / sigma[channel_index[rows]][:, None])) for rows, c in self._around
+            ]
+        residual = residual.copy()
+        for rows, remove in self._remove[key]:
+            residual[rows] = remove(residual[rows])
+        return residual
+
+
+def replay_on_model(log: Log, model: str | os.PathLike[str]) -> tuple[Log, tuple[str, ...]]:
+    """Drive any MJCF by a log's commands, from the log's first angles, or from standing if its base is free.
+
+    Returns:
+        The log's channels as the model has them, at the log's time stamps, and what was assumed, in sentences.
+
+    Raises:
+        ParameterError: the log and the model do not fit together, or the simulation diverges.
+    """
+    body = body_of(model, [log], ())
+    twin = LoggedTwin(body, [log], ())
+    predicted, channels = twin.predict(np.zeros((1, 0)))[0], list[Channel]()
+    if not np.isfinite(predicted).all():
+        raise ParameterError(f"{model} diverges under the commands of {log.file}.")
+    for channel in log.channels:
+        if channel.name in twin.labels:
+            rows = twin.measured.channel == twin.labels.index(channel.name)
+            values = predicted[rows].reshape(-1, *channel.values.shape[1:])
+            times = twin.measured.time[rows].reshape(len(values), -1)[:, 0]
+            channels.append(dataclasses.replace(channel, times=times, values=values))
+    return Log(tuple(channels), str(model)), tuple(body.notes)
+
+
+def _quantum(values: np.ndarray) -> float:
+    """Smallest step of values that are multiples of it; 0 if they are fine."""
+    steps = np.unique(np.round(np.abs(np.diff(np.unique(values))), 12))
+    steps = steps[steps > 0]
+    return float(steps[0]) if len(steps) and len(np.unique(values)) < len(values) / 4 else 0.0
+
+
+def until(log: Log, end: float) -> Log:
+    """The samples of a log before a time [s]; every channel keeps at least one."""
+    parts = []
+    for channel in log.channels:
+        is_before = channel.times < max(end, float(channel.times[0]) + 1e-9)
+        parts.append(
+            dataclasses.replace(
+                channel, times=channel.times[is_before], values=channel.values[is_before]
+            )
+        )
+    return dataclasses.replace(log, channels=tuple(parts))
+
+
+class _Driven:
+    """A body under the commands of one log."""
+
+    def __init__(self, body: Body, log: Log, window: float | None) -> None:
+        self.body, self.log, model = body, log, body.model
+        self.channels = tuple(channel for channel in log.channels if channel.quantity in PREDICTED)
+        self.step = float(model.opt.timestep)
+        self.stands = any(kind == mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type)
+        total = max(1, math.ceil(log.duration / self.step))
+        self.steps = total if window is None or self.stands else max(1, round(window / self.step))
+        self.windows = math.ceil(total / self.steps)
+        self.settle = round(SETTLING_SECONDS / self.step) if self.stands else 0
+        self.readings = [self._reading(channel) for channel in self.channels]
+        grid = np.arange(self.windows * self.steps + 1) * self.step
+        self.grid = np.concatenate([(np.arange(self.settle) - self.settle) * self.step, grid])
+        self.commands: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        for channel in log.channels:
+            if channel.quantity == "command":
+                values_held = np.concatenate([[channel.values[0]], channel.values])
+                knots = np.concatenate(
+                    [
+                        [min(channel.times[0], 0.0) - 10.0],
+                        channel.times,
+                        [max(grid[-1], channel.times[-1]) + 10.0],
+                    ]
+                )
+                area = np.concatenate([[0.0], np.cumsum(values_held * np.diff(knots))])
+                self.commands[body.commanded(channel)] = (knots, area)
+        self.start = self._start()
+
+    def inside(self, channel: Channel) -> np.ndarray:
+        """Samples that the simulation reaches (n,)."""
+        return (channel.times >= 0) & (channel.times < self.windows * self.steps * self.step)
+
+    def _reading(self, channel: Channel) -> tuple[str, Any]:
+        model, body = self.body.model, self.body
+        if channel.quantity in ("angle", "velocity"):
+            joint = body.joint(channel.of)
+            address = model.jnt_qposadr if channel.quantity == "angle" else model.jnt_dofadr
+            return ("qpos" if channel.quantity == "angle" else "qvel"), [int(address[joint])]
+        if channel.quantity == "torque":
+            return "actuator_force", [body.actuator(channel.of)]
+        if channel.quantity in _SENSORS:
+            kind = getattr(mujoco.mjtSensor, f"mjSENS_{_SENSORS[channel.quantity]}")
+            sensor_ids = [i for i in range(model.nsensor) if model.sensor_type[i] == kind]
+            named_sensors = [
+                i
+                for i in sensor_ids
+                if channel.of in (model.sensor(i).name, model.site(int(model.sensor_objid[i])).name)
+            ]
+            candidates = named_sensors or (sensor_ids if len(sensor_ids) == 1 else [])
+            if not candidates:
+                raise ParameterError(
+                    f"channel {channel.name!r}: the model has no {channel.quantity} sensor {channel.of!r}."
+                )
+            first = int(model.sensor_adr[candidates[0]])
+            return "sensordata", list(
+                range(first, first + channel.values.reshape(len(channel.times), -1).shape[1])
+            )
+        body_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, channel.of)
+        if body_id < 0:
+            raise ParameterError(f"channel {channel.name!r}: the model has no body {channel.of!r}.")
+        return ("xpos" if channel.quantity == "position" else "xmat"), int(body_id)
+
+    def _start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities at the start of each window, (windows, nq) and (windows, nv)."""
+        model = self.body.model
+        rest = self.body.start()
+        qpos = np.repeat(rest[None], self.windows, axis=0)
+        qvel = np.zeros((self.windows, model.nv))
+        begin = np.arange(self.windows) * self.steps * self.step
+        for channel in self.channels:
+            if channel.quantity == "angle" and not self.stands:
+                joint = self.body.joint(channel.of)
+                i, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+                for w, t in enumerate(begin):
+                    # A parabola through the samples around: noise counts less, and it has a slope.
+                    near = np.argsort(np.abs(channel.times - t))[:9]
+                    order = min(2, len(near) - 1)
+                    curve = np.polyfit(channel.times[near] - t, channel.values[near], order)
+                    qpos[w, i], qvel[w, v] = (
+                        curve[-1],
+                        (curve[-2] if order else 0.0) if self.windows > 1 else 0.0,
+                    )
+        return qpos, qvel
+
+    def controls(self, names: Sequence[str], values: np.ndarray) -> np.ndarray:
+        """Controls (k, settle + windows * steps, nu) of values (k, p)."""
+        model, column = self.body.model, dict(zip(names, values.T, strict=True))
+        delay = column.get("delay", np.zeros(len(values)))
+        start_values = self.body.start()
+        controls = np.zeros((len(values), len(self.grid) - 1, model.nu))
+        held_commands = [
+            start_values[model.jnt_qposadr[j]] if servo else 0.0
+            for j, servo in zip(model.actuator_trnid[:, 0], self.body.servos, strict=True)
+        ]
+        controls[:] = held_commands
+        for a, (knots, area) in self.commands.items():
+            for delay_value in np.unique(delay):
+                mean = np.diff(np.interp(self.grid - delay_value, knots, area)) / self.step
+                controls[delay == delay_value, :, a] = mean
+            for name in {
+                f"bias.{model.actuator(a).name}",
+                f"bias.{model.actuator(a).name.removesuffix('_servo')}",
+            }:
+                if name in column:
+                    controls[:, :, a] += column[name][:, None]
+        return controls
+
+    def predict(self, names: Sequence[str], values: np.ndarray, starts: Any = None) -> np.ndarray:
+        """Predictions of all samples (k, n) for values (k, p); NaN where a simulation fails.
+
+        Args:
+            starts: positions and velocities (k, windows, ...), by default those of the log.
+        """
+        model, body, k, w = self.body.model, self.body, len(values), self.windows
+        names = (*names, *body.fixed)
+        values = np.concatenate([values, np.tile(list(body.fixed.values()), (k, 1))], axis=1)
+        batch = self._batch(names, values, starts)
+        ctrl = self.controls(names, values)
+        recorded, servos = sorted({name for name, _ in self.readings}), None
+        if (play := body.play(names, values)) is not None:
+            leaves = (np.broadcast_to(leaf, (k, np.shape(leaf)[-1])) for leaf in play)
+            play = Play(*(np.repeat(leaf, w, axis=0) for leaf in leaves))
+            servos = ServosWithPlay(model, play, k * w)
+        if self.settle:
+            _rollout(batch, ctrl[:, : self.settle], recorded, servos)
+        driven = ctrl[:, self.settle :].reshape(k * w, self.steps, model.nu)
+        first = {"qpos": np.array(batch.bind("qpos")), "qvel": np.array(batch.bind("qvel"))}
+        recorded_states = _rollout(batch, driven, recorded, servos)
+        is_diverged = batch.warning.reshape(k, -1).any(axis=1)
+        rows = [
+            self._sampled(channel, reading, recorded_states, first, k)
+            for channel, reading in zip(self.channels, self.readings, strict=True)
+        ]
+        result = np.concatenate(rows, axis=1)
+        result[is_diverged] = np.nan
+        return result
+
+    def _batch(self, names: Sequence[str], values: np.ndarray, starts: Any) -> Batch:
+        """Worlds of all bodies with values (k, p) and windows, at their initial states."""
+        k, w = len(values), self.windows
+        batch = Batch(self.body.model, k * w, nthread=thread_count(None))
+        fields = self.body.fields(names, values)
+        for name, field in fields.items():
+            batch.expand(name)[...] = np.repeat(field, w, axis=0)
+        if moves_constants(fields) or "dof_armature" in fields:
+            batch.set_const()
+        for name, start in zip(("qpos", "qvel"), starts or self.start, strict=True):
+            batch.bind(name)[...] = np.broadcast_to(start, (k, *start.shape[-2:])).reshape(
+                k * w, -1
+            )
+        return batch
+
+    def _sampled(
+        self,
+        channel: Channel,
+        reading: tuple[str, Any],
+        readings: Mapping[str, np.ndarray],
+        first: Mapping[str, np.ndarray],
+        k: int,
+    ) -> np.ndarray:
+        """A channel's samples (k, n) by straight lines between steps."""
+        name, element = reading
+        series = readings[name].reshape(k, self.windows, self.steps, *readings[name].shape[2:])
+        if name == "xpos":
+            series = series[..., element, : channel.values.shape[1]]
+        elif name == "xmat":
+            turned = series[..., element, :]
+            series = np.unwrap(np.arctan2(turned[..., 3], turned[..., 0]), axis=2)[..., None]
+        else:
+            series = series[..., element]
+        times = np.clip(channel.times, 0.0, self.windows * self.steps * self.step - 1e-9)
+        window = np.minimum((times / (self.steps * self.step)).astype(int), self.windows - 1)
+        local = times / self.step - window * self.steps
+        if (
+            name in first
+        ):  # states come after their step, everything else belongs to the state before
+            start = first[name].reshape(k, self.windows, 1, -1)[..., element]
+            series = np.concatenate([start, series], axis=2)
+        low = (
+            np.minimum(local.astype(int), series.shape[2] - 2)
+            if series.shape[2] > 1
+            else np.zeros(len(local), int)
+        )
+        share = np.clip(local - low, 0.0, 1.0)[:, None]
+        high = np.minimum(low + 1, series.shape[2] - 1)
+        return ((1 - share) * series[:, window, low] + share * series[:, window, high]).reshape(
+            k, -1
+        )
+
+    def nuisance(self, names: Sequence[str], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the samples to unknown starts (n, m), and the window of each sample (n,)."""
+        windows = np.concatenate([self._window(channel) for channel in self.channels])
+        columns = self._frame()
+        if not self.stands:
+            # The whole of a log that servos drive is one window, whose start they soon forget.
+            is_early = (
+                self if self.windows > 1 else _Driven(self.body, until(self.log, FORGOTTEN), None)
+            )
+            near = np.concatenate(
+                [np.repeat(e.times < FORGOTTEN, e.values[:1].size) for e in self.channels]
+            )
+            columns += is_early.to_starts(names, values, near | (self.windows > 1))
+        return (np.stack(columns, axis=1) if columns else np.zeros((len(windows), 0))), windows
+
+    def _window(self, channel: Channel) -> np.ndarray:
+        """Of each number of a channel."""
+        window_index = np.clip(
+            (channel.times / (self.steps * self.step)).astype(int), 0, self.windows - 1
+        )
+        return np.repeat(window_index, channel.values[:1].size)
+
+    def to_starts(
+        self, names: Sequence[str], values: np.ndarray, rows: np.ndarray
+    ) -> list[np.ndarray]:
+        """Derivatives of the samples `rows` (n,) to positions and velocities of the starts, (n,) each, normalized."""
+        model, starts, columns = self.body.model, list[Any](), list[np.ndarray]()
+        for direction in np.eye(2 * model.nv):
+            for sign in (1.0, -1.0):
+                qpos, qvel = (
+                    self.start[0].copy(),
+                    self.start[1] + sign * START_WIDTH[1] * direction[model.nv :],
+                )
+                for row in qpos:
+                    mujoco.mj_integratePos(model, row, direction[: model.nv], sign * START_WIDTH[0])
+                starts.append((qpos, qvel))
+        for i in range(0, len(starts), LANES):
+            start_pairs = tuple(np.stack(part) for part in zip(*starts[i : i + LANES], strict=True))
+            predictions = self.predict(
+                names, np.repeat(values[None], len(start_pairs[0]), axis=0), start_pairs
+            )
+            for change in np.nan_to_num(predictions[0::2] - predictions[1::2]):
+                columns.append(np.zeros(len(rows)))
+                columns[-1][rows] = change / max(float(np.abs(change).max()), 1e-30)
+        return columns
+
+    def _frame(self) -> list[np.ndarray]:
+        """What an unknown frame of a track does to its samples: shifts, and a turn."""
+        columns = []
+        sizes = [channel.values.size for channel in self.channels]
+        ends = np.cumsum([0, *sizes])
+        tracks = [
+            i for i, channel in enumerate(self.channels) if channel.quantity in ("position", "yaw")
+        ]
+        turn = np.zeros(ends[-1])
+        for i in tracks:
+            channel = self.channels[i]
+            if channel.quantity == "yaw":
+                turn[ends[i] : ends[i + 1]] = 1.0
+                continue
+            values = channel.values
+            for axis in range(values.shape[1]):
+                shift = np.zeros_like(values)
+                shift[:, axis] = 1.0
+                columns.append(np.pad(shift.ravel(), (ends[i], ends[-1] - ends[i + 1])))
+            around = values[:, :2] - values[:, :2].mean(axis=0)
+            turned = np.zeros_like(values)
+            turned[:, 0], turned[:, 1] = -around[:, 1], around[:, 0]
+            turn[ends[i] : ends[i + 1]] = turned.ravel()
+        return [*columns, turn] if tracks else []
+
+
+def _rollout(
+    batch: Batch, controls: np.ndarray, recorded: Sequence[str], servos: ServosWithPlay | None
+) -> dict[str, np.ndarray]:
+    """Recorded quantities (n, steps, ...) under controls (n, steps, nu); NaN if the simulation fails."""
+    try:
+        if servos is None:
+            return batch.rollout(controls.shape[1], controls, record=recorded)
+        qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+        rows = [
+            batch.rollout(1, servos.controls(target, qpos, qvel)[:, None], record=recorded)
+            for target in controls.swapaxes(0, 1)
+        ]
+        return {name: np.concatenate([row[name] for row in rows], axis=1) for name in recorded}
+    except SimulationError:
+        blank = mujoco.MjData(batch.model)
+        shape = controls.shape[:2]
+        return {name: np.full((*shape, *getattr(blank, name).shape), np.nan) for name in recorded}

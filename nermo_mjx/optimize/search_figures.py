@@ -1,0 +1,370 @@
+"""The figures of a search: its convergence, its front or its atlas, and any columns of its table."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from nermo_mjx.optimize.objective import ObjectiveTerm
+from nermo_mjx.optimize.search_directory import SEARCH
+from nermo_mjx.optimize.search_methods import cells_of, elites_of
+from nermo_mjx.optimize.search_results import Evaluations, atlas_progress, hypervolumes
+from nermo_mjx.optimize.search_spec import Measure, Search
+from nermo_mjx.plotting.charts import (
+    WIDTH,
+    around,
+    blank,
+    colour_bar,
+    colour_scale,
+    horizontal_grid,
+    named_points,
+    page,
+    set_scales,
+    star,
+    trade_off,
+)
+from nermo_mjx.plotting.files import Figures
+from nermo_mjx.plotting.shown import ShownValues, shown
+from nermo_mjx.plotting.style import BAND_COLOUR, COLOUR_MAP, LINE_COLOUR, MUTED_INK
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.rows import part_files
+from nermo_mjx.sweep.plots import chosen_figure, survey_figures
+from nermo_mjx.sweep.table import Results, profile_text, profiles_of
+
+# ---
+# The figures of a search: how it converged, its front or its atlas; and any columns of its table.
+
+
+#: Pairs of measures that an atlas of three or more shows.
+_MOST_PAIRS: Final = 6
+
+
+def search_figures_of(search: Search, results: Results) -> Figures:
+    """(file name, figure) of a search's table; nothing where no point is allowed."""
+    evaluations = Evaluations.of(search, results)
+    if evaluations.best() is None:
+        return
+    if search.aim.measures:
+        yield "atlas", atlas(evaluations)
+        yield "coverage", coverage(evaluations)
+    elif search.aim.pareto:
+        yield "front", front_figure(evaluations)
+        yield "hypervolume", hypervolume(evaluations)
+    else:
+        yield "convergence", convergence(evaluations)
+    metric = search.aim.objective.terms[0].metric
+    yield from (
+        (name, figure)
+        for name, figure in survey_figures(results, metric)
+        if name.endswith("-parallel")
+    )
+
+
+def search_figures(
+    out: Path, *, x: str | None = None, y: str | None = None, color: str | None = None
+) -> Figures:
+    """The figures of a search's directory, as far as it goes.
+
+    Args:
+        out: the directory.
+        x, y, color: columns of one figure, see `nermo_mjx.sweep.plots.chosen_figure`.
+
+    Raises:
+        ParameterError: there is no such column.
+        SpecError: its search.yaml cannot be read.
+        DirectoryError: there is nothing to draw, or it cannot be read.
+    """
+    search, files = Search.from_file(out / SEARCH), part_files(out)
+    if not files:
+        command = f"nermo-mjx search {out / SEARCH} --out {out}"
+        raise DirectoryError(f"{out} holds no results of its search yet: run {command}.")
+    results = Results(files)
+    if x is not None:
+        return chosen_figure(results, x, y, color)
+    if y is not None or color is not None:
+        raise ParameterError("x is not given, beside y or color: name it, too.")
+    if Evaluations.of(search, results).best() is None:
+        raise DirectoryError(
+            f"there is nothing to draw of {out}: no point is within the constraints."
+        )
+    return search_figures_of(search, results)
+
+
+def convergence(evaluations: Evaluations) -> Figure:
+    """Every evaluated point, in the order in which they were asked for, and the best so far."""
+    quantity = _objective(evaluations)
+    values, allowed = quantity.values, evaluations.scores.allowed
+    number = np.arange(1, len(values) + 1)
+    cost = np.where(allowed, evaluations.scores.cost[:, 0], np.inf)
+    best = int(np.argmin(cost))
+    first = np.concatenate(
+        [[True], cost[1:] < np.minimum.accumulate(cost)[:-1]]
+    )  # better than all before it
+    leading = np.maximum.accumulate(np.where(first, np.arange(len(cost)), 0))
+    note = f"{_counted(evaluations)}; line: best so far; star: best, {quantity.shown(values[best])} at {_at(evaluations, best)}"
+    figure = page(f"{_title(quantity)} over the evaluations", WIDTH, 4.4, note)
+    ax = figure.subplots()
+    ax.scatter(
+        number[allowed],
+        values[allowed],
+        s=9,
+        color=BAND_COLOUR,
+        lw=0,
+        rasterized=len(values) > 2000,
+    )
+    reached = np.isfinite(cost[leading])
+    ax.step(number[reached], values[leading][reached], where="post", color=LINE_COLOUR)
+    star(ax, number[best], values[best], 170, zorder=5)
+    if not allowed.all():  # short lines at the bottom where a point fell or broke a constraint
+        height = np.full(int((~allowed).sum()), 0.01)
+        ax.plot(
+            number[~allowed], height, "|", color=MUTED_INK, ms=5, transform=ax.get_xaxis_transform()
+        )
+    terms = evaluations.search.aim.objective.terms
+    higher = len(terms) == 1 and terms[0].aim == "maximize"
+    low, high = np.nanquantile(values[allowed], [0.01, 1.0] if higher else [0.0, 0.99])
+    room = 0.06 * max(high - low, 1e-9)
+    ax.set(ylim=(low - room, high + room), xlim=(0, len(values) + 1))
+    horizontal_grid(ax)
+    ax.set(xlabel="evaluations [1]", ylabel=quantity.label)
+    return figure
+
+
+def front_figure(evaluations: Evaluations) -> Figure:
+    """The first two objectives against each other, with the front of these two or of all."""
+    terms, best = evaluations.search.aim.objective.terms, evaluations.front()
+    allowed = np.flatnonzero(evaluations.scores.allowed)
+    x, y = (_term_values(evaluations, i) for i in (0, 1))
+    index_of_point = {int(point): i for i, point in enumerate(allowed)}
+    lines = []
+    for point in (int(best[i]) for i in named_points(x.values[best], y.values[best])):
+        values_text = f"{x.name} {x.shown(x.values[point])}, {y.name} {y.shown(y.values[point])}"
+        lines.append((index_of_point[point], f"{values_text}:  {_at(evaluations, point)}"))
+    front_note = f"front of all {len(terms)} objectives; " if len(terms) > 2 else ""
+    across, up = (ShownValues(axis.name, axis.unit, axis.values[allowed]) for axis in (x, y))
+    first, second = ("max" if term.aim == "maximize" else "min" for term in terms[:2])
+    # A line along a front of more objectives would cross itself.
+    sides = (first, second) if len(terms) == 2 else ("nearest zero", "nearest zero")
+    title = f"{x.name} against {y.name}".replace("_", " ").capitalize()
+    places = np.array([index_of_point[int(point)] for point in best])
+    return trade_off(
+        across, up, places, sides, lines, title, f"{_counted(evaluations)}; {front_note}"
+    )
+
+
+def hypervolume(evaluations: Evaluations) -> Figure:
+    """How much of the box between first batch and best values the front beats, over the evaluations."""
+    shares, worst = hypervolumes(evaluations)
+    corner = []
+    for term, value in zip(evaluations.search.aim.objective.terms, worst.tolist(), strict=True):
+        quantity = _quantity(evaluations, term.metric, _as_metric(term, value))
+        corner.append(f"{term.metric} {quantity.shown(float(quantity.values))}")
+    note = (
+        f"{_counted(evaluations)}; box: from the best of each objective to the worst of the first batch,"
+        f" {', '.join(corner)}"
+    )
+    figure = page("Hypervolume of the front over the evaluations", WIDTH, 3.6, note)
+    ax = figure.subplots()
+    ax.step(_ends(evaluations), 100 * shares, where="post", color=LINE_COLOUR)
+    ax.set(
+        xlabel="evaluations [1]", ylabel="hypervolume [%]", xlim=(0, len(evaluations.scores) + 1)
+    )
+    horizontal_grid(ax)
+    return figure
+
+
+def coverage(evaluations: Evaluations) -> Figure:
+    """Filled cells and QD score over the evaluations."""
+    filled, total = atlas_progress(evaluations)
+    cells = int(np.prod([measure.cells for measure in evaluations.search.aim.measures]))
+    terms = evaluations.search.aim.objective.terms
+    note = f"{_counted(evaluations)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
+    note += "what their best is better than the worst of the first batch"
+    figure = page("Filled cells and QD score over the evaluations", WIDTH, 4.8, note)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    top.step(_ends(evaluations), filled, where="post", color=LINE_COLOUR)
+    top.set_ylabel("filled cells [1]")
+    scale = ShownValues("", "", total)
+    if len(terms) == 1 and terms[0].aim != "hold":
+        scale = _quantity(evaluations, terms[0].metric, total * terms[0].scale / terms[0].weight)
+    bottom.step(_ends(evaluations), scale.values, where="post", color=LINE_COLOUR)
+    bottom.set_ylabel(f"QD score [{scale.unit or 1}]")
+    for ax in (top, bottom):
+        ax.set_ylim(bottom=0)
+        horizontal_grid(ax)
+    bottom.set(xlabel="evaluations [1]", xlim=(0, len(evaluations.scores) + 1))
+    return figure
+
+
+def atlas(evaluations: Evaluations) -> Figure:
+    """The best in each cell: bars over one measure, a map over two, maps over the pairs of more."""
+    measures, quantity = evaluations.search.aim.measures, _objective(evaluations)
+    cells, points = elites_of(evaluations.search.aim, evaluations.scores)
+    best = int(points[np.argmax(evaluations.scores.quality[points])])
+    total = int(np.prod([measure.cells for measure in measures]))
+    note = f"{_counted(evaluations)}; {len(cells):,} of {total:,} cells are filled; star: best, "
+    note += f"{quantity.shown(quantity.values[best])} at {_at(evaluations, best)}"
+    title = f"{_title(quantity)}: the best in each cell"
+    if len(measures) == 1:
+        return _bars(evaluations, points, quantity, best, title, note)
+    pairs = list(itertools.combinations(range(len(measures)), 2))[:_MOST_PAIRS]
+    if len(pairs) > 1:
+        note += "; each map shows the best over all other measures"
+    columns = min(len(pairs), 2)
+    rows = -(-len(pairs) // columns)
+    figure = blank(WIDTH, 1.1 + 4.2 * rows / (1 if columns == 1 else 1.3))
+    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
+    scale, extend = colour_scale(quantity.values[points])
+    for ax in axes[len(pairs) :]:
+        ax.remove()
+    for ax, pair in zip(axes, pairs, strict=False):
+        _map(ax, evaluations, points, quantity, scale, pair, best)
+    bar = ScalarMappable(scale, COLOUR_MAP)
+    colour_bar(figure, axes[: len(pairs)], bar, quantity.label, shrink=0.9, extend=extend)
+    return around(figure, title, note)
+
+
+def _map(
+    ax: Axes,
+    evaluations: Evaluations,
+    points: np.ndarray,
+    z: ShownValues,
+    scale: Normalize,
+    pair: tuple[int, int],
+    best: int,
+) -> None:
+    """Cells of two measures, coloured by the best point in each."""
+    measures = [evaluations.search.aim.measures[i] for i in pair]
+    places, edges, best_position = [], [], []
+    for i, measure in zip(pair, measures, strict=True):
+        share = (evaluations.scores.measures[points, i] - measure.low) / (
+            measure.high - measure.low
+        )
+        places.append(np.clip((share * measure.cells).astype(int), 0, measure.cells - 1))
+        edges.append(_edges(evaluations, measure))
+        best_position.append(
+            _quantity(evaluations, measure.metric, evaluations.scores.measures[best, i]).values
+        )
+    grid = np.full([measure.cells for measure in measures], np.nan)
+    order = np.argsort(
+        evaluations.scores.quality[points], kind="stable"
+    )  # the best of several comes last
+    grid[places[0][order], places[1][order]] = z.values[points[order]]
+    ax.set_facecolor("#fafafa")
+    ax.pcolormesh(
+        edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOUR_MAP
+    )
+    star(ax, best_position[0], best_position[1], 190, 1.3, zorder=5)
+    set_scales(ax, *edges)
+    ax.set(xlabel=edges[0].label, ylabel=edges[1].label)
+
+
+def _bars(
+    evaluations: Evaluations, points: np.ndarray, z: ShownValues, best: int, title: str, note: str
+) -> Figure:
+    """The best point over one measure."""
+    (measure,) = evaluations.search.aim.measures
+    figure = page(title, WIDTH, 3.9, note)
+    ax = figure.subplots()
+    edges = _edges(evaluations, measure)
+    cell = cells_of(evaluations.search.aim, evaluations.scores.measures[points])
+    values = z.values[points]
+    floor = (
+        min(float(values.min()), 0.0)
+        if np.ptp(values) == 0
+        else float(values.min() - 0.1 * np.ptp(values))
+    )
+    ax.bar(
+        edges.values[cell],
+        values - floor,
+        np.diff(edges.values)[cell],
+        floor,
+        align="edge",
+        color=BAND_COLOUR,
+        ec="white",
+    )
+    best_value = _quantity(evaluations, measure.metric, evaluations.scores.measures[best, 0])
+    star(ax, best_value.values, z.values[best], 170, zorder=5)
+    ax.set(xlabel=edges.label, ylabel=z.label, xlim=(edges.values[0], edges.values[-1]))
+    horizontal_grid(ax)
+    return figure
+
+
+def _objective(evaluations: Evaluations) -> ShownValues:
+    """The objective of all points, in the metric's unit where it is one metric, NaN where a run failed."""
+    terms = evaluations.search.aim.objective.terms
+    if len(terms) == 1 and terms[0].aim != "hold":
+        return _term_values(evaluations, 0)
+    return ShownValues("objective", "", evaluations.scores.cost[:, 0])
+
+
+def _term_values(evaluations: Evaluations, term_index: int) -> ShownValues:
+    """The metric of a term, or what it adds where it holds the metric at a value."""
+    term, cost = (
+        evaluations.search.aim.objective.terms[term_index],
+        evaluations.scores.cost[:, term_index],
+    )
+    if term.aim == "hold":
+        return ShownValues(f"{term.metric} off {term.at:g}", "", cost)
+    return _quantity(evaluations, term.metric, _as_metric(term, cost))
+
+
+def _as_metric(term: ObjectiveTerm, cost: np.ndarray | float) -> np.ndarray | float:
+    """The metric of a cost, of a term that maximizes or minimizes it."""
+    return (
+        cost
+        if term.aim == "hold"
+        else cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
+    )
+
+
+def _quantity(evaluations: Evaluations, metric: str, values: np.ndarray | float) -> ShownValues:
+    return shown(metric, evaluations.search.sweep.metrics[metric].unit, values)
+
+
+def _edges(evaluations: Evaluations, measure: Measure) -> ShownValues:
+    """The edges of a measure's cells."""
+    return _quantity(
+        evaluations, measure.metric, np.linspace(measure.low, measure.high, measure.cells + 1)
+    )
+
+
+def _title(quantity: ShownValues) -> str:
+    return quantity.name.replace("_", " ").capitalize()
+
+
+def _at(evaluations: Evaluations, point: int) -> str:
+    """The first parameters of a point, as people read them."""
+    parameters, names = evaluations.search.sweep.parameters, list(evaluations.search.names[:6])
+    values = evaluations.means(names, np.array([point]))
+    quantities = [shown(name, parameters[name].unit, values[name][0]) for name in names]
+    return ", ".join(
+        f"{quantity.name} {quantity.shown(float(quantity.values))}" for quantity in quantities
+    )
+
+
+def _counted(evaluations: Evaluations) -> str:
+    failed_count = int((~evaluations.scores.ok).sum())
+    disallowed_count = int((evaluations.scores.ok & ~evaluations.scores.allowed).sum())
+    text = profile_text(profiles_of(evaluations.results))
+    text += f"; {len(evaluations.scores):,} evaluations by {evaluations.search.method.name.replace('_', '-').upper()}"
+    text += (
+        f", each the mean of {evaluations.search.repeats} runs"
+        if evaluations.search.repeats > 1
+        else ""
+    )
+    text += f"; {failed_count:,} fell" if failed_count else ""
+    return text + (f"; {disallowed_count:,} broke a constraint" if disallowed_count else "")
+
+
+def _ends(evaluations: Evaluations) -> np.ndarray:
+    """Evaluations at the end of each batch."""
+    return np.cumsum(np.bincount(evaluations.batch))

@@ -1,0 +1,98 @@
+"""The optimum of a sweep as a table: of a terminal, as CSV, as LaTeX, and as Parquet."""
+
+from __future__ import annotations
+
+import io
+import itertools
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv
+
+from nermo_mjx.plotting.shown import titled
+from nermo_mjx.sweep.optimum import FoundOptimum
+from nermo_mjx.sweep.table import (
+    Columns,
+    meta,
+    profile_text,
+    profiles_of,
+)
+
+
+def optimum_cells(found: FoundOptimum) -> tuple[list[str], list[list[str]]]:
+    """Headings and cells of the short table for people, a line for each group: means ± half an interval, and gains."""
+    heads = [*map(titled, found.answers[0].group), *map(titled, found.answers[0].points)]
+    heads += [*map(titled, found.metrics), "Not told from it"]
+    lines = []
+    for answer in found.answers:
+        line = [titled(found.text(name, value)) for name, value in answer.group.items()]
+        if answer.at:
+            line += [found.text(name, value) for name, value in answer.at.items()]
+            for name in found.metrics:
+                mean, *gain = found.numbers(answer, name)
+                line.append(f"{mean} ({' '.join(gain)})")
+            line.append(found.region(answer))
+        lines.append([*line, *["–"] * (len(heads) - len(line))])
+    return heads, lines
+
+
+def optimum_latex(found: FoundOptimum) -> str:
+    """The short table as a LaTeX tabular, without packages."""
+    heads, lines = optimum_cells(found)
+    marks = {"%": r"\%", "±": r"$\pm$", "−": "$-$", "–": "--", "_": r"\_", "&": r"\&"}
+    rows = [
+        " & ".join("".join(marks.get(sign, sign) for sign in cell) for cell in line)
+        for line in (heads, *lines)
+    ]
+    body = [f"{rows[0]} \\\\ \\hline", *(f"{row} \\\\" for row in rows[1:])]
+    notes = [
+        f"% {each}"
+        for each in (
+            f"{profile_text(profiles_of(found.results))}; base: {found.base}",
+            *found.how(),
+        )
+    ]
+    return "\n".join(
+        [*notes, f"\\begin{{tabular}}{{{'l' * len(heads)}}}", *body, "\\end{tabular}", ""]
+    )
+
+
+def optimum_table(found: FoundOptimum) -> pa.Table:
+    """A row for each group and metric, SI units: the best point, and what fresh runs say of it."""
+    lines = [
+        {**answer.group, **answer.at, "metric": name, "region": int(answer.judged.region.sum())}
+        | dict(line)
+        for answer in found.answers
+        for name, line in answer.lines.items()
+    ]
+    columns, schema = Columns(), found.results.schema
+    for name in dict.fromkeys(itertools.chain(*lines)):
+        about = meta(schema.field(name)) if name in schema.names else {}
+        role = "varied" if about else "index" if name in ("metric", "region") else "metric"
+        doc = about.get("description", _FIELDS.get(name, name))
+        unit = about.get(
+            "unit",
+            "1" if name.startswith(("relative", "p", "metric", "region")) else "that of the metric",
+        )
+        columns.add(name, np.array([line[name] for line in lines]), role, unit, doc)
+    return columns.table({"optimum": found.asked.metric, "base": found.base})
+
+
+_FIELDS: Final = {
+    "metric": "what it is about",
+    "region": "number of points that cannot be told from the best one",
+    "mean": "mean of the best point's fresh runs; _low and _high: its 95 % interval",
+    "base": "mean of the base's fresh runs; _low and _high: its 95 % interval",
+    "difference": "best point minus base, in fresh runs; low and high: its 95 % interval",
+    "relative": "difference over the magnitude of the base's mean; _low and _high: the same of its interval",
+    "pairs": "number of pairs of fresh runs with the same draws",
+    "p": "probability of so large a difference by chance, two-sided",
+}
+
+
+def optimum_files(found: FoundOptimum) -> dict[str, bytes]:
+    """The tables as files of a directory, by name, beside the Parquet file."""
+    stream = io.BytesIO()
+    csv.write_csv(optimum_table(found), stream)
+    return {"optimum.csv": stream.getvalue(), "optimum.tex": optimum_latex(found).encode()}

@@ -1,0 +1,166 @@
+"""Multiple comparisons with the best: which points the data cannot tell from the best one, and which runs decide it.
+
+Hsu (Ann. Stat. 12, 1984): a point may be the best unless its mean is further below the highest one than the largest
+of its differences to the others would be by chance. Runs of a repeat share their draws, and count by their distance
+from the repeat's mean (Nelson and Matejcik, Manage. Sci. 41, 1995); the noise of all contenders is one number. Points
+far below are left out first, at a tenth of the error, so that neither their number nor their noise counts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import math
+from typing import Final
+
+import numpy as np
+from scipy import optimize, special, stats
+
+from nermo_mjx.plotting.shown import CONFIDENCE_LEVEL
+from nermo_mjx.sweep.spec import SoughtOptimum
+
+#: Probability of losing the best point before the last look, of all of 1 - `LEVEL`.
+EARLY: Final = 0.01
+#: Share of a look's error that the points far below take.
+_SCREENED: Final = 0.1
+
+
+@functools.lru_cache(4096)
+def hsu_margin(points: int, freedom: int, level: float, skew: float = 0.0) -> float:
+    """How many standard errors of a difference the best of some points lies below the highest mean by chance, at most.
+
+    The quantile of the largest of k - 1 Student's t that share one of their two sides and the estimate of the noise; of
+    means whose noise has a positive skewness, it is that of Pearson's third kind.
+
+    >>> round(hsu_margin(2, 10, 0.95), 2), round(hsu_margin(5, 10, 0.95), 2)
+    (1.81, 2.46)
+    """
+    middle, shares = (np.arange(100) + 0.5) / 100, (np.arange(60) + 0.5) / 60
+    scale = np.sqrt(2 * stats.chi2.ppf(shares, freedom) / freedom)
+    below, places = special.ndtr, special.ndtri(middle)
+    if skew:
+        shape = 4.0 / skew**2  # of a gamma distribution
+        below, places = (
+            functools.partial(special.gammainc, shape),
+            special.gammaincinv(shape, middle),
+        )
+        scale *= math.sqrt(shape)
+
+    def beyond(far: float) -> float:
+        return float((below(places[:, None] + far * scale) ** (points - 1)).mean()) - level
+
+    return float(optimize.brentq(beyond, 0.0, 500.0, xtol=1e-4))
+
+
+def undistinguished(values: np.ndarray, level: float = CONFIDENCE_LEVEL) -> np.ndarray:
+    """Which points may be the best, (k,) bool: the best one is among them with this probability at least.
+
+    >>> undistinguished(np.array([[1.0, 5.0, 5.1], [1.1, 5.2, 5.1], [0.9, 5.1, 5.0], [1.0, 5.0, 5.0]])).tolist()
+    [False, True, True]
+
+    Args:
+        values: of each repeat and point, (n, k), all finite; higher is better.
+        level: the probability.
+    """
+    mean, best, kept = (
+        values.mean(axis=0),
+        int(values.mean(axis=0).argmax()),
+        np.full(values.shape[1], True),
+    )
+    skew = _skewness(values) / math.sqrt(len(values))
+    for share in (_SCREENED, 1 - _SCREENED):
+        if (many := int(kept.sum())) > 1:
+            own, freedom = values[:, kept], (len(values) - 1) * (many - 1)
+            rest = own - own.mean(axis=0) - own.mean(axis=1, keepdims=True) + own.mean()
+            noise = np.full(len(mean), math.sqrt((rest**2).sum() / freedom))
+            if share == _SCREENED:  # a point that is noisier than most is not lost for it
+                noise = np.maximum(
+                    noise, (values - values[:, [best]]).std(axis=0, ddof=1) / math.sqrt(2)
+                )
+            margin = hsu_margin(many, freedom, 1 - share * (1 - level), round(skew, 1))
+            kept &= mean >= mean[best] - margin * noise * math.sqrt(2 / len(values))
+    return kept
+
+
+def _skewness(values: np.ndarray) -> float:
+    """Of the noise of each value (n, k), if it is positive, which makes the highest mean one of luck; else 0.
+
+    Of residuals about the means of repeats and points, whose second and third cumulants are smaller by known factors.
+    """
+    rest = values - values.mean(axis=0) - values.mean(axis=1, keepdims=True) + values.mean()
+    second, third = (
+        math.prod(1 - m / size for size in values.shape for m in range(1, upto)) for upto in (2, 3)
+    )
+    square = float((rest**2).mean()) / second
+    return max(0.0, float((rest**3).mean()) / third / square**1.5) if third * square > 0.0 else 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """What the runs of k points tell of the best one.
+
+    Attributes:
+        best: its place; -1 where nothing can be told.
+        region: the points that cannot be told from it, (k,) bool.
+        contenders: the points with the fewest lost runs, (k,) bool; only they can be the best.
+        runs: of each point of the region.
+        spent: runs of the second stage.
+        wanted: repeats and points that are to be run before more can be told, (m,) each.
+        ended: why no more runs are wanted: `few` points are left, the `budget` is spent, or `lost`: of no two repeats
+            all contenders have a number; empty while runs are wanted.
+    """
+
+    best: int
+    region: np.ndarray
+    contenders: np.ndarray
+    runs: int
+    spent: int
+    wanted: tuple[np.ndarray, np.ndarray]
+    ended: str
+
+
+def judged(values: np.ndarray, there: np.ndarray, asked: SoughtOptimum, repeats: int) -> Judged:
+    """Judge points by the runs that are there, one block of repeats after the other.
+
+    Args:
+        values: of each repeat and point, (n, k); higher is better; NaN where a run is lost or not there.
+        there: which runs have been made, (n, k) bool.
+        asked: what is sought.
+        repeats: runs of each point in the first block, and in each further one.
+    """
+    alive, block, spent, none = (
+        np.full(values.shape[1], True),
+        np.arange(repeats),
+        0,
+        (np.empty(0, int),) * 2,
+    )
+    for look in itertools.count(1):
+        lacking = (
+            ~np.array([there[i] if i < len(there) else np.zeros(len(alive), bool) for i in block])
+            & alive
+        )
+        if lacking.any():
+            rows, points = np.nonzero(lacking)
+            return Judged(-1, alive, alive, len(block), spent, (block[rows], points), "")
+        known = np.isfinite(values[block])
+        lost = (~known).sum(axis=0)
+        alive &= lost == lost[alive].min()
+        used = values[block[known[:, alive].all(axis=1)]][:, alive]
+        if len(used) < 2:
+            return Judged(-1, alive, alive, len(block), spent, none, "lost")
+        early, last, contenders = alive.copy(), alive.copy(), alive.copy()
+        early[alive] = undistinguished(used, 1 - EARLY / 2**look)
+        last[alive] = undistinguished(used, CONFIDENCE_LEVEL + (EARLY if asked.budget else 0.0))
+        price, few = int(early.sum()) * repeats, bool(asked.budget) and early.sum() <= asked.until
+        best = int(np.flatnonzero(alive)[used.mean(axis=0).argmax()])
+        if few or spent + price > asked.budget:
+            region = early if few else last
+            few |= bool(asked.budget) and region.sum() <= asked.until
+            return Judged(
+                best, region, contenders, len(block), spent, none, "few" if few else "budget"
+            )
+        alive, spent = early, spent + price
+        begin = asked.fresh + look * repeats
+        block = np.append(block, np.arange(begin, begin + repeats))
+    raise AssertionError("a budget is finite")
