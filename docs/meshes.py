@@ -16,7 +16,15 @@ from scipy.interpolate import PchipInterpolator
 
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes import body
-from nermo_mjx.robot.meshes.body import BEFORE, BEHIND, BESIDE, DEPTH, EXIT, HEIGHT, RIBS
+from nermo_mjx.robot.meshes.body import (
+    DISC_HALF_HEIGHT,
+    RIBS,
+    SERVO_CASE_BACK,
+    SERVO_CASE_DEPTH,
+    SERVO_CASE_FRONT,
+    TENDON_EXIT,
+    TENDON_OFFSET,
+)
 from nermo_mjx.robot.meshes.shapes import (
     MM,
     SERVO_WIDTH,
@@ -31,7 +39,7 @@ from nermo_mjx.robot.meshes.shapes import (
     tube,
     turned_part,
 )
-from nermo_mjx.robot.parameters import EYE, FRONT_LEG, SPINE, TAIL
+from nermo_mjx.robot.parameters import EYE_GEOMETRY, FRONT_LEG, SPINE_GEOMETRY, TAIL_GEOMETRY
 from nermo_mjx.robot.parts import TILT_AXIS, hundredths
 
 #: Half the width of a leg's pulley [mm].
@@ -51,10 +59,14 @@ def paw() -> Shape:
 def servo() -> Shape:
     """Case in three shells, mounting ears, gear boss."""
     w = SERVO_WIDTH / 2
-    lid = block((-4.6, -BEFORE, -w), (0.0, BEHIND, w), 0.7)
-    middle = block((-15.4, -BEFORE + 0.25, -w + 0.25), (-4.0, BEHIND - 0.25, w - 0.25), 0.5)
-    bottom = block((-DEPTH, -BEFORE, -w), (-15.0, BEHIND, w), 0.7)
-    ears = block((-6.0, -BEFORE - 1.8, -w + 0.8), (-4.9, BEHIND + 1.8, w - 0.8), 0.3)
+    lid = block((-4.6, -SERVO_CASE_FRONT, -w), (0.0, SERVO_CASE_BACK, w), 0.7)
+    middle = block(
+        (-15.4, -SERVO_CASE_FRONT + 0.25, -w + 0.25), (-4.0, SERVO_CASE_BACK - 0.25, w - 0.25), 0.5
+    )
+    bottom = block((-SERVO_CASE_DEPTH, -SERVO_CASE_FRONT, -w), (-15.0, SERVO_CASE_BACK, w), 0.7)
+    ears = block(
+        (-6.0, -SERVO_CASE_FRONT - 1.8, -w + 0.8), (-4.9, SERVO_CASE_BACK + 1.8, w - 0.8), 0.3
+    )
     boss = turned_part([(-0.5, 3.6), (0.5, 3.4), (0.5, 2.2), (2.0, 2.0)], 14)
     return join(lid, middle, bottom, ears, boss)
 
@@ -63,26 +75,30 @@ def rear_stub() -> Shape:
     """From the last joint into the hip, in the joint's frame."""
     return join(
         body.end_disc().turned("z", np.pi),
-        body.waisted(body.pose_along(np.eye(4), EXIT), body.pose_along(np.eye(4), 4.5)),
+        body.waisted(body.pose_along(np.eye(4), TENDON_EXIT), body.pose_along(np.eye(4), 4.5)),
     )
 
 
 def segment() -> Shape:
     """Between two joints of Nermo 4.1, whose axes cross: a disc on a hub, with an eyelet on each of four sides."""
-    length = MM * SPINE.dh[SPINE.lateral_joints[0]][1]
-    hub = turned_part([(EXIT, 3.0), (length - EXIT, 3.0)], 8)
+    length = MM * SPINE_GEOMETRY.dh[SPINE_GEOMETRY.lateral_joints[0]][1]
+    hub = turned_part([(TENDON_EXIT, 3.0), (length - TENDON_EXIT, 3.0)], 8)
     disc = turned_part([(length / 2 - 0.8, 6.6), (length / 2 + 0.8, 6.6)], 16)
-    eyelet = turned_part([(EXIT - 0.15, 1.15), (length - EXIT + 0.15, 1.15)], 5)
-    eyelets = [eyelet.moved(y=side * BESIDE) for side in (1, -1)] + [
-        eyelet.moved(z=side * BESIDE) for side in (1, -1)
+    eyelet = turned_part([(TENDON_EXIT - 0.15, 1.15), (length - TENDON_EXIT + 0.15, 1.15)], 5)
+    eyelets = [eyelet.moved(y=side * TENDON_OFFSET) for side in (1, -1)] + [
+        eyelet.moved(z=side * TENDON_OFFSET) for side in (1, -1)
     ]
     return join(hub, disc, *eyelets)
 
 
 def flexure() -> Shape:
     """The leaf that bends in every joint: thin sideways, tall, with a bead along its middle."""
-    leaf = block((-EXIT - 0.4, -0.55, -HEIGHT + 1.0), (EXIT + 0.4, 0.55, HEIGHT - 1.0), 0.2)
-    bead = turned_part([(0.8 - HEIGHT, 1.1), (HEIGHT - 0.8, 1.1)], 8)
+    leaf = block(
+        (-TENDON_EXIT - 0.4, -0.55, -DISC_HALF_HEIGHT + 1.0),
+        (TENDON_EXIT + 0.4, 0.55, DISC_HALF_HEIGHT - 1.0),
+        0.2,
+    )
+    bead = turned_part([(0.8 - DISC_HALF_HEIGHT, 1.1), (DISC_HALF_HEIGHT - 0.8, 1.1)], 8)
     return join(leaf, bead.transformed(rotation("y", np.pi / 2)))
 
 
@@ -223,8 +239,12 @@ def lens() -> Shape:
 
 
 def _at_eye(shape: Shape) -> Shape:
-    turned = shape.turned("z", -np.pi / 2).turned("x", -EYE.up).turned("z", EYE.outward)
-    return turned.moved(*(MM * each for each in EYE.place))
+    turned = (
+        shape.turned("z", -np.pi / 2)
+        .turned("x", -EYE_GEOMETRY.up)
+        .turned("z", EYE_GEOMETRY.outward)
+    )
+    return turned.moved(*(MM * each for each in EYE_GEOMETRY.place))
 
 
 # ---
@@ -234,8 +254,8 @@ def _at_eye(shape: Shape) -> Shape:
 
 
 #: Spacing of the joints, and distance of the first eyelets from the middle [mm].
-SPACING: Final = MM * TAIL.spacing
-BESIDE_TAIL: Final = MM * TAIL.eyelet
+SPACING: Final = MM * TAIL_GEOMETRY.spacing
+BESIDE_TAIL: Final = MM * TAIL_GEOMETRY.eyelet
 #: The stem, from the rump to the fork around the pulley: y, middle z, half-width, half-height [mm].
 STEM: Final = ((-19.0, 0.4, 6.0, 3.0), (-10.0, 0.2, 4.8, 2.8), (-2.0, 0.0, 4.0, 2.6))
 

@@ -31,7 +31,7 @@ from nermo_mjx.runs.code import processor
 from nermo_mjx.runtime import cpu_count
 
 #: Control ticks in a timed round, and rounds: the median counts, since machines are shared and noisy.
-TICKS, ROUNDS = 20, 9
+ROUND_TICKS, TIMED_ROUNDS = 20, 9
 
 
 def run_bench(
@@ -46,7 +46,7 @@ def run_bench(
     process from holding the accelerator.
 
     Args:
-        cases: names of `CASES`.
+        cases: names of `BENCHMARKS`.
         engines, worlds: each combination is measured; `worlds` is the size of the batch.
         progress: called with (measurements done, measurements in all).
 
@@ -57,7 +57,7 @@ def run_bench(
     Raises:
         ParameterError: an unknown case or engine, or an empty batch.
     """
-    for name, requested, allowed in (("case", cases, CASES), ("engine", engines, ENGINES)):
+    for name, requested, allowed in (("case", cases, BENCHMARKS), ("engine", engines, ENGINES)):
         if unknown := [choice for choice in requested if choice not in allowed]:
             raise ParameterError(
                 f"{name} is {unknown[0]!r}: allowed is one of {', '.join(allowed)}."
@@ -70,7 +70,12 @@ def run_bench(
         if progress:
             progress(count, len(planned))
         lines += [
-            {"case": case, "engine": engine, "worlds": size, **apart(CASES[case], engine, size)}
+            {
+                "case": case,
+                "engine": engine,
+                "worlds": size,
+                **apart(BENCHMARKS[case], engine, size),
+            }
         ]
     if progress:
         progress(len(planned), len(planned))
@@ -99,7 +104,7 @@ def measurement_table(lines: Sequence[Mapping[str, Any]]) -> tuple[list[str], li
         starts = [
             {**options, "cache": cache, "to the first tick_s": line[f"{cache}_s"], **line[cache]}
             for cache in line
-            if cache in CACHES
+            if cache in CACHE_STATES
         ]
         figures = {key: value for key, value in line.items() if key != "case"}
         rows += starts or ([] if "error" in line else [figures])
@@ -137,13 +142,13 @@ def throughput(engine: str, worlds: int) -> dict[str, Any]:
     batch = simulator.prepare(values)
     times = [time.perf_counter()]
     session = simulator.engine.open(batch.params, batch.qpos, batch.fields)
-    for _ in range(1 + ROUNDS):
-        session.advance(TICKS)
+    for _ in range(1 + TIMED_ROUNDS):
+        session.advance(ROUND_TICKS)
         jax.block_until_ready(session.loop_state)
         times.append(time.perf_counter())
     start_s, *rounds = np.diff(times).tolist()
     round_s = statistics.median(rounds)
-    steps = worlds * TICKS * simulator.loop.steps_per_tick
+    steps = worlds * ROUND_TICKS * simulator.loop.steps_per_tick
     return {
         "steps_per_second": steps / round_s,
         "simulated_seconds_per_second": steps / round_s * simulator.robot.config.timestep,
@@ -153,9 +158,9 @@ def throughput(engine: str, worlds: int) -> dict[str, Any]:
 
 
 #: States of the cache of compiled programs at a start.
-CACHES: Final = ("cold", "warm")
+CACHE_STATES: Final = ("cold", "warm")
 #: The steps of a sweep before its first tick, timed; run by a new interpreter.
-PROGRAM: Final = """
+STARTUP_PROGRAM: Final = """
 import json, sys, time
 began = time.perf_counter()
 def lap():
@@ -202,9 +207,9 @@ def startup(engine: str, worlds: int) -> dict[str, Any]:
     }
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as cache:
-        for state in CACHES:
+        for state in CACHE_STATES:
             process = subprocess.run(
-                [sys.executable, "-c", PROGRAM, engine, str(worlds)],
+                [sys.executable, "-c", STARTUP_PROGRAM, engine, str(worlds)],
                 env=environment | {"NERMO_MJX_CACHE": cache},
                 check=False,
                 capture_output=True,
@@ -221,7 +226,7 @@ def startup(engine: str, worlds: int) -> dict[str, Any]:
 
 
 #: The measurements by name: functions of an engine and the size of a batch.
-CASES: Final[dict[str, Callable[[str, int], dict[str, Any]]]] = {
+BENCHMARKS: Final[dict[str, Callable[[str, int], dict[str, Any]]]] = {
     "throughput": throughput,
     "startup": startup,
 }

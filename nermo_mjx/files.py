@@ -27,14 +27,14 @@ from pydantic_core import from_json
 from nermo_mjx.trust import FileError, one_line, shortened
 
 #: Bytes of a file of arrays or a table, and of all its arrays; of a JSON file, whose values take up to 30 times that.
-MOST_ARRAYS: Final = 1 << 28
-MOST_JSON: Final = 1 << 24
+MAX_ARRAY_BYTES: Final = 1 << 28
+MAX_JSON_BYTES: Final = 1 << 24
 #: Bytes of any file: those of the longest walk that is recorded.
-MOST_FILE: Final = 1 << 32
+MAX_FILE_BYTES: Final = 1 << 32
 #: Suffix of a file that is being written.
-TEMPORARY: Final = ".nermo-tmp"
+TEMPORARY_SUFFIX: Final = ".nermo-tmp"
 #: Arrays in a file.
-_MOST_NAMES: Final = 1000
+_MAX_ARRAYS: Final = 1000
 
 
 class UnfitFile(FileError, OSError):
@@ -93,7 +93,7 @@ def replace_file(path: Path, content: bytes) -> None:
     """
     path.parent.mkdir(exist_ok=True)
     # Two processes may write the same file, even on two machines with equal process ids.
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}{TEMPORARY}"
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}{TEMPORARY_SUFFIX}"
     try:
         with open(temporary, "wb") as file:
             file.write(content)
@@ -134,9 +134,9 @@ def read_as(content: bytes | str, shape: Any, called: object) -> Any:
     Raises:
         FileError: it is no JSON, too long, nested too deep, or has another shape.
     """
-    if len(content) > MOST_JSON:
+    if len(content) > MAX_JSON_BYTES:
         raise FileError(
-            f"{called}: it has {_megabytes(len(content))}: allowed are {_megabytes(MOST_JSON)}."
+            f"{called}: it has {_megabytes(len(content))}: allowed are {_megabytes(MAX_JSON_BYTES)}."
         )
     try:
         return _adapter(shape).validate_json(content, strict=True)
@@ -155,13 +155,13 @@ def arrays_of(content: bytes, called: object) -> dict[str, np.ndarray]:
     """The arrays of an NPZ file, by name; sizes are those that the file says, checked before it is unpacked.
 
     Raises:
-        FileError: it is no such file, damaged, holds Python objects, or takes more than `MOST_ARRAYS` bytes and ten
+        FileError: it is no such file, damaged, holds Python objects, or takes more than `MAX_ARRAY_BYTES` bytes and ten
             times its own size.
     """
-    limit = max(MOST_ARRAYS, 10 * len(content))
+    limit = max(MAX_ARRAY_BYTES, 10 * len(content))
     try:
-        if content.count(b"PK\x01\x02") > _MOST_NAMES:
-            raise FileError(f"{called}: it has more than {_MOST_NAMES:,} arrays.")
+        if content.count(b"PK\x01\x02") > _MAX_ARRAYS:
+            raise FileError(f"{called}: it has more than {_MAX_ARRAYS:,} arrays.")
         with zipfile.ZipFile(io.BytesIO(content)) as file:
             size = 0
             for member in file.infolist():

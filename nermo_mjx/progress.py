@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 #: Whether a job runs, which tells of its parts itself.
-_WORKING: Final[ContextVar[bool]] = ContextVar("_WORKING", default=False)
-COMPILING = "compiling, once per machine"
+_JOB_RUNS: Final[ContextVar[bool]] = ContextVar("_JOB_RUNS", default=False)
+COMPILATION_MESSAGE = "compiling, once per machine"
 #: Seconds without any progress after which a first compilation is the reason; a cached program starts sooner.
-PATIENCE = 1.5
+STALL_SECONDS = 1.5
 
 
 class ProgressBar:
@@ -54,7 +54,7 @@ class ProgressBar:
         self._what, self._unit, self._every, self._stream = name, unit, every, stream or sys.stderr
         self._quiet = is_given("quiet") if quiet is None else quiet
         self._bar: Any = None
-        self._timer = threading.Timer(PATIENCE, self._name_compilation)
+        self._timer = threading.Timer(STALL_SECONDS, self._name_compilation)
         self._timer.daemon = True
         self._waits, self._compiling = compiles and not self._quiet, False
         # When this process began to count, and at which fraction; and the same for its rate, without the compilation.
@@ -126,7 +126,7 @@ class ProgressBar:
 
     def _name_compilation(self) -> None:
         self._compiling = True
-        self._note(COMPILING)
+        self._note(COMPILATION_MESSAGE)
 
     def _pace(self, now: float, fraction: float, total: int | None) -> str:
         """Rate and time left, from what this process did."""
@@ -203,7 +203,7 @@ def is_given(option: str) -> bool:
 
 def _is_watched() -> bool:
     """Whether somebody looks, and nothing else tells: no command, and no job."""
-    if _WORKING.get() or click.get_current_context(silent=True) is not None:
+    if _JOB_RUNS.get() or click.get_current_context(silent=True) is not None:
         return False
     return sys.stderr.isatty() or _is_notebook()
 
@@ -230,7 +230,7 @@ def shown_share(
         bars, began = list[ProgressBar](), time.monotonic()
 
         def share(fraction: float) -> None:
-            if not bars and time.monotonic() - began > PATIENCE:
+            if not bars and time.monotonic() - began > STALL_SECONDS:
                 bars.append(stack.enter_context(ProgressBar(name)))
             if bars:
                 bars[0].share(fraction)
@@ -256,13 +256,13 @@ def shows_progress(name: str, unit: str = "") -> Callable[[Callable[P, R]], Call
             if "watch" in options and not isinstance(watch, Watch):
                 raise TypeError(f"watch is {watch!r}: expected a Watch, such as Watch(warn=print).")
             shows = watch is None and options.get("progress", True) is not False and _is_watched()
-            token = _WORKING.set(True)
+            token = _JOB_RUNS.set(True)
             try:
                 with Stages(name, unit, lambda _: True) as stages:
                     watch_options: Any = {"watch": Watch(stages.show, stages.say)} if shows else {}
                     return job(*arguments, **options, **watch_options)
             finally:
-                _WORKING.reset(token)
+                _JOB_RUNS.reset(token)
 
         return working
 

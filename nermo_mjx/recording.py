@@ -17,7 +17,7 @@ from jaxtyping import Float
 from pydantic import BaseModel
 
 from nermo_mjx.files import (
-    MOST_FILE,
+    MAX_FILE_BYTES,
     FileError,
     arrays_of,
     check_arrays,
@@ -27,10 +27,10 @@ from nermo_mjx.files import (
 )
 
 #: Version of the file's layout; a reader refuses any other.
-LAYOUT: Final = 1
+LAYOUT_VERSION: Final = 1
 _MARK: Final = "nermo_mjx recording"
 #: Beginning of the names of sensors that hold a channel of a robot's log, measured and simulated (T, 2).
-BESIDE: Final = "log."
+LOG_PREFIX: Final = "log."
 _REMEDY: Final = (
     "nermo-mjx walk --record FILE.npz writes one, and nermo-mjx log reads a robot's log"
 )
@@ -129,7 +129,7 @@ class Recording:
         """What `save` writes."""
         header = {
             "format": _MARK,
-            "layout": LAYOUT,
+            "layout": LAYOUT_VERSION,
             "model_hash": self.model_hash,
             "metadata": dict(self.metadata),
         }
@@ -158,16 +158,16 @@ class Recording:
         if not isinstance(path, (str, os.PathLike)):
             raise TypeError(f"path is {path!r}: expected the path of a recording.")
         try:
-            arrays = arrays_of(read_bytes(Path(path), MOST_FILE), path)
+            arrays = arrays_of(read_bytes(Path(path), MAX_FILE_BYTES), path)
             if arrays.get("header", np.zeros(1)).dtype.kind != "U":
                 raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
             header = json_of(str(arrays.pop("header")), _Header, path)
             if header["format"] != _MARK:
                 raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
-            if header["layout"] != LAYOUT:
+            if header["layout"] != LAYOUT_VERSION:
                 raise RecordingError(
                     f"{path}: a recording of layout {header['layout']}, but this version reads layout "
-                    f"{LAYOUT}; record the run again."
+                    f"{LAYOUT_VERSION}; record the run again."
                 )
             sensors = {key for key in arrays if key.startswith("sensor.")}
             check_arrays(arrays, _ARRAYS | dict.fromkeys(sensors, ("fiub", ("T", ...))), path)

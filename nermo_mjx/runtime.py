@@ -27,7 +27,7 @@ GUARDED_BATCH: Final = 32
 #: A walk starts with several programs that compile in 0.1 to 0.5 s each; from the cache they take a few milliseconds.
 MIN_COMPILE_SECONDS: Final = 0.1
 #: Largest size of the cache of compiled programs; the longest unused are removed. A program of a walk is 1 to 5 MB.
-MOST_CACHE_BYTES: Final = 2 * 1024**3
+MAX_CACHE_BYTES: Final = 2 * 1024**3
 #: XLA options for a CPU: its older emitter for fused loops, with which a walk in MJX compiles in 16 s instead of
 #: 31, and runs in 0.5 s instead of 1.2. JAX 0.12 has no choice of emitters any more.
 COMPILER_OPTIONS: Final[Mapping[str, bool]] = {"xla_cpu_use_fusion_emitters": False}
@@ -36,7 +36,7 @@ COMPILER_OPTIONS: Final[Mapping[str, bool]] = {"xla_cpu_use_fusion_emitters": Fa
 #: loop, of 0.6 MB: trainings take 13 % less processor time. JAX 0.12 gives the same bits in the same time without it.
 EXTRA_OPTIONS: Final = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=4000000"
 #: Environment variable with the number of processors that the engine `c` uses, where a caller does not say.
-THREADS: Final = "NERMO_MJX_THREADS"
+THREADS_VARIABLE: Final = "NERMO_MJX_THREADS"
 
 _started_unguarded = False
 _started_before = False
@@ -217,7 +217,7 @@ def thread_count(requested: int | None = None) -> int:
     """
     name, value = "threads", str(requested)
     if requested is None:
-        name, value = THREADS, os.environ.get(THREADS) or str(cpu_count())
+        name, value = THREADS_VARIABLE, os.environ.get(THREADS_VARIABLE) or str(cpu_count())
     if not value.isdecimal() or int(value) < 1:
         raise ValueError(f"{name} is {value}: allowed is a whole number from 1 on.")
     return int(value)
@@ -247,7 +247,7 @@ def _settle_cache(jax: Any) -> None:
     jax.config.update("jax_compilation_cache_dir", str(directory))
     for option, value in (
         ("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_SECONDS),
-        ("jax_compilation_cache_max_size", MOST_CACHE_BYTES),
+        ("jax_compilation_cache_max_size", MAX_CACHE_BYTES),
     ):
         if option.upper() not in os.environ:
             jax.config.update(option, value)

@@ -18,7 +18,7 @@ class FileError(Exception):
 
 
 #: Control characters but the line's end and the tab, and those that turn the direction of writing.
-_CONTROL: Final = re.compile(
+_CONTROL_CHARACTERS: Final = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]"
 )
 
@@ -29,7 +29,7 @@ def printable(text: str) -> str:
     >>> print(printable("speed\x1b[2J"))
     speed\u001b[2J
     """
-    return _CONTROL.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
+    return _CONTROL_CHARACTERS.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 def one_line(text: str) -> str:
@@ -47,8 +47,10 @@ def shortened(text: str, limit: int = 60) -> str:
 
 
 #: Whether the Python that files name may be run, and what is told before.
-RUNS_CODE: ContextVar[bool] = ContextVar("RUNS_CODE", default=True)
-TELL: ContextVar[Callable[[str], None]] = ContextVar("TELL", default=lambda sentence: None)
+CODE_EXECUTION: ContextVar[bool] = ContextVar("CODE_EXECUTION", default=True)
+MESSAGE_HANDLER: ContextVar[Callable[[str], None]] = ContextVar(
+    "MESSAGE_HANDLER", default=lambda sentence: None
+)
 #: Suffixes of files that hold a controller as data instead of code, and MODULE:NAME of the function that reads them.
 #: The top of the package fills it in, as these modules are built on those that take a controller's name.
 DATA_CONTROLLERS: Final[dict[str, str]] = {}
@@ -57,8 +59,8 @@ DATA_CONTROLLERS: Final[dict[str, str]] = {}
 @contextlib.contextmanager
 def only_reading() -> Iterator[None]:
     """Inside of it, or of a function that it decorates, no Python that a file names is run."""
-    token = RUNS_CODE.set(False)
+    token = CODE_EXECUTION.set(False)
     try:
         yield
     finally:
-        RUNS_CODE.reset(token)
+        CODE_EXECUTION.reset(token)

@@ -64,7 +64,7 @@ if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
     os.environ["XLA_FLAGS"] = (
         f"{os.environ.get('XLA_FLAGS', '')} {known_flags(QUICK_TO_COMPILE)}".strip()
     )
-files._DPI = 100  # figures are drawn at half their size
+files._FILE_DPI = 100  # figures are drawn at half their size
 os.fsync = lambda _: (
     None
 )  # no test cuts the power, and a process that is killed has written what it wrote
@@ -77,7 +77,7 @@ jax.config.update(
 )  # nobody reads where in Python an operation comes from
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
-c_engine.LANES = 8  # most tests simulate one to six worlds: with 32 lanes these have the same bits, and take longer
+c_engine.BLOCK_WORLDS = 8  # most tests simulate one to six worlds: with 32 lanes these have the same bits, and take longer
 
 TESTS = Path(__file__).parent
 # Tests of one room share what those of another define.

@@ -16,7 +16,7 @@ import mujoco
 import pytest
 from command import call, json_of
 
-from nermo_mjx.bench import CASES, apart, run_bench
+from nermo_mjx.bench import BENCHMARKS, apart, run_bench
 from nermo_mjx.cli.choices import BENCH_CASES
 
 STUDIES = Path(__file__).parents[1] / "docs" / "benchmarks"
@@ -37,7 +37,7 @@ def test_each_combination_is_measured_in_order_and_counted(monkeypatch: pytest.M
         (case, engine, size, case) for case in ("throughput", "startup") for engine, size in options
     ]
     assert [call.args for call in progress.call_args_list] == [(count, 8) for count in range(9)]
-    assert tuple(CASES) == BENCH_CASES
+    assert tuple(BENCHMARKS) == BENCH_CASES
 
 
 @pytest.mark.parametrize(

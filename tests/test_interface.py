@@ -230,9 +230,9 @@ def test_each_name_of_a_choice_is_implemented() -> None:
         "gait": GAIT_PATTERNS,
         "physics": PRESETS,
         "steering": parameters.STEERING,
-        "head": head_and_tail._HEADS,
-        "tail_motion": head_and_tail._TAILS,
-        "trajectory": (*trajectory.FORMS, stepping.FREE),
+        "head": head_and_tail._HEAD_MODES,
+        "tail_motion": head_and_tail._TAIL_MODES,
+        "trajectory": (*trajectory.FORMS, stepping.FREE_TRAJECTORY),
         "pilot": ("open_loop", *path.PATHS, "waypoints", "external"),
     }
     assert {name: set(table) for name, table in tables.items()} == {

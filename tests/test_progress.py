@@ -90,7 +90,7 @@ def test_a_walk_is_shown_if_it_takes_long(simulator, monkeypatch):
     terminal = on_a_terminal(monkeypatch)
     walker.run({}, Run(duration=0.2))
     assert terminal.getvalue() == "", "it is over at once"
-    monkeypatch.setattr("nermo_mjx.progress.PATIENCE", -1.0)
+    monkeypatch.setattr("nermo_mjx.progress.STALL_SECONDS", -1.0)
     walker.run({}, Run(duration=0.2), progress=False)
     shares = []
     walker.run({}, Run(duration=0.2), progress=shares.append)

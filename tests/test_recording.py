@@ -71,7 +71,7 @@ def test_a_part_of_a_recording_is_one_too() -> None:
 def test_another_layout_is_refused_with_its_number(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nermo_mjx.recording.LAYOUT", 7)
+    monkeypatch.setattr("nermo_mjx.recording.LAYOUT_VERSION", 7)
     path = some_recording().save(tmp_path / "walk.npz")
     monkeypatch.undo()
     with pytest.raises(RecordingError, match="layout 7, but this version reads layout 1"):

@@ -150,9 +150,9 @@ def test_the_number_of_threads_is_the_callers_or_the_users_or_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert runtime.thread_count(3) == 3
-    monkeypatch.setenv(runtime.THREADS, "5")
+    monkeypatch.setenv(runtime.THREADS_VARIABLE, "5")
     assert runtime.thread_count() == 5
-    monkeypatch.delenv(runtime.THREADS)
+    monkeypatch.delenv(runtime.THREADS_VARIABLE)
     assert runtime.thread_count() == runtime.cpu_count()
     with pytest.raises(ValueError, match=r"^threads is 0: allowed is a whole number from 1 on\.$"):
         runtime.thread_count(0)
@@ -170,7 +170,7 @@ def test_the_cache_is_on_where_we_compile_and_has_a_size(tmp_path: Path, first: 
     directory, size = line.split()
     assert directory.startswith(str(tmp_path / "cache"))
     assert Path(directory).is_dir()
-    assert int(size) == runtime.MOST_CACHE_BYTES
+    assert int(size) == runtime.MAX_CACHE_BYTES
 
 
 @pytest.mark.release
@@ -198,7 +198,7 @@ def test_the_choice_of_the_user_for_gl_is_kept(monkeypatch: pytest.MonkeyPatch) 
 
 def test_commands_take_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """`--threads` stands beside `--engine`, and holds for the processes that a command starts, too."""
-    monkeypatch.setenv(runtime.THREADS, "1")
+    monkeypatch.setenv(runtime.THREADS_VARIABLE, "1")
     command = click.command()(options.engine(lambda engine: click.echo(runtime.thread_count())))
     assert CliRunner().invoke(command, ["--threads", "3"]).output == "3\n"
     result = CliRunner().invoke(command, ["--threads", "0"])

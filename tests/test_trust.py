@@ -195,11 +195,11 @@ def test_a_recording_names_no_code(tmp_path: Path, canary: Path) -> None:
 
 def test_whose_code_is_run_is_said_before(tmp_path: Path, canary: Path) -> None:
     messages: list[tuple[str, bool]] = []
-    token = trust.TELL.set(lambda sentence: messages.append((sentence, canary.exists())))
+    token = trust.MESSAGE_HANDLER.set(lambda sentence: messages.append((sentence, canary.exists())))
     try:
         custom_metrics.load_metrics("own.py")
         custom_metrics.load_metrics("own.py")
     finally:
-        trust.TELL.reset(token)
+        trust.MESSAGE_HANDLER.reset(token)
     assert messages == [(f"the Python code of {tmp_path / 'own.py'} is run.", False)]
     assert canary.exists()

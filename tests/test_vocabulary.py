@@ -23,8 +23,15 @@ from nermo_mjx.hardware.channels import read_channels
 from nermo_mjx.hardware.log import QUANTITIES
 from nermo_mjx.hardware.twin import twin_signals
 from nermo_mjx.learn import Task, Training, load_policy
-from nermo_mjx.learn.acting import ACTED
-from nermo_mjx.learn.observing import FORMER, OBSERVED, SENSED, TOLD, Observer, privileged_names
+from nermo_mjx.learn.acting import ACTION_SERVOS
+from nermo_mjx.learn.observing import (
+    DEFAULT_OBSERVATION,
+    FORMER_NAMES,
+    POLICY_INPUTS,
+    SENSED_READINGS,
+    Observer,
+    privileged_names,
+)
 from nermo_mjx.live.wire import LinkLog
 from nermo_mjx.physics import Trace
 from nermo_mjx.recording import Recording
@@ -75,11 +82,13 @@ def as_saved():
 def as_observed():
     raw = [
         name
-        for name in SENSED
+        for name in SENSED_READINGS
         if name not in ("foot_contact", "motor_current", "projected_gravity", "height_scan")
     ]
     observer = Observer(tuple(raw), (), (), False, False, 0, False, 0.01)
-    scales = [SENSED[name].scale for name in raw for _ in reading_names(name, ACTED)]
+    scales = [
+        SENSED_READINGS[name].scale for name in raw for _ in reading_names(name, ACTION_SERVOS)
+    ]
     yield from zip(observer.names, np.asarray(observer.readings(SENSORS)) * scales, strict=True)
 
 
@@ -165,7 +174,7 @@ def test_names_of_a_log_are_the_last_words_of_the_vocabulary():
 
 def test_what_a_policy_is_told_has_the_names_of_the_vocabulary():
     names_of_readings = {number for name in READINGS for number in reading_names(name)}
-    observer = Observer(tuple(SENSED), (), (), False, False, 0, False, 0.01)
+    observer = Observer(tuple(SENSED_READINGS), (), (), False, False, 0, False, 0.01)
     assert set(observer.names) <= names_of_readings
     critic = {name for name in privileged_names((), (), False) if "." not in name}
     assert critic - names_of_readings <= {
@@ -178,15 +187,17 @@ def test_what_a_policy_is_told_has_the_names_of_the_vocabulary():
 def test_motor_current_is_one_thing_as_metric_and_as_observation():
     """The metric is the mean over the time of the sum over all servos."""
     servo = ModelParameters().servo
-    torque = 0.01 * np.arange(len(ROBOT.servos)) * (np.arange(len(ROBOT.servos)) < len(ACTED))
+    torque = (
+        0.01 * np.arange(len(ROBOT.servos)) * (np.arange(len(ROBOT.servos)) < len(ACTION_SERVOS))
+    )
     sums = electrical.power_sums(jnp.asarray(torque)[None], jnp.zeros((1, len(torque))), servo)
     metric = electrical.electrical_result(
         sums, jnp.ones(()), electrical.Supply.of(ModelParameters())
     )
-    sensed = SENSED["motor_current"].read(
+    sensed = SENSED_READINGS["motor_current"].read(
         dataclasses.replace(SENSORS, servo_torque=jnp.asarray(torque))
     )
-    unloaded = float(servo.idle_current) * (len(torque) - len(ACTED))
+    unloaded = float(servo.idle_current) * (len(torque) - len(ACTION_SERVOS))
     assert float(metric["motor_current"]) == pytest.approx(
         float(np.sum(sensed)) + unloaded, rel=1e-6
     )
@@ -212,7 +223,7 @@ def test_a_policy_of_a_former_version_observes_the_same_numbers():
         assert policy.observer.names.index(new) == metadata["observation"].index(old)
     saved_metadata = json.loads(bytes(np.load(io.BytesIO(policy.content()))["about"]))
     assert saved_metadata["observation"] == list(policy.observer.names)
-    assert not set(FORMER) & set(saved_metadata["observer"]["groups"])
+    assert not set(FORMER_NAMES) & set(saved_metadata["observer"]["groups"])
 
 
 def test_specifications_of_a_former_version_are_read():
@@ -229,7 +240,7 @@ def test_specifications_of_a_former_version_are_read():
     assert training.task.set["sensing.projected_gravity_noise"] == 0.01
     assert training.task.randomize == {"sensing.servo_torque_noise": (0.0, 0.1)}
     assert Task(observe=("tilt",)).observe == ("projected_gravity",)
-    assert not set(FORMER) & {*SENSED, *TOLD, *OBSERVED}
+    assert not set(FORMER_NAMES) & {*SENSED_READINGS, *POLICY_INPUTS, *DEFAULT_OBSERVATION}
     for old, new in (("ctrl", "servo_command"), ("spine_ctrl", "spine_servo_command")):
         assert chosen_signals(ROBOT, Saving((old,))) == chosen_signals(ROBOT, Saving((new,)))
     Sweep.from_dict({"vary": {"frequency": [0.7, 0.8]}, "save": {"sensors": ["ctrl"]}})

@@ -44,7 +44,7 @@ from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED
+from nermo_mjx.plotting.style import BEST_COLOUR, INK, LINE_COLOUR, MUTED_INK
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
 from nermo_mjx.runs.files import table
@@ -276,7 +276,7 @@ CASES: Final[dict[str, tuple[str, Any, dict[str, tuple[Any, ...]]]]] = {
     ),
 }
 
-_COLOURS: Final = {"c": MUTED, "mjx": LINE, "warp": BEST}
+_COLOURS: Final = {"c": MUTED_INK, "mjx": LINE_COLOUR, "warp": BEST_COLOUR}
 #: Where logarithmic axes may begin and end.
 _STEPS: Final = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
 #: Figure -> heading of its column, its format, and the factor to the heading's unit.
@@ -482,10 +482,10 @@ def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
     ax = figure.subplots()
     names = [f"{line['engine']}, {line['worlds']:,} worlds" for line in walks]
     trace, compiled = ([line[key] for line in walks] for key in ("trace_s", "compile_s"))
-    ax.barh(names, trace, color=MUTED, label="trace")
-    ax.barh(names, compiled, left=trace, color=LINE, label="compile")
+    ax.barh(names, trace, color=MUTED_INK, label="trace")
+    ax.barh(names, compiled, left=trace, color=LINE_COLOUR, label="compile")
     plain = [line["plain_trace_s"] + line["plain_compile_s"] for line in walks]
-    ax.plot(plain, names, "|", ms=14, color=BEST, label="plain physics, both")
+    ax.plot(plain, names, "|", ms=14, color=BEST_COLOUR, label="plain physics, both")
     ax.set(xlabel="time [s]")
     ax.margins(y=0.3)
     ax.invert_yaxis()
@@ -496,7 +496,7 @@ def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
 def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
     figure = page("What a gradient costs over the length of a walk", 7.0, 3.2, f"{machine}.")
     ratio, memory = figure.subplots(1, 2)
-    for mode, colour in (("forward", LINE), ("reverse", BEST)):
+    for mode, colour in (("forward", LINE_COLOUR), ("reverse", BEST_COLOUR)):
         of_mode = [line for line in lines if line["mode"] == mode]
         _curve(ratio, of_mode, "cycles", "ratio", color=colour, label=mode)
         _curve(memory, of_mode, "cycles", "temporary_bytes_per_world", 1e-6, color=colour)

@@ -26,7 +26,7 @@ from scipy.stats import binomtest
 
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.hardware.twin import SETTLING
+from nermo_mjx.hardware.twin import SETTLING_SECONDS
 from nermo_mjx.identify.body import NermoBody
 from nermo_mjx.identify.identification import Identification, identify_log
 from nermo_mjx.physics.variation import compile_model
@@ -79,7 +79,7 @@ def nermo_log(
     data = mujoco.MjData(model)
     bias = np.array([values.get(f"bias.{servo}", 0.0) for servo in robot.servos])
     step = model.opt.timestep
-    settle, steps = round(SETTLING / step), math.floor(times[-1] / step)
+    settle, steps = round(SETTLING_SECONDS / step), math.floor(times[-1] / step)
     gyro, acceleration = (
         model.sensor(name).adr[0] + np.arange(3) for name in ("gyro", "accelerometer")
     )

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from nermo_mjx.learn import Training, load_policy
-from nermo_mjx.learn.evaluation import ALONE, POLICY, PolicyEvaluator
+from nermo_mjx.learn.evaluation import BASELINE, POLICY, PolicyEvaluator
 from nermo_mjx.learn.spec import changed
 
 
@@ -123,7 +123,7 @@ def main() -> None:
     for seed in range(given.first, given.first + given.seeds):
         policies = trained(given.spec, seed, given.out / f"seed-{seed}")
         evaluator = PolicyEvaluator(changed(Training.from_file(given.spec), seed=seed))
-        alone = evaluator(load_policy(policies[0][2]), walkers=(ALONE,)).to_pandas()
+        alone = evaluator(load_policy(policies[0][2]), walkers=(BASELINE,)).to_pandas()
         for wall, cpu, path in policies:
             about = judged(evaluator, path, alone, given.faster)
             rows.append({"seed": seed, "wall_seconds": wall, "cpu_seconds": cpu, **about})

@@ -23,7 +23,7 @@ from step_models import installed_models, load, models_below, touching
 
 from nermo_mjx.bench import machine_description
 from nermo_mjx.dynamics.checking import (
-    WIDTHS,
+    DIFFERENCE_WIDTHS,
     Trial,
     compare_gradient,
     distance,
@@ -80,7 +80,7 @@ def _gradient(
         "finite": check.is_finite,
         "error": check.error,
         "spread": check.spread,
-        "width": WIDTHS[check.chosen],
+        "width": DIFFERENCE_WIDTHS[check.chosen],
         "errors": check.errors,
         "end_off_c": _off(model, data, check.end),
         "group": check.group.tolist(),

@@ -24,7 +24,7 @@ from nermo_mjx.live.server import LiveDrive
 from nermo_mjx.recording import Recording
 from nermo_mjx.sweep import read_table
 from nermo_mjx.view import show
-from nermo_mjx.view.explore import MOST_RECORDINGS, explore
+from nermo_mjx.view.explore import MAX_RECORDINGS, explore
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 import chromium
@@ -125,7 +125,7 @@ def of_a_directory(out: Path) -> dict[str, str]:
     folder = many(out / "many", 10_000)
     (folder / "recordings").mkdir()
     walk = Recording.load(out / "free.npz").between(0.0, 10.0).save(out / "walk.npz")
-    for k in range(MOST_RECORDINGS):
+    for k in range(MAX_RECORDINGS):
         shutil.copy(walk, folder / "recordings" / f"row-{200 * k:06d}.npz")
     page, table = explore(folder).save(out / "many.html"), read_table(folder)
     found = medians(page)
@@ -141,7 +141,7 @@ def of_a_directory(out: Path) -> dict[str, str]:
         ),
         ("a recording plays, from the click to its first frame", f"{found.plays_s:.1f} s"),
     ]
-    whole = f"{table.num_rows:,} runs of {table.num_columns} columns, with {MOST_RECORDINGS} recordings of 10 s,"
+    whole = f"{table.num_rows:,} runs of {table.num_columns} columns, with {MAX_RECORDINGS} recordings of 10 s,"
     return {
         "viewer.runs": whole,
         "viewer.size": f"{page.stat().st_size / 1e6:.1f}",

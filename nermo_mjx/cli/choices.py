@@ -20,8 +20,8 @@ def __getattr__(name: str) -> tuple[str, ...]:
 
 def of_package() -> dict[str, list[str]]:
     """The names, from where they are declared; the first is an option's default."""
-    from nermo_mjx.bench import CASES
-    from nermo_mjx.control.spine_modes import MODES, NO_MODE
+    from nermo_mjx.bench import BENCHMARKS
+    from nermo_mjx.control.spine_modes import AUXILIARY_MODES, NO_MODE
     from nermo_mjx.experiments.run import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
     from nermo_mjx.plotting.files import FORMATS
@@ -34,10 +34,10 @@ def of_package() -> dict[str, list[str]]:
 
     named = {
         "ENGINES": ENGINES,
-        "BENCH_CASES": CASES,
+        "BENCH_CASES": BENCHMARKS,
         **{field.upper(): names for field, names in allowed_names(Setup).items()},
         "GAIT_CODES": GAIT_CODES,
-        "SPINE_MODES": (NO_MODE, *MODES),
+        "SPINE_MODES": (NO_MODE, *AUXILIARY_MODES),
         "EXPERIMENTS": EXPERIMENTS,
         "OVERLAYS": OVERLAYS,
         "VIEWS": CAMERAS,

@@ -74,7 +74,7 @@ def log_command(file: Path, channels: Path | None) -> Output:
     """
     import numpy as np
 
-    from nermo_mjx.hardware.log import MOVED, table_of_log
+    from nermo_mjx.hardware.log import MOTION_THRESHOLD, table_of_log
     from nermo_mjx.hardware.signals import findings_of, lag_of
 
     log, table = log_of(file, channels), table_of_log(file)
@@ -84,7 +84,7 @@ def log_command(file: Path, channels: Path | None) -> Output:
         command_channel = commands.get(channel.of) if channel.quantity == "angle" else None
         lag = (
             None
-            if command_channel is None or np.ptp(command_channel.values) <= MOVED
+            if command_channel is None or np.ptp(command_channel.values) <= MOTION_THRESHOLD
             else lag_of(channel, command_channel)[0]
         )
         low, high = float(channel.values.min()), float(channel.values.max())

@@ -13,7 +13,7 @@ from click.shell_completion import CompletionItem
 
 from nermo_mjx.cli import choices
 from nermo_mjx.cli.output import WrongUse
-from nermo_mjx.runtime import THREADS
+from nermo_mjx.runtime import THREADS_VARIABLE
 
 if TYPE_CHECKING:
     from nermo_mjx.robot import Quantity
@@ -266,7 +266,7 @@ def grouped(*listed: Callable[[Any], Any]) -> Callable[[F], F]:
 def _keep_threads(ctx: click.Context, parameter: click.Parameter, value: int | None) -> None:
     """For this process, and for those that it starts."""
     if value is not None:
-        os.environ[THREADS] = str(value)
+        os.environ[THREADS_VARIABLE] = str(value)
 
 
 # ---

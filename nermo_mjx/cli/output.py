@@ -25,7 +25,7 @@ from typing import IO, Any, Final, NoReturn
 import click
 
 from nermo_mjx.progress import is_given
-from nermo_mjx.trust import TELL, FileError, one_line, only_reading, printable
+from nermo_mjx.trust import MESSAGE_HANDLER, FileError, one_line, only_reading, printable
 
 #: Thresholds of Python's garbage collector while a command runs. Tracing creates millions of long-lived objects,
 #: which the collector would visit again and again by default: a fifth of the time that tracing takes.
@@ -109,7 +109,7 @@ class CommandGroup(click.Group):
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
-        TELL.set(lambda sentence: click.echo(f"nermo-mjx: {sentence}", err=True))
+        MESSAGE_HANDLER.set(lambda sentence: click.echo(f"nermo-mjx: {sentence}", err=True))
         gc.set_threshold(*COLLECTIONS)
         in_main = threading.current_thread() is threading.main_thread()
         handlers = {
@@ -126,7 +126,7 @@ class CommandGroup(click.Group):
             """A warning is a sentence, said once, without the line of code that it comes from."""
             if str(message) not in warned:
                 warned.add(str(message))
-                TELL.get()(one_line(str(message)))
+                MESSAGE_HANDLER.get()(one_line(str(message)))
 
         compiles = logging.getLogger(
             "nermo_mjx.rollout.simulator"

@@ -215,15 +215,15 @@ def _play_task(
     **how: Any,
 ) -> Recording:
     """A walk in the task of a training's file or directory."""
-    from nermo_mjx.learn.directory import POLICY_FILE, SPEC
-    from nermo_mjx.learn.evaluation import ZERO, played_task
+    from nermo_mjx.learn.directory import POLICY_FILE, SPEC_FILE
+    from nermo_mjx.learn.evaluation import ZERO_POLICY, played_task
     from nermo_mjx.learn.spec import Training
     from nermo_mjx.learn.task import task_parameters
 
-    training = Training.from_file(path / SPEC if path.is_dir() else path)
+    training = Training.from_file(path / SPEC_FILE if path.is_dir() else path)
     refuse_video(training.setup, video, camera)
     values = options.assigned(assignments, task_parameters(training.setup))
-    policy = policy or (str(path / POLICY_FILE) if path.is_dir() else ZERO)
+    policy = policy or (str(path / POLICY_FILE) if path.is_dir() else ZERO_POLICY)
     with ProgressBar("play", compiles=True):
         return played_task(training, policy, values=values, **how)
 
@@ -304,7 +304,7 @@ _RELOAD = 20.0
 
 def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
     """Write the page of a training anew after each of its checkpoints, until it has ended."""
-    from nermo_mjx.learn.directory import HISTORY, training_status
+    from nermo_mjx.learn.directory import HISTORY_FILE, training_status
     from nermo_mjx.view.trained import trained
 
     if not path.is_dir() or not kind_of_directory(path).follows:
@@ -313,7 +313,9 @@ def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
     with contextlib.suppress(KeyboardInterrupt):
         while seen_time == 0 or not status.complete:
             status = training_status(path)
-            written_time = (path / HISTORY).stat().st_mtime_ns if (path / HISTORY).exists() else 0
+            written_time = (
+                (path / HISTORY_FILE).stat().st_mtime_ns if (path / HISTORY_FILE).exists() else 0
+            )
             if written_time != seen_time or (seen_time and status.complete):
                 page = trained(path, reload=None if status.complete else _RELOAD)
                 file = None if shown_status is None else Path(shown_status.content["page"])
@@ -339,7 +341,7 @@ def _page(
 ) -> tuple[Page, dict[str, Any]]:
     """The page of a recording or a directory, and how much it shows."""
     from nermo_mjx.view import show
-    from nermo_mjx.view.explore import MOST_RECORDINGS
+    from nermo_mjx.view.explore import MAX_RECORDINGS
 
     if not path.is_dir():
         if recordings is not None:
@@ -355,7 +357,7 @@ def _page(
             f"{path} is a directory: it has its own page; show {other} with a separate command."
         )
     kind_of_directory(path)  # refuses what is none
-    limit = MOST_RECORDINGS if recordings is None else recordings
+    limit = MAX_RECORDINGS if recordings is None else recordings
     page = directory_page(path, recordings=limit, notify=notes.append)
     if page.samples:
         return page, {"samples": page.samples}

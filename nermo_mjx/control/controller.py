@@ -51,7 +51,7 @@ from nermo_mjx.control.pilot import (
 )
 from nermo_mjx.control.protocol import leg_servos
 from nermo_mjx.control.spine_modes import SagittalLike, SagittalModes, SpineLike, SpineModes
-from nermo_mjx.control.stepping import FREE, FreeStepping, GaitLike, Stepping
+from nermo_mjx.control.stepping import FREE_TRAJECTORY, FreeStepping, GaitLike, Stepping
 from nermo_mjx.kinematics.body import attitude, rear_foot_rise
 from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.kinematics.spine import joint_angle
@@ -370,7 +370,7 @@ def published_controller(
     vertical = tuple(name for name in modes if name in spine_modes.SAGITTAL_MODES)
     return Controller(
         named_pilot(pilot, waypoints, command),
-        FreeStepping(routing=routing) if trajectory == FREE else Stepping(trajectory),
+        FreeStepping(routing=routing) if trajectory == FREE_TRAJECTORY else Stepping(trajectory),
         SpineModes(lateral, masses),
         routing,
         control_rate,

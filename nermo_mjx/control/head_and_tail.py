@@ -203,17 +203,17 @@ def gaze(head: Head, pace: Pace, sensors: Sensors, course: CourseEstimate) -> He
     )
 
 
-_HEADS: Final[dict[str, HeadLike]] = {
+_HEAD_MODES: Final[dict[str, HeadLike]] = {
     "none": Appendage("head", head_held),
     GAZE: Appendage("head", head_held, gaze, on_course=True),
 }
 HeadName = Literal["none", "gaze"]
-HEADS: Final = get_args(HeadName)
+HEAD_NAMES: Final = get_args(HeadName)
 
 
 def named_head(name: str = "none") -> HeadLike:
-    """The head control of this name in `HEADS`."""
-    return _HEADS[choice("head", name, HEADS)]
+    """The head control of this name in `HEAD_NAMES`."""
+    return _HEAD_MODES[choice("head", name, HEAD_NAMES)]
 
 
 # ---
@@ -315,7 +315,7 @@ class SeveralTails(AppendageLike[Scalars]):
         return memories, sum((angle - still for angle in angles), still)
 
 
-_TAILS: Final[dict[str, TailLike]] = {
+_TAIL_MODES: Final[dict[str, TailLike]] = {
     "none": Appendage("tail", tail_held),
     SWING: Appendage("tail", swing),
     COUNTER_YAW: Appendage("tail", tail_held, counter_yaw, on_course=True),
@@ -327,5 +327,7 @@ TAIL_MOTIONS: Final = get_args(TailMotionName)
 
 def named_tail(name: str = "none") -> TailLike:
     """The tail control of this name in `TAIL_MOTIONS`, or of several joined by "+"."""
-    parts = tuple(_TAILS[choice("tail_motion", part, TAIL_MOTIONS)] for part in name.split("+"))
+    parts = tuple(
+        _TAIL_MODES[choice("tail_motion", part, TAIL_MOTIONS)] for part in name.split("+")
+    )
     return parts[0] if len(parts) == 1 else SeveralTails(parts)

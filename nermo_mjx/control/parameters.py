@@ -82,7 +82,7 @@ class Trim:
 
 
 #: Harmonics of the spine's Fourier series.
-HARMONICS = 6
+SPINE_HARMONICS = 6
 
 
 @parameter_tree
@@ -178,13 +178,13 @@ class Spine:
         0.0, "s", -1.0, 1.0, "vertical servo's angle per pitch rate, spine mode 'pitch_balance'"
     )
     harmonics: Any = quantity(
-        (0.0,) * 2 * HARMONICS,
+        (0.0,) * 2 * SPINE_HARMONICS,
         "rad",
         -0.6,
         0.6,
         "servo amplitude of cos or sin(k 2 pi phase), spine mode 'harmonics'",
         labels=tuple(
-            f"{part}{order}" for order in range(1, HARMONICS + 1) for part in ("cos", "sin")
+            f"{part}{order}" for order in range(1, SPINE_HARMONICS + 1) for part in ("cos", "sin")
         ),
     )
 
@@ -296,15 +296,15 @@ def with_geometry(params: Any) -> Any:
 
 #: Rate of the controller's clock for which `tracking.foot_gain` and the pilot's gain on the change of the error hold
 #: [Hz]: that of both loops of the author's code while he tested (1 July to 12 August 2021; later 50, 80 and 50).
-PUBLISHED_RATE: Final = 100.0
+PUBLISHED_RATE_HZ: Final = 100.0
 #: Share of the foot error that his velocity-space kinematics closes per tick (0.11 since c66c3df, 2 August 2021).
-PUBLISHED_TRACKING: Final = 0.11
+PUBLISHED_TRACKING_SHARE: Final = 0.11
 #: Simulated seconds per second of his controller: steps of 2 ms at 200 Hz of the wall clock, on which his controller
 #: runs. Inferred from his code, not stated; recognised with three figures in view (docs/experiments.md).
 PUBLISHED_CLOCK_RATIO = 0.4
 
 
-def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING) -> float:
+def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING_SHARE) -> float:
     """`tracking.foot_gain` of the author's foot tracking: share of the foot error closed per 1/100 s.
 
     His code subtracts the foot of the tick before, f(k) = f(k-1) + g (target - f(k-2)). So it lags by one tick less
@@ -319,7 +319,7 @@ def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING) -> float:
         closed: g, in [0, 1/4].
     """
     remainder = 0.5 * (1.0 + math.sqrt(1.0 - 4.0 * closed))
-    return 1.0 - remainder ** (rate / PUBLISHED_RATE)
+    return 1.0 - remainder ** (rate / PUBLISHED_RATE_HZ)
 
 
 #: The published simulation: what the author's repository (a-rohr/mouse_controller) held while he tested, at every
@@ -330,12 +330,12 @@ def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING) -> float:
 #: `Stance`, enter on 26 September (a99147f; erratum 23). His pilot, a PD from the cross-track error to the turn rate,
 #: turns the spine whatever its mode. Its gains are those of c66c3df; 30 and 300 (583a152) and 40 and 300 (736e7ec)
 #: make it oscillate.
-AS_PUBLISHED: Final = {
+PUBLISHED_PROFILE: Final = {
     "stance.front_y": -0.005,
     "stance.front_z": -0.038,
     "stance.rear_y": 0.010,
     "stance.rear_z": -0.042,
-    "tracking.foot_gain": tracking_share(PUBLISHED_RATE),
+    "tracking.foot_gain": tracking_share(PUBLISHED_RATE_HZ),
     "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO,
     "spine.offset_at_feet": 1.0,
     "pilot.error_gain": 25.0,
@@ -354,7 +354,7 @@ AS_PUBLISHED: Final = {
 #: 10.1 N, and those in front, whose reference pose makes them stiffer, by 0.036 mm under 8.2 N; in the spine the taut
 #: one yields by 0.107 mm under 16.9 N, at 0.4 rad of the servo. His rear legs are mounted 10 degrees up on a hip that
 #: is pitched by 14.9 degrees down, with axes 0.45 mm further forward and 0.55 mm lower than in Table A.5.
-AS_PUBLISHED_BODY: Final = {
+PUBLISHED_BODY: Final = {
     "servo.kp": 60.0,
     "servo.kv": 0.05,
     "servo.torque_limit": 0.4,
@@ -418,8 +418,12 @@ GRIP: dict[str, float] = {"leg": 0.525, "spine": 1.13, "mix": 1.04}
 #: The robot as it was built, by the hardware's figures (docs/experiments.md has what was fitted and what chosen), at
 #: the stride of its straight line (Table 6.1), with the author's foot tracking in real time, at the 80 Hz of his loop
 #: from 27 August 2021 (192674c) on.
-AS_BUILT = {"tracking.foot_gain": tracking_share(80.0), "spine.max_servo_angle": 0.3, "stride": 0.8}
-AS_BUILT_BODY = {"build.spine_slack": 0.0006, "build.asymmetry": 0.1, "stiffness.spine": 0.9}
+BUILT_PROFILE = {
+    "tracking.foot_gain": tracking_share(80.0),
+    "spine.max_servo_angle": 0.3,
+    "stride": 0.8,
+}
+BUILT_BODY = {"build.spine_slack": 0.0006, "build.asymmetry": 0.1, "stiffness.spine": 0.9}
 ProfileName = Literal["exact", "as_published", "as_built"]
 PROFILES: tuple[str, ...] = get_args(ProfileName)
 
@@ -449,7 +453,10 @@ def published_values(
     values |= {
         f"offset.{limb}": offset for limb, offset in zip(LIMBS, pattern.offsets, strict=True)
     }
-    return values | {"exact": {}, "as_published": AS_PUBLISHED, "as_built": AS_BUILT}[profile]
+    return (
+        values
+        | {"exact": {}, "as_published": PUBLISHED_PROFILE, "as_built": BUILT_PROFILE}[profile]
+    )
 
 
 def body_values(profile: str) -> dict[str, float]:
@@ -458,9 +465,7 @@ def body_values(profile: str) -> dict[str, float]:
     >>> body_values("exact"), body_values("as_published")["servo.kp"]
     ({}, 60.0)
     """
-    return dict(
-        {"exact": {}, "as_published": AS_PUBLISHED_BODY, "as_built": AS_BUILT_BODY}[profile]
-    )
+    return dict({"exact": {}, "as_published": PUBLISHED_BODY, "as_built": BUILT_BODY}[profile])
 
 
 def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -87,10 +87,10 @@ PATHS: Final[dict[str, Callable[[Pilot, Array], PathPoint]]] = {"straight": stra
 WINDOW_BEHIND_METRES: Final = 0.05
 WINDOW_AHEAD_METRES: Final = 0.15
 #: Largest coordinate of a way point [m], where float32 still tells millimetres; and samples of the longest course.
-FARTHEST_POINT: Final = 1e4
-MOST_SAMPLES: Final = 1_000_000
+LARGEST_WAY_POINT_METRES: Final = 1e4
+MAX_COURSE_SAMPLES: Final = 1_000_000
 #: Smallest radius of curvature that is not a kink [m].
-SMALLEST_RADIUS: Final = 0.05
+SMALLEST_RADIUS_METRES: Final = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,9 +144,9 @@ def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: floa
 
     waypoints = _checked(points, spacing)
     chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1))])
-    if chords[-1] > MOST_SAMPLES * spacing:
+    if chords[-1] > MAX_COURSE_SAMPLES * spacing:
         raise ParameterError(
-            f"The course is {chords[-1]:g} m long: allowed are {MOST_SAMPLES * spacing:g} m."
+            f"The course is {chords[-1]:g} m long: allowed are {MAX_COURSE_SAMPLES * spacing:g} m."
         )
     curve = CubicSpline(chords, waypoints, bc_type="natural")
 
@@ -159,9 +159,9 @@ def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: floa
     # Turns between pieces instead of the curvature's formula, which is 0 / 0 where a course reverses.
     turn = np.diff(np.unwrap(np.arctan2(pieces[:, 1], pieces[:, 0])))
     sharpest = float(np.abs(turn / (0.5 * (arc[2:] - arc[:-2]))).max())
-    if not sharpest * SMALLEST_RADIUS <= 1.0:
+    if not sharpest * SMALLEST_RADIUS_METRES <= 1.0:
         raise ParameterError(
-            f"The course bends with a radius of {1.0 / sharpest:.3g} m: allowed is at least {SMALLEST_RADIUS:g} m."
+            f"The course bends with a radius of {1.0 / sharpest:.3g} m: allowed is at least {SMALLEST_RADIUS_METRES:g} m."
         )
 
     steps = max(round(arc[-1] / spacing), 1)
@@ -224,9 +224,9 @@ def _checked(
         raise ParameterError(
             f"The way points have shape {waypoints.shape}: expected at least three rows of (x, y)."
         )
-    if len(far := np.flatnonzero(~(np.abs(waypoints) <= FARTHEST_POINT).all(axis=1))):
+    if len(far := np.flatnonzero(~(np.abs(waypoints) <= LARGEST_WAY_POINT_METRES).all(axis=1))):
         x, y = waypoints[far[0]]
-        allowed = f"expected finite numbers, allowed up to {FARTHEST_POINT:g} m"
+        allowed = f"expected finite numbers, allowed up to {LARGEST_WAY_POINT_METRES:g} m"
         raise ParameterError(f"Way point {far[0]} is ({x:g}, {y:g}): {allowed}.")
     repeated = np.flatnonzero(np.linalg.norm(np.diff(waypoints, axis=0), axis=1) < 1e-6)
     if len(repeated):

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from nermo_mjx.control import turning
-from nermo_mjx.control.parameters import PUBLISHED_RATE, ControlParameters, Pilot
+from nermo_mjx.control.parameters import PUBLISHED_RATE_HZ, ControlParameters, Pilot
 from nermo_mjx.control.path import Course, PathPoint, locate, straight
 from nermo_mjx.kinematics.spine import joint_angle, yaw
 from nermo_mjx.robot.geometry import Geometry, geometry_of
@@ -175,7 +175,7 @@ class Follow(PilotLike):
         )
         # Avoids Newton steps for a turn rate that is not used.
         speed, turn_rate = self._guided(params, jnp.where(walk.due, curvature, 0.0))
-        published_ticks = PUBLISHED_RATE / (walk.rate * params.tracking.clock_ratio)
+        published_ticks = PUBLISHED_RATE_HZ / (walk.rate * params.tracking.clock_ratio)
         change = (point.error - memory.point.error) / published_ticks
         return Beside(point, estimate), Drive(
             speed, steer(params.pilot, point.error, change, turn_rate)
@@ -307,16 +307,16 @@ def _column(name: str, values: Any) -> np.ndarray:
 #: Harmonics of the gait cycle that make up the sway. On a straight line right mirrors left after half a cycle, which
 #: leaves only the odd ones; in a turn the second is added. Measured in trots with and without the spine: 5 to 8 mm
 #: in the first, 1 to 2 mm in the third, 0.3 mm at most in the second and fourth.
-HARMONICS: Final = (1, 2, 3)
+SWAY_HARMONICS: Final = (1, 2, 3)
 #: Decay rate of the unexplained inputs relative to all other poles: for cross-track error and heading. The unexplained
 #: turning is in the loop with a plant that may turn twice as much as expected, or half as much; estimated as fast as
 #: the course, it made the trot with the spine oscillate with a period of four cycles.
-SLOW: Final = (1.0, 0.4)
+DECAY_RATE_RATIOS: Final = (1.0, 0.4)
 #: Look-ahead on a bend, as a share of its radius, see `correction`.
-BEND: Final = 0.7
+BEND_RADIUS_SHARE: Final = 0.7
 #: Longest step of the observer [gait cycles]: beyond it, a harmonic would alias to a slower one, or to its own mirror
 #: image.
-LONGEST_STEP: Final = 0.4 / max(HARMONICS)
+LONGEST_STEP_CYCLES: Final = 0.4 / max(SWAY_HARMONICS)
 
 
 @jax.tree_util.register_dataclass
@@ -328,7 +328,7 @@ class Guidance:
         course: cross-track error [m] and heading from the path's tangent [rad], without sway, positive left.
         unexplained: not accounted for by the observers' inputs: lateral speed relative to the heading [m/s], and yaw
             rate beyond the one expected from the strides [rad/s].
-        sway: of both, cosine and sine of each of `HARMONICS` at the gait's phase [m, rad].
+        sway: of both, cosine and sine of each of `SWAY_HARMONICS` at the gait's phase [m, rad].
         cycles: time observed since the start [gait cycles].
     """
 
@@ -347,7 +347,7 @@ def start(error: Scalar, heading: Scalar, speed: Scalar) -> Guidance:
     return Guidance(
         course=jnp.stack([error, heading]),
         unexplained=jnp.stack([-speed * heading, zero]),
-        sway=jnp.zeros((2, len(HARMONICS), 2), error.dtype),
+        sway=jnp.zeros((2, len(SWAY_HARMONICS), 2), error.dtype),
         cycles=zero,
     )
 
@@ -375,7 +375,7 @@ def observe(
         dt: time since the last step [s].
     """
     course, sway = observer_gains(pilot.bandwidth, cycle_rate * dt)
-    angle = 2.0 * jnp.pi * phase * jnp.asarray(HARMONICS, observation.dtype)
+    angle = 2.0 * jnp.pi * phase * jnp.asarray(SWAY_HARMONICS, observation.dtype)
     wave = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
     # The gain on an oscillator's complex amplitude is fixed in the frame that turns with it.
     real, imaginary = sway[..., :1], sway[..., 1:]
@@ -397,27 +397,27 @@ def observer_gains(
 ) -> tuple[Float[Array, "2 2"], Float[Array, "2 harmonics 2"]]:
     """Gains that put each pole of an observer at exp(-bandwidth * cycles) of the plant's: stable for every bandwidth.
 
-    The pole of the unexplained input is at exp(-SLOW * bandwidth * cycles).
+    The pole of the unexplained input is at exp(-DECAY_RATE_RATIOS * bandwidth * cycles).
 
     Args:
         bandwidth: [rad per gait cycle]; 0 leaves the estimate unchanged.
-        cycles: length of a step [gait cycles]; limited to `LONGEST_STEP`.
+        cycles: length of a step [gait cycles]; limited to `LONGEST_STEP_CYCLES`.
 
     Returns:
         of (value, unexplained rate dt), the observers in the last axis, and real and imaginary part of each harmonic's,
         the observers in the first.
     """
-    step = jnp.minimum(cycles, LONGEST_STEP)
+    step = jnp.minimum(cycles, LONGEST_STEP_CYCLES)
     decay = jnp.exp(-bandwidth * step)
     closed = -jnp.expm1(-bandwidth * step)
-    slow = -jnp.expm1(-jnp.asarray(SLOW) * bandwidth * step)
-    angle = 2.0 * jnp.pi * step * jnp.asarray(HARMONICS, float)
+    slow = -jnp.expm1(-jnp.asarray(DECAY_RATE_RATIOS) * bandwidth * step)
+    angle = 2.0 * jnp.pi * step * jnp.asarray(SWAY_HARMONICS, float)
     curve = 4.0 * jnp.sin(0.5 * angle) ** 2
 
     # p / a near z = 1 + w is (w + closed) (w + slow) / w^2 times, for each oscillator, (w^2 + n1 w + n0) / (w^2 + d w
     # + d) with n0 = closed^2 + decay d, n1 = 2 closed + decay d, d = 2 - 2 cos(angle). Up to w:
     series = (closed * slow, closed + slow)
-    for index in range(len(HARMONICS)):
+    for index in range(len(SWAY_HARMONICS)):
         d = curve[index]
         ratio0 = (closed**2 + decay * d) / d
         ratio1 = (2.0 * closed + decay * d - ratio0 * d) / d
@@ -427,10 +427,10 @@ def observer_gains(
 
     turn = jnp.exp(1j * angle)
     sway = []
-    for index in range(len(HARMONICS)):
+    for index in range(len(SWAY_HARMONICS)):
         root = turn[index]
         factor = 2.0 * (root - decay) * (root - 1.0 + slow) / (root - 1.0) ** 2 / root
-        for other_index in range(len(HARMONICS)):
+        for other_index in range(len(SWAY_HARMONICS)):
             factor *= (root - decay * turn[other_index]) * (root - decay * turn[other_index].conj())
             factor /= (1.0 if other_index == index else root - turn[other_index]) * (
                 root - turn[other_index].conj()
@@ -442,13 +442,13 @@ def observer_gains(
 def correction(pilot: Pilot, state: Guidance, speed: Array, curvature: Array) -> Scalar:
     """Curvature to add to the path's [1/m]: poles at 1 / look-ahead along the path, unexplained turning compensated.
 
-    The look-ahead is `look_ahead` on a line, and at most `BEND` times the radius on a bend: if the robot turns less
+    The look-ahead is `look_ahead` on a line, and at most `BEND_RADIUS_SHARE` times the radius on a bend: if the robot turns less
     than expected, it leaves the path faster the tighter the bend is.
 
     It is ramped up over the 2 / `bandwidth` gait cycles in which the observers learn the sway: until then, apparent
     errors are mostly sway. `speed` is that of the walk [m/s], `curvature` that of the path [1/m].
     """
-    per_way = jnp.sqrt(1.0 / pilot.look_ahead**2 + (curvature / BEND) ** 2)
+    per_way = jnp.sqrt(1.0 / pilot.look_ahead**2 + (curvature / BEND_RADIUS_SHARE) ** 2)
     per_speed = 1.0 / jnp.maximum(speed, 0.01)
     error, heading = state.course
     drift, turn = state.unexplained * per_speed

@@ -26,16 +26,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.files import MOST_ARRAYS, MOST_JSON, read_bytes
+from nermo_mjx.files import MAX_ARRAY_BYTES, MAX_JSON_BYTES, read_bytes
 from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import Sensors, ServoAngles
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.shapes import Array, Scalar
-from nermo_mjx.trust import DATA_CONTROLLERS, RUNS_CODE, TELL, one_line
+from nermo_mjx.trust import CODE_EXECUTION, DATA_CONTROLLERS, MESSAGE_HANDLER, one_line
 
 #: What every controller has.
-REQUIRED = ("dt", "parameters", "init", "initial_servo", "update", "cycle_rate")
+REQUIRED_ATTRIBUTES = ("dt", "parameters", "init", "initial_servo", "update", "cycle_rate")
 
 
 @runtime_checkable
@@ -211,7 +211,7 @@ class Source:
                 )
             path = Path(spec.origin)
         try:
-            return str(path.resolve()), read_bytes(path, MOST_JSON)
+            return str(path.resolve()), read_bytes(path, MAX_JSON_BYTES)
         except OSError as error:
             raise ParameterError(
                 f"{self.subject}: {path} cannot be read ({error.strerror})."
@@ -240,21 +240,29 @@ class Source:
         return ParameterError(f"{self.subject}: {self.place} has no {self.name!r}{hint}")
 
     def _check_may_run(self) -> None:
-        if not RUNS_CODE.get():
+        if not CODE_EXECUTION.get():
             raise ParameterError(
                 f"{self.subject}: it is code, which a command that only reads does not run."
             )
 
 
 #: Errors of functions that cannot be traced.
-_NOT_JITTABLE: Final = (
+_TRACING_ERRORS: Final = (
     jax.errors.ConcretizationTypeError,
     jax.errors.TracerArrayConversionError,
     jax.errors.TracerBoolConversionError,
     jax.errors.TracerIntegerConversionError,
 )
 #: Packages whose lines are not the user's, where an error arises.
-_OTHERS: Final = ("jax", "jaxlib", "numpy", "nermo_mjx", "importlib", "contextlib", "_sitebuiltins")
+_LIBRARY_PACKAGES: Final = (
+    "jax",
+    "jaxlib",
+    "numpy",
+    "nermo_mjx",
+    "importlib",
+    "contextlib",
+    "_sitebuiltins",
+)
 
 
 @contextlib.contextmanager
@@ -272,10 +280,10 @@ def user_code(subject: str) -> Iterator[None]:
         frames = [
             f"{Path(frame.f_code.co_filename).name}:{line}"
             for frame, line in traceback.walk_tb(error.__traceback__)
-            if frame.f_globals.get("__name__", "").partition(".")[0] not in _OTHERS
+            if frame.f_globals.get("__name__", "").partition(".")[0] not in _LIBRARY_PACKAGES
         ]
         location = f" at {frames[-1]}" if frames else ""
-        if isinstance(error, _NOT_JITTABLE):
+        if isinstance(error, _TRACING_ERRORS):
             raise ParameterError(
                 f"{subject}{location}: it cannot be compiled, as it branches on readings or other traced values, or makes "
                 "NumPy's numbers of them; use jax.numpy, and jnp.where instead of if."
@@ -299,7 +307,7 @@ def user_code(subject: str) -> Iterator[None]:
 
 @functools.lru_cache(maxsize=32)
 def _imported(source: str, path: str, content: bytes) -> ModuleType:
-    TELL.get()(f"the Python code of {one_line(path)} is run.")
+    MESSAGE_HANDLER.get()(f"the Python code of {one_line(path)} is run.")
     if not source.endswith(".py"):
         return importlib.import_module(source)
     name = f"nermo_mjx_own_{hashlib.sha256(path.encode() + content).hexdigest()[:16]}"
@@ -311,12 +319,12 @@ def _imported(source: str, path: str, content: bytes) -> ModuleType:
 
 
 #: How a text names a controller.
-FORM: Final = "FILE.py:NAME, MODULE:NAME or FILE.npz"
+CONTROLLER_FORM: Final = "FILE.py:NAME, MODULE:NAME or FILE.npz"
 #: How a text names an object in a Python file or module.
-NAMED: Final = "FILE.py:NAME or MODULE:NAME"
+OBJECT_FORM: Final = "FILE.py:NAME or MODULE:NAME"
 
 
-def named_object(field: str, text: str, form: str = NAMED) -> Source:
+def named_object(field: str, text: str, form: str = OBJECT_FORM) -> Source:
     """The file or module, and the object in it, that a text names; `field` begins messages, such as "rewards has".
 
     Raises:
@@ -350,7 +358,7 @@ def load_controller(text: str) -> Any:
     """
     if (data := data_of(text)) is not None:
         return pkgutil.resolve_name(DATA_CONTROLLERS[Path(data[0]).suffix])(*data)
-    controller = load_object(named_object("controller is", text, FORM))
+    controller = load_object(named_object("controller is", text, CONTROLLER_FORM))
     if isinstance(controller, (type, FunctionType)):
         controller = _made(text, controller)
     check_form(controller)
@@ -365,8 +373,8 @@ def controller_digest(text: str) -> str:
     """
     if (data := data_of(text)) is not None:
         load_controller(text)
-        return hashlib.sha256(read_bytes(Path(data[0]), MOST_ARRAYS)).hexdigest()[:16]
-    source = named_object("controller is", text, FORM)
+        return hashlib.sha256(read_bytes(Path(data[0]), MAX_ARRAY_BYTES)).hexdigest()[:16]
+    source = named_object("controller is", text, CONTROLLER_FORM)
     return source.digest(source.name)
 
 
@@ -392,11 +400,11 @@ def check_form(controller: Any) -> None:
     """
     kind = type(controller).__name__
     with user_code(f"controller is of type {kind}, which fails"):
-        missing = [name for name in REQUIRED if not hasattr(controller, name)]
+        missing = [name for name in REQUIRED_ATTRIBUTES if not hasattr(controller, name)]
         if missing:
             raise ParameterError(
                 f"controller is of type {kind}, which has no {' and no '.join(missing)}: a controller has "
-                f"{', '.join(REQUIRED)}."
+                f"{', '.join(REQUIRED_ATTRIBUTES)}."
             )
         dt, leaves = controller.dt, jax.tree.leaves(controller.parameters)
     if not isinstance(dt, (int, float, np.number)) or not 0.0 < dt < np.inf:

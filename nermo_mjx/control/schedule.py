@@ -30,7 +30,7 @@ from nermo_mjx.control.head_and_tail import (
 )
 from nermo_mjx.control.parameters import (
     GRIP,
-    HARMONICS,
+    SPINE_HARMONICS,
     STEERING,
     ControlParameters,
     SteeringName,
@@ -53,13 +53,15 @@ from nermo_mjx.shapes import Scalars
 
 Tree = TypeVar("Tree")
 #: Most switches of a run.
-MOST: Final = 8
+MAX_SWITCHES: Final = 8
 #: The parameters by which each mode is switched off and on.
-GAINS: Final[Mapping[str, tuple[str, ...]]] = {
+MODE_GAINS: Final[Mapping[str, tuple[str, ...]]] = {
     "stride_extension": ("spine.amplitude",),
     "balance": ("spine.balance_share",),
     "harmonics": tuple(
-        f"spine.harmonics.{part}{k}" for k in range(1, HARMONICS + 1) for part in ("cos", "sin")
+        f"spine.harmonics.{part}{k}"
+        for k in range(1, SPINE_HARMONICS + 1)
+        for part in ("cos", "sin")
     ),
     "sagittal_extension": ("spine.sagittal_amplitude",),
     "pitch_balance": ("spine.pitch_gain", "spine.pitch_damping"),
@@ -69,7 +71,7 @@ GAINS: Final[Mapping[str, tuple[str, ...]]] = {
     COUNTER_ROLL: ("tail.roll_gain",),
 }
 #: Choices of a switch that turn modes off and on.
-MODES: Final = ("spine", "head", "tail_motion")
+MODE_CHOICES: Final = ("spine", "head", "tail_motion")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,7 +159,12 @@ class Switch:
 
 def _of_switches(default: float, unit: str, low: float, high: float, doc: str) -> Any:
     return quantity(
-        (default,) * MOST, unit, low, high, doc, labels=tuple(map(str, range(1, MOST + 1)))
+        (default,) * MAX_SWITCHES,
+        unit,
+        low,
+        high,
+        doc,
+        labels=tuple(map(str, range(1, MAX_SWITCHES + 1))),
     )
 
 
@@ -168,7 +175,7 @@ class Schedule:
     Attributes:
         at, blend: of each switch; those that are not used change nothing.
         share, value: by the name of a parameter, p_k = share_k p + value_k with p the world's own; k = 0 is before the
-            first switch, and the last is `MOST`.
+            first switch, and the last is `MAX_SWITCHES`.
     """
 
     at: Any = _of_switches(0.0, "s", 0.0, 1e6, "when the switch begins")
@@ -183,19 +190,19 @@ def schedule_of(
     """The schedule of switches.
 
     Args:
-        start: the modes that act at the start, of each of `MODES`.
+        start: the modes that act at the start, of each of `MODE_CHOICES`.
         switches: in the order of time.
         declarations: parameters of the controller, with their ranges.
 
     Raises:
         ParameterError: too many switches, or a parameter that is unknown or out of range.
     """
-    if len(switches) > MOST:
-        raise ParameterError(f"schedule has {len(switches)} switches: allowed are {MOST}.")
+    if len(switches) > MAX_SWITCHES:
+        raise ParameterError(f"schedule has {len(switches)} switches: allowed are {MAX_SWITCHES}.")
     acting: dict[str, set[str]] = {}
     ever = {
         field: {name for entry in (start, *switches) for name in entry.modes.get(field, ())}
-        for field in MODES
+        for field in MODE_CHOICES
     }
     changes: dict[str, float] = {}
     course: list[dict[str, tuple[float, float]]] = []
@@ -204,7 +211,7 @@ def schedule_of(
         try:
             for name in [
                 *values,
-                *(gain for names in modes.values() for mode in names for gain in GAINS[mode]),
+                *(gain for names in modes.values() for mode in names for gain in MODE_GAINS[mode]),
             ]:
                 declaration = declarations[choice("parameter", name, declarations)]
                 if name in values:
@@ -217,15 +224,15 @@ def schedule_of(
             gain
             for field, names in ever.items()
             for name in names - acting[field]
-            for gain in GAINS[name]
+            for gain in MODE_GAINS[name]
         }
         course.append(
             {name: (0.0, value) for name, value in changes.items()} | dict.fromkeys(off, (0.0, 0.0))
         )
-    course += course[-1:] * (MOST - len(switches))
+    course += course[-1:] * (MAX_SWITCHES - len(switches))
     names = sorted({name for values in course for name in values})
     steps = {name: np.array([values.get(name, (1.0, 0.0)) for values in course]) for name in names}
-    unused = MOST - len(switches)
+    unused = MAX_SWITCHES - len(switches)
     return Schedule(
         at=np.array([*(switch.at for switch in switches), *[0.0] * unused]),
         blend=np.array([*(switch.blend for switch in switches), *[1.0] * unused]),
@@ -258,7 +265,7 @@ def scheduled(
 
 
 def _courses(control: Any, schedule: Schedule) -> dict[str, Any]:
-    """By name, the values (..., MOST + 1) of a parameter before the first switch and after each."""
+    """By name, the values (..., MAX_SWITCHES + 1) of a parameter before the first switch and after each."""
     constants, courses = dict(values_of(control)), {}
     for name, share in schedule.share.items():
         course = jnp.asarray(constants[name])[..., None] * share + schedule.value[name]

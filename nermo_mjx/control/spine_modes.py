@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control import turning
-from nermo_mjx.control.parameters import HARMONICS, ControlParameters, Spine
+from nermo_mjx.control.parameters import SPINE_HARMONICS, ControlParameters, Spine
 from nermo_mjx.control.trajectory import signed_power
 from nermo_mjx.kinematics.body import balance_angle, hip_height_offset
 from nermo_mjx.kinematics.spine import joint_angle, servo_angle
@@ -32,7 +32,7 @@ from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
 LATERAL_MODES: Final = ("stride_extension", "balance", "harmonics")
 #: Those of Nermo 4.1's vertical servo (`sagittal`).
 SAGITTAL_MODES: Final = ("sagittal_extension", "pitch_balance")
-MODES: Final = LATERAL_MODES + SAGITTAL_MODES
+AUXILIARY_MODES: Final = LATERAL_MODES + SAGITTAL_MODES
 NO_MODE: Final = "none"
 #: Every choice of modes, by its name.
 SPINES: Final = (
@@ -40,12 +40,12 @@ SPINES: Final = (
     *(
         "+".join(combination)
         for n in range(1, 6)
-        for combination in itertools.combinations(MODES, n)
+        for combination in itertools.combinations(AUXILIARY_MODES, n)
     ),
 )
 
 #: Share left by steering below which the power law is linear (see `signed_power`).
-_FADE_LINEAR_BELOW = 1e-3
+_LINEAR_FADE_SHARE = 1e-3
 
 
 #: Spine control: from the controller's parameters, the gait's phase, the turn rate in [-1, 1], the wanted feet (y, z)
@@ -107,7 +107,9 @@ class SpineModes:
         return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
 
 
-def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> tuple[str, ...]:
+def mode_names(
+    spine: str | tuple[str, ...], modes: tuple[str, ...] = AUXILIARY_MODES
+) -> tuple[str, ...]:
     """Names joined by "+", or in a tuple, as a tuple in the order of `modes`.
 
     Raises:
@@ -136,7 +138,7 @@ def harmonics(spine: Spine, phase: Scalars) -> Scalars:
 
     Unlike an amplitude and a phase, the coefficients have a derivative where they are zero.
     """
-    turns = 2.0 * jnp.pi * jnp.arange(1.0, HARMONICS + 1.0) * jnp.asarray(phase)[..., None]
+    turns = 2.0 * jnp.pi * jnp.arange(1.0, SPINE_HARMONICS + 1.0) * jnp.asarray(phase)[..., None]
     waves = jnp.stack([jnp.cos(turns), jnp.sin(turns)], axis=-1)
     return jnp.sum(spine.harmonics * waves.reshape(*waves.shape[:-2], -1), axis=-1)
 
@@ -172,7 +174,7 @@ def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) ->
     """(1 - |alpha_tr|)^s f_sp, the auxiliary modes as reduced by steering, in [-1, 1]; see `fuse`."""
     target = jnp.clip(auxiliary / spine.max_servo_angle, -1.0, 1.0)
     left_over = signed_power(
-        1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _FADE_LINEAR_BELOW
+        1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _LINEAR_FADE_SHARE
     )
     return left_over * target
 

@@ -158,7 +158,7 @@ class Stepping(GaitLike):
         share = commanded(shares, since)
         switched = limbs.stance != state.stance
         # A half-cycle shorter than a tick may go unnoticed; the foot has still moved along its path.
-        skipped = ~switched & (since < in_tick - 0.5 * trajectory.SHORTEST_HALF)
+        skipped = ~switched & (since < in_tick - 0.5 * trajectory.SHORTEST_HALF_CYCLE)
         offset = self._moved(params, commanded(shares, since + other_length))
         passed = trajectory.end_points(
             params.stance, ~limbs.stance, commanded(strides, since + other_length), offset
@@ -188,11 +188,11 @@ class Stepping(GaitLike):
 
 
 #: The name of this trajectory, in addition to `trajectory.FORMS`.
-FREE: Final = "free"
+FREE_TRAJECTORY: Final = "free"
 TrajectoryName = Literal["cubic", "linear", "parabolic", "free"]
 #: Width of the border of the workspace within which feet are moved inside [m]. The published rear feet come within 0.05
 #: mm of it in mid-swing, where their knee servos are almost at their limit.
-BORDER: Final = 4e-5
+BORDER_METRES: Final = 4e-5
 
 #: Knots of the spline; it is 0 at its ends.
 _KNOTS: Final = np.linspace(0.0, 1.0, FOOT_POINTS // 2 + 1)
@@ -307,16 +307,16 @@ def bumps(progress: Scalars) -> Float[Array, "*batch 3"]:
 def within(nearest: Scalars, farthest: Scalars, foot: Planar) -> Planar:
     """The foot (y, z) from the leg's axis, moved into the ring between both distances [m].
 
-    Within the ring it is unchanged, bit for bit, except in a border of width `BORDER`: there and beyond, the distance
+    Within the ring it is unchanged, bit for bit, except in a border of width `BORDER_METRES`: there and beyond, the distance
     nears the ring's end with a slope that is 1 where the border begins and above 0 everywhere, so that a gradient leads
     back.
     """
     distance = jnp.sqrt(jnp.maximum(jnp.sum(foot**2, axis=-1), 1e-12))
-    low, high = nearest + BORDER, farthest - BORDER
+    low, high = nearest + BORDER_METRES, farthest - BORDER_METRES
 
     def drawn(beyond: Array) -> Array:
         positive = jnp.maximum(beyond, 0.0)
-        return BORDER * positive / (BORDER + positive)
+        return BORDER_METRES * positive / (BORDER_METRES + positive)
 
     limited = jnp.where(distance > high, high + drawn(distance - high), low - drawn(low - distance))
     share = jnp.where((distance >= low) & (distance <= high), 1.0, limited / distance)

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from nermo_mjx.control.parameters import PUBLISHED_RATE, Gait, Stance, Tracking
+from nermo_mjx.control.parameters import PUBLISHED_RATE_HZ, Gait, Stance, Tracking
 from nermo_mjx.shapes import Array, Broadcastable, PerLimb, PlanarPerLimb, Scalars, TruthPerLimb
 
 # ---
@@ -44,7 +44,7 @@ def signed_power(
 _Weights = tuple[Array, Array, Array]
 
 #: Remaining share of the foot error below which the lag's power law is linear, for a finite derivative at 1.
-_LAG_LINEAR_BELOW: Final = 1e-6
+_LINEAR_LAG_SHARE: Final = 1e-6
 
 
 def _clamped(u: Array) -> _Weights:
@@ -176,9 +176,9 @@ def share_closed(tracking: Tracking, dt: float) -> Scalars:
     `foot_gain` is closed per tick of 1/100 s of the controller's clock (see `published.tracking_share`). A tick of `dt`
     simulated seconds corresponds to 100 dt / clock_ratio such ticks.
     """
-    ticks = dt * PUBLISHED_RATE / tracking.clock_ratio
+    ticks = dt * PUBLISHED_RATE_HZ / tracking.clock_ratio
     return 1.0 - signed_power(
-        jnp.clip(1.0 - tracking.foot_gain, 0.0, 1.0), ticks, _LAG_LINEAR_BELOW
+        jnp.clip(1.0 - tracking.foot_gain, 0.0, 1.0), ticks, _LINEAR_LAG_SHARE
     )
 
 
@@ -187,7 +187,7 @@ def share_closed(tracking: Tracking, dt: float) -> Scalars:
 
 
 #: Shortest share of the cycle that a half-cycle takes in a traced program; `Gait.duty` is checked where it is built.
-SHORTEST_HALF = 1e-3
+SHORTEST_HALF_CYCLE = 1e-3
 
 
 @jax.tree_util.register_dataclass
@@ -217,8 +217,8 @@ def advance(phase: Scalars, frequency: Scalars, duration: Scalars) -> Scalars:
 
 
 def stance_share(duty: Broadcastable) -> Broadcastable:
-    """The duty factor, neither half-cycle shorter than `SHORTEST_HALF`."""
-    return jnp.clip(jnp.asarray(duty), SHORTEST_HALF, 1.0 - SHORTEST_HALF)
+    """The duty factor, neither half-cycle shorter than `SHORTEST_HALF_CYCLE`."""
+    return jnp.clip(jnp.asarray(duty), SHORTEST_HALF_CYCLE, 1.0 - SHORTEST_HALF_CYCLE)
 
 
 def limb_states(

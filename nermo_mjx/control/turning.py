@@ -19,16 +19,16 @@ from nermo_mjx.kinematics.body import feet_positions
 from nermo_mjx.kinematics.leg import bracketed_root
 from nermo_mjx.kinematics.spine import joint_angle, transform, yaw
 from nermo_mjx.robot.geometry import Geometry, dh_table, geometry_of
-from nermo_mjx.robot.parameters import LIMBS, SPINE
+from nermo_mjx.robot.parameters import LIMBS, SPINE_GEOMETRY
 from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Planar, Scalar, Scalars
 
 #: Turn rate below which the turning curve is linear (see `signed_power`).
-CURVE_LINEAR_BELOW = 1e-3
+LINEAR_CURVE_TURN_RATE = 1e-3
 
 #: Curvature treated as zero, of the size of rounding errors in the theory and its inversion [1/m].
-STRAIGHT_BELOW = 1e-5
+STRAIGHT_CURVATURE = 1e-5
 
-_SIDE = tuple(1.0 if limb.endswith("left") else -1.0 for limb in LIMBS)
+_LIMB_SIDE_SIGNS = tuple(1.0 if limb.endswith("left") else -1.0 for limb in LIMBS)
 
 
 def body_speed(gait: Gait, stride: Scalars) -> Scalars:
@@ -47,7 +47,7 @@ def turning_curve(turn_rate: Broadcastable, exponent: Broadcastable) -> Broadcas
     """c(a) = sign(a)|a|^t of (5.38, 5.39). Errata: the sign is kept, and t = 0 means leg modulation off."""
     on = exponent > 0.0
     return jnp.where(
-        on, signed_power(turn_rate, jnp.where(on, exponent, 1.0), CURVE_LINEAR_BELOW), 0.0
+        on, signed_power(turn_rate, jnp.where(on, exponent, 1.0), LINEAR_CURVE_TURN_RATE), 0.0
     )
 
 
@@ -59,7 +59,9 @@ def stride_shares(turning: Turning, turn_rate: Scalars) -> PerLimb:
     curve = turning_curve(
         jnp.clip(turn_rate * turning.leg, -1.0, 1.0), jnp.asarray(turning.exponent)
     )
-    return jnp.minimum(1.0 - jnp.asarray(_SIDE, dtype=curve.dtype) * curve[..., None], 1.0)
+    return jnp.minimum(
+        1.0 - jnp.asarray(_LIMB_SIDE_SIGNS, dtype=curve.dtype) * curve[..., None], 1.0
+    )
 
 
 def spine_share(turning: Turning, turn_rate: Scalars) -> Scalars:
@@ -172,7 +174,7 @@ def walked(
     weight = jnp.where(stance, 1.0, 1e-3)
     left_step, right = (
         jnp.sum(weight * strides * of_side) / jnp.sum(weight * of_side)
-        for of_side in (jnp.asarray(_SIDE) > 0.0, jnp.asarray(_SIDE) < 0.0)
+        for of_side in (jnp.asarray(_LIMB_SIDE_SIGNS) > 0.0, jnp.asarray(_LIMB_SIDE_SIGNS) < 0.0)
     )
     per_stride = params.gait.frequency * params.gait.gait_factor
     speed = 0.5 * (left_step + right) * per_stride
@@ -203,7 +205,7 @@ def turn_rate_for(params: ControlParameters, curvature: Scalars) -> Scalars:
         slope_floor=1e-4,
         start=jnp.minimum(start, 1.0),
     )
-    return jnp.where(target > STRAIGHT_BELOW, jnp.sign(curvature) * rate, 0.0)
+    return jnp.where(target > STRAIGHT_CURVATURE, jnp.sign(curvature) * rate, 0.0)
 
 
 class _TwoFeet(NamedTuple):
@@ -251,7 +253,7 @@ def _turn_rate_of_legs(params: ControlParameters, feet: _TwoFeet, curvature: Sca
 
 def spine_lengths(geometry: Geometry) -> tuple[float, float]:
     """(l_sp1, l_sp2): shoulder axis to the first lateral joint, and from there to the hip axis, along y [m]."""
-    first = SPINE.lateral_joints[0]
+    first = SPINE_GEOMETRY.lateral_joints[0]
     base, link = dh_table(geometry)[first - 1 : first + 1]
     joint = base[1] + link[1] * math.cos(base[2])
     hip = float(np.asarray(transform(0.0, geometry))[1, 3]) + float(geometry.hip.y)

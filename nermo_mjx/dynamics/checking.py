@@ -18,11 +18,11 @@ from nermo_mjx.dynamics.integration import positions
 from nermo_mjx.shapes import Array, Scalar
 
 #: Half-widths of the differences; each entry is moved by that multiple of its unit (m, rad, m/s, ...; 1 for factors).
-WIDTHS: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+DIFFERENCE_WIDTHS: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 #: Maximum number of entries moved per group, evenly spaced.
-MOST: Final = 12
+MAX_GROUP_ENTRIES: Final = 12
 #: Floor of a group's differences in comparisons, as a share of all differences.
-FLOOR: Final = 1e-6
+DIFFERENCE_FLOOR: Final = 1e-6
 
 
 class Point(NamedTuple):
@@ -48,7 +48,7 @@ class GradientCheck:
     Attributes:
         group: field of `Point` that each entry belongs to.
         gradient: by reverse mode.
-        differences: central differences by width, (len(WIDTHS), n).
+        differences: central differences by width, (len(DIFFERENCE_WIDTHS), n).
         end: positions and velocities after the last step.
     """
 
@@ -104,7 +104,7 @@ def distance(group: np.ndarray, gradient: np.ndarray, expected: np.ndarray) -> f
     """
     if not (np.isfinite(gradient).all() and np.isfinite(expected).all()):
         return float("inf")
-    floor = FLOOR * np.linalg.norm(expected)
+    floor = DIFFERENCE_FLOOR * np.linalg.norm(expected)
     shares = [0.0]
     for index in np.unique(group):
         in_group = group == index
@@ -239,7 +239,7 @@ def compare_gradient(
 
     differences = [
         [(at(direction, width) - at(direction, -width)) / (2.0 * width) for direction in directions]
-        for width in WIDTHS
+        for width in DIFFERENCE_WIDTHS
     ]
     return GradientCheck(
         group, moved_entries(slopes), np.array(differences), np.asarray(value(run.zero)[1])
@@ -251,7 +251,7 @@ def entries(point: Point) -> tuple[np.ndarray, np.ndarray]:
     fields, places, first = [], [], 0
     for field, size in enumerate(leaf.size for leaf in point):
         selected = (
-            np.unique(np.linspace(0, size - 1, min(size, MOST)).round().astype(int))
+            np.unique(np.linspace(0, size - 1, min(size, MAX_GROUP_ENTRIES)).round().astype(int))
             if size
             else np.zeros(0, int)
         )

@@ -26,9 +26,9 @@ Matrix = Float[Array, "3 3"]
 #: Distances [m], positions and frames, of one contact or several.
 Contacts = tuple[Float[Array, "*n"], Float[Array, "*n 3"], Float[Array, "*n 3 3"]]
 #: Rounds of Newton's method for the direction in which two bodies are closest.
-ROUNDS: Final = 20
+NEWTON_ROUNDS: Final = 20
 #: Distance of what is no contact [m], as MJX has it.
-FAR: Final = 1.0
+NO_CONTACT_METRES: Final = 1.0
 #: Signs of a box's corners; no array, which JAX mixes up in programs of 32 and of 64 bits.
 _CORNERS: Final = tuple(tuple(1 if i >> k & 1 else -1 for k in range(3)) for i in range(8))
 
@@ -157,7 +157,7 @@ def capsule_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
     dist, pos, normal = jax.vmap(
         lambda p, q: _spheres(first, second, p, q, first.size[0], second.size[0])
     )(*points)
-    dist = jnp.stack([dist[0], jnp.where(parallel, dist[1], FAR)])
+    dist = jnp.stack([dist[0], jnp.where(parallel, dist[1], NO_CONTACT_METRES)])
     return dist, pos, jax.vmap(math.make_frame)(normal)
 
 
@@ -203,7 +203,7 @@ def plane_box(first: GeomInfo, second: GeomInfo) -> Contacts:
     corners = (np.array(_CORNERS) * second.size) @ second.mat.T
     lowest = jnp.argsort(jax.lax.stop_gradient(corners @ normal))[:4]
     corners, below = corners[lowest], (corners @ normal)[lowest]
-    dist = jnp.where(below <= 0.0, (second.pos - first.pos) @ normal + below, FAR)
+    dist = jnp.where(below <= 0.0, (second.pos - first.pos) @ normal + below, NO_CONTACT_METRES)
     pos = second.pos + corners - 0.5 * dist[:, None] * normal
     return dist, pos, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
 
@@ -266,7 +266,7 @@ def _round(
 
     def converged(n: Vector) -> tuple[Vector, Scalar]:
         return jax.lax.fori_loop(
-            0, ROUNDS, lambda _, current: newton(current[0], current[1], True), (n, middle)
+            0, NEWTON_ROUNDS, lambda _, current: newton(current[0], current[1], True), (n, middle)
         )
 
     found = jax.vmap(converged)(starts)
@@ -325,7 +325,7 @@ def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
 
 
 #: Pairs of kinds of geoms whose contacts are those of this module.
-OURS: Final = {
+CONTACT_FUNCTIONS: Final = {
     (mjx.GeomType[first], mjx.GeomType[second]): function
     for first, second, function in (
         ("PLANE", "CAPSULE", plane_capsule),

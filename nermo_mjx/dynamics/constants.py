@@ -20,13 +20,13 @@ from jaxtyping import Float
 from nermo_mjx.shapes import Array
 
 #: Joint types whose degrees of freedom share one inverse weight, in groups of three.
-_GROUPED = {int(mujoco.mjtJoint.mjJNT_FREE): 2, int(mujoco.mjtJoint.mjJNT_BALL): 1}
+_INVERSE_WEIGHT_GROUPS = {int(mujoco.mjtJoint.mjJNT_FREE): 2, int(mujoco.mjtJoint.mjJNT_BALL): 1}
 
 
-_ON_JOINTS: Final = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+_JOINT_TRANSMISSIONS: Final = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
 #: Prefixes of the fields that the reference pose depends on.
-_PLACES: Final = ("body_", "site_", "geom_")
+_POSE_PREFIXES: Final = ("body_", "site_", "geom_")
 
 
 class Jacobians(NamedTuple):
@@ -174,7 +174,7 @@ class PlaceConstants:
         from nermo_mjx.dynamics.mjx_copy import adapted, make_data
 
         model = self._model.tree_replace(
-            {name: value for name, value in fields.items() if name.startswith(_PLACES)}
+            {name: value for name, value in fields.items() if name.startswith(_POSE_PREFIXES)}
         )
         data = make_data(self._model)
         data = data.replace(qpos=jnp.asarray(self._model.qpos0, data.qpos.dtype))
@@ -198,7 +198,10 @@ def _of_actuators(
     """The armature that actuators give each joint and tendon: theirs, times the square of the gear."""
     joints, tendons = np.zeros(model.njnt), np.zeros(model.ntendon)
     reflected_inertia = model.actuator_armature * model.actuator_gear[:, 0] ** 2
-    for kinds, element_index in ((_ON_JOINTS, joints), ((mujoco.mjtTrn.mjTRN_TENDON,), tendons)):
+    for kinds, element_index in (
+        (_JOINT_TRANSMISSIONS, joints),
+        ((mujoco.mjtTrn.mjTRN_TENDON,), tendons),
+    ):
         is_of_kind = np.isin(model.actuator_trntype, kinds)
         np.add.at(element_index, model.actuator_trnid[is_of_kind, 0], reflected_inertia[is_of_kind])
     return joints, tendons
@@ -208,7 +211,7 @@ def _groups(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
     """Averages the degrees of freedom that share an inverse weight."""
     average = np.eye(model.nv)
     for kind, first in zip(model.jnt_type, model.jnt_dofadr, strict=True):
-        for group in range(_GROUPED.get(int(kind), 0)):
+        for group in range(_INVERSE_WEIGHT_GROUPS.get(int(kind), 0)):
             span = slice(first + 3 * group, first + 3 * group + 3)
             average[span, span] = 1.0 / 3.0
     return average

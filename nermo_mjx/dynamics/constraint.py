@@ -23,7 +23,7 @@ from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.shapes import Array, Dofs, Efc
 
 #: Multiple of a number's precision that sums of some dozens of terms lose.
-ROUNDING: Final = 4.0
+ROUNDING_MULTIPLE: Final = 4.0
 
 
 def gradient(
@@ -40,7 +40,7 @@ def rounding(
     """The size of g(a) that is left where it should vanish: the rounding of its terms; `sizes` is |problem|."""
     force = jnp.abs(forces(layout, problem, residual(problem, qacc)))
     terms = sizes.inertia @ jnp.abs(qacc) + sizes.smooth + sizes.jacobian.T @ force
-    return ROUNDING * jnp.finfo(qacc.dtype).eps * terms
+    return ROUNDING_MULTIPLE * jnp.finfo(qacc.dtype).eps * terms
 
 
 def hessian(

@@ -32,36 +32,39 @@ PLUGINS: Final = (
     ("sensor", "sensor_plugin"),
 )
 #: What a rangefinder of MJX cannot see.
-UNSEEN: Final = (
+INVISIBLE_GEOMS: Final = (
     mujoco.mjtGeom.mjGEOM_CYLINDER,
     mujoco.mjtGeom.mjGEOM_HFIELD,
     mujoco.mjtGeom.mjGEOM_SDF,
 )
-_OTHERS: Final = "their contacts are MJX's, and may be others than MuJoCo C's"
-_MISSED: Final = "their contacts are MJX's, up to 1 mm off at a depth of 1 mm, or missing, where MuJoCo C has some"
+_CONTACT_DIFFERENCE: Final = "their contacts are MJX's, and may be others than MuJoCo C's"
+_CONTACT_LOSS: Final = "their contacts are MJX's, up to 1 mm off at a depth of 1 mm, or missing, where MuJoCo C has some"
 #: What is said of pairs of kinds of geoms that do not collide altogether as in C.
-APPROXIMATE: Final[dict[tuple[str, ...], str]] = {
+APPROXIMATE_PAIRS: Final[dict[tuple[str, ...], str]] = {
     (
         "PLANE",
         "CYLINDER",
     ): "where the axis is along the normal, C turns the contacts with the slightest tilt and has "
     "no derivative; the step's is that of contacts that do not turn",
-    **{("HFIELD", kind): _OTHERS for kind in ("SPHERE", "CAPSULE", "BOX", "MESH")},
-    **{(kind, "MESH"): _OTHERS for kind in ("PLANE", "SPHERE", "CAPSULE", "BOX", "MESH")},
-    **{(kind, "CYLINDER"): _MISSED for kind in ("CAPSULE", "ELLIPSOID", "CYLINDER")},
-    **{(kind, "BOX"): _OTHERS for kind in ("CAPSULE", "BOX")},
+    **{("HFIELD", kind): _CONTACT_DIFFERENCE for kind in ("SPHERE", "CAPSULE", "BOX", "MESH")},
+    **{
+        (kind, "MESH"): _CONTACT_DIFFERENCE
+        for kind in ("PLANE", "SPHERE", "CAPSULE", "BOX", "MESH")
+    },
+    **{(kind, "CYLINDER"): _CONTACT_LOSS for kind in ("CAPSULE", "ELLIPSOID", "CYLINDER")},
+    **{(kind, "BOX"): _CONTACT_DIFFERENCE for kind in ("CAPSULE", "BOX")},
 }
 #: Number of random positions of the joints in which side sites are looked at.
-POSES: Final = 200
+POSE_COUNT: Final = 200
 #: Flags of `mjtEnableBit` that MJX takes and does not act on.
-FLAGS: Final = {"mjENBL_SLEEP": "sleep", "mjENBL_IPC": "ipc"}
+IGNORED_FLAGS: Final = {"mjENBL_SLEEP": "sleep", "mjENBL_IPC": "ipc"}
 #: Fields of kinds that MJX has not all of: the elements, and the name of the kinds.
-_KINDS: Final = (
+_KIND_FIELDS: Final = (
     *(("actuator", f"{suffix.lower()}type", suffix) for suffix in ("Bias", "Dyn", "Gain", "Trn")),
     ("eq", "type", "Eq"),
     ("sensor", "type", "Sensor"),
 )
-_OPTIONS: Final = ("integrator", "cone", "jacobian", "solver")
+_OPTION_FIELDS: Final = ("integrator", "cone", "jacobian", "solver")
 
 
 def not_simulated(model: mujoco.MjModel) -> list[str]:
@@ -87,8 +90,10 @@ def refused(model: mujoco.MjModel) -> Iterator[str]:
     for index in range(model.nflex):
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, index) or index
         yield f"flex {name!r} is soft: MJX has no flexes, remove it"
-    of_elements = [(kind, f"{kind}_{field}", enum_name) for kind, field, enum_name in _KINDS]
-    for kind, field, enum_name in of_elements + [("", name, name.title()) for name in _OPTIONS]:
+    of_elements = [(kind, f"{kind}_{field}", enum_name) for kind, field, enum_name in _KIND_FIELDS]
+    for kind, field, enum_name in of_elements + [
+        ("", name, name.title()) for name in _OPTION_FIELDS
+    ]:
         supported, every = getattr(types, f"{enum_name}Type"), getattr(mujoco, f"mjt{enum_name}")
         for index, value in enumerate(
             getattr(model, field) if kind else [getattr(model.opt, field)]
@@ -174,7 +179,7 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
     if model.opt.density > 0.0 or model.opt.viscosity > 0.0:
         for index in np.flatnonzero(model.geom_fluid[:, 0] > 0.0):
             yield f"{named(model, 'geom', index)} has fluidshape='ellipsoid': allowed is 'none', the box model of drag"
-    for bit, name in FLAGS.items():
+    for bit, name in IGNORED_FLAGS.items():
         if model.opt.enableflags & int(getattr(mujoco.mjtEnableBit, bit, 0)):
             yield f"flag {name} is enabled: disable it"
     for wrap in side_sites(model):
@@ -194,7 +199,7 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
     if model.opt.noslip_iterations > 0:
         yield f"noslip_iterations is {model.opt.noslip_iterations}: set it to 0"
     if np.any(model.sensor_type == mujoco.mjtSensor.mjSENS_RANGEFINDER):
-        for index in np.flatnonzero(np.isin(model.geom_type, UNSEEN)):
+        for index in np.flatnonzero(np.isin(model.geom_type, INVISIBLE_GEOMS)):
             note = "allowed are shapes other than cylinder, hfield, sdf"
             yield f"{named(model, 'geom', index)} is not seen by rangefinders: {note}"
 
@@ -218,14 +223,14 @@ def approximated(model: mujoco.MjModel) -> list[str]:
             mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_")
             for geom in (first, second)
         )
-        if kinds in APPROXIMATE:
+        if kinds in APPROXIMATE_PAIRS:
             met.setdefault(kinds, []).append((first, second))
     messages = []
     for kinds, pairs in met.items():
         geoms = " and ".join(named(model, "geom", geom) for geom in pairs[0])
         remaining_note = f", as are {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
         messages.append(
-            f"{geoms} are {' and '.join(kinds).lower()}{remaining_note}: {APPROXIMATE[kinds]}."
+            f"{geoms} are {' and '.join(kinds).lower()}{remaining_note}: {APPROXIMATE_PAIRS[kinds]}."
         )
     if mujoco.__version__ >= "4":
         messages += [
@@ -264,7 +269,7 @@ def side_sites(model: mujoco.MjModel) -> list[SideSite]:
     geoms, sites = model.wrap_objid[wraps], np.round(model.wrap_prm[wraps]).astype(int)
     moves, data = np.any(model.geom_bodyid[geoms] != model.site_bodyid[sites]), mujoco.MjData(model)
     random, distances = np.random.default_rng(0), []
-    for pose in range(POSES if moves else 1):
+    for pose in range(POSE_COUNT if moves else 1):
         data.qpos[:] = model.qpos0
         mujoco.mj_integratePos(
             model, data.qpos, random.uniform(-np.pi, np.pi, model.nv) * (pose > 0), 1.0

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
 from nermo_mjx.dynamics import constraint, impedance, rows, solver, tree
-from nermo_mjx.dynamics.checkpointing import KEPT
+from nermo_mjx.dynamics.checkpointing import STORED_NAME
 from nermo_mjx.dynamics.forces import actuation, passive
 from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
 from nermo_mjx.dynamics.mjx_copy import adapted
@@ -73,7 +73,9 @@ def step_with_verdict(model: mjx.Model, data: mjx.Data) -> tuple[mjx.Data, Verdi
     whole = _checked(model, data)
     after = integrate(whole, _forward(whole, data), _forward)
     rounds = rows.inner(after).solver_niter
-    verdict = Verdict(jnp.minimum(rounds, solver.ROUNDS), after.residual, rounds <= solver.ROUNDS)
+    verdict = Verdict(
+        jnp.minimum(rounds, solver.MAX_ROUNDS), after.residual, rounds <= solver.MAX_ROUNDS
+    )
     after = after.replace(qacc_warmstart=jax.lax.stop_gradient(after.qacc_warmstart))
     return rows.as_made(model, whole, after), verdict
 
@@ -239,7 +241,7 @@ def _checked(model: mjx.Model, data: mjx.Data) -> Model:
 def solve(model: mjx.Model, data: mjx.Data) -> Solved:
     """As `mjx.solve`, after `acceleration`, converged to the last digit, with the derivative of the solution.
 
-    `solver_niter` of the result is more than `solver.ROUNDS` if the solver did not converge.
+    `solver_niter` of the result is more than `solver.MAX_ROUNDS` if the solver did not converge.
     """
     if rows.inner(data).efc_J.size == 0:
         return data.replace(qacc=data.qacc_smooth)
@@ -249,7 +251,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
         (problem, data.qacc_warmstart if starts_warm else data.qacc_smooth)
     )
     solution = solver.minimum(layout, fixed, start)
-    last = _newton(layout, checkpoint_name(solution.qacc, KEPT), fixed)
+    last = _newton(layout, checkpoint_name(solution.qacc, STORED_NAME), fixed)
     qacc = _solution(last.qacc, last.residual, problem, static=layout)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc, last.residual))
     inertia_diagonal = jnp.diag(fixed.inertia)
@@ -269,7 +271,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
             "qfrc_constraint": problem.jacobian.T @ force,
             "residual": share,
             "_impl.efc_force": force,
-            "_impl.solver_niter": jnp.where(settled, solution.needed, solver.ROUNDS + 1),
+            "_impl.solver_niter": jnp.where(settled, solution.needed, solver.MAX_ROUNDS + 1),
         }
     )
     return solved

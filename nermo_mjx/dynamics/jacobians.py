@@ -70,8 +70,8 @@ def segment_direction(vector: Array, length: Scalar) -> Array:
 
 
 #: Ends for which a wrap of radius 1 has a solution, from inside and from outside.
-_ROUND: Final = (2.0, -0.5, -2.0, -0.5)
-_THROUGH: Final = (2.0, 1.5, -2.0, 1.5)
+_INSIDE_WRAP_ENDS: Final = (2.0, -0.5, -2.0, -0.5)
+_OUTSIDE_WRAP_ENDS: Final = (2.0, 1.5, -2.0, 1.5)
 
 #: Both ends (x0, y0, x1, y1) in the plane of a circle about the origin.
 Ends = Float[Array, " 4"]
@@ -89,7 +89,7 @@ def circle(
     foot = ends[:2] - (straight @ ends[:2]) / jnp.maximum(straight @ straight, mjMINVAL) * straight
     grazes = jnp.abs(foot @ foot - radius * radius) < 1e-12 * radius * radius
     free |= ~jnp.squeeze(jnp.asarray(has_side, bool)) & grazes
-    safe_ends, ring = _or_else(free, _ROUND, ends, radius)
+    safe_ends, ring = _or_else(free, _INSIDE_WRAP_ENDS, ends, radius)
     length, points = wrap(safe_ends, side, has_side, ring)
     return jnp.where(free, -1.0, length), jnp.where(free, 0.0, points)
 
@@ -115,7 +115,7 @@ def wrap_inside(
     )
     free = near | crosses | (radius < mjMINVAL) | (cosine < -1.0 + mjMINVAL)
     parallel = cosine > 1.0 - mjMINVAL
-    safe_ends, ring = _or_else(free | parallel, _THROUGH, ends, radius)
+    safe_ends, ring = _or_else(free | parallel, _OUTSIDE_WRAP_ENDS, ends, radius)
     first_distance, second_distance = _length(safe_ends[:2]), _length(safe_ends[2:])
     angle = jnp.arctan2(
         jnp.abs(safe_ends[0] * safe_ends[3] - safe_ends[1] * safe_ends[2]),

@@ -22,9 +22,9 @@ from nermo_mjx.dynamics.coverage import approximated, not_simulated, refused, si
 from nermo_mjx.dynamics.impedance import stiffness_damping_impedance
 from nermo_mjx.dynamics.mjx_import import Model, mjx
 
-_COPIED: Final = "math support smooth constraint passive forward collision_convex collision_sdf collision_driver io"
+_COPIED_MODULES: Final = "math support smooth constraint passive forward collision_convex collision_sdf collision_driver io"
 #: Name of each copied module -> its copy.
-_COPIES: Final = {f"mujoco.mjx._src.{name}": SimpleNamespace() for name in _COPIED.split()}
+_COPIES: Final = {f"mujoco.mjx._src.{name}": SimpleNamespace() for name in _COPIED_MODULES.split()}
 
 
 def _copied(value: Any) -> Any:
@@ -45,7 +45,9 @@ def _copied(value: Any) -> Any:
 for _name, _copy in _COPIES.items():
     vars(_copy).update(_copied(vars(importlib.import_module(_name))))
 #: Copies of MJX's modules, for example `adapted.smooth` with the function `adapted.smooth.tendon`.
-adapted: Final[Any] = SimpleNamespace(**dict(zip(_COPIED.split(), _COPIES.values(), strict=True)))
+adapted: Final[Any] = SimpleNamespace(
+    **dict(zip(_COPIED_MODULES.split(), _COPIES.values(), strict=True))
+)
 vars(adapted.math).update(
     closest_segment_point=collision.closest_on_segment, quat_to_axis_angle=jacobians.axis_and_angle
 )
@@ -63,7 +65,7 @@ adapted.smooth.math = SimpleNamespace(
 )
 adapted.constraint._kbi = stiffness_damping_impedance
 adapted.collision_sdf._cylinder = spatial.cylinder_distance
-adapted.collision_driver._COLLISION_FUNC.update(collision.OURS)
+adapted.collision_driver._COLLISION_FUNC.update(collision.CONTACT_FUNCTIONS)
 
 
 def put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model:

@@ -22,7 +22,7 @@ from nermo_mjx.dynamics.mjx_copy import make_data, put_model
 from nermo_mjx.dynamics.mjx_import import Model, collision_driver, mjx
 from nermo_mjx.shapes import Array
 
-_ON_JOINTS = (mjx.TrnType.JOINT, mjx.TrnType.JOINTINPARENT)
+_MJX_JOINT_TRANSMISSIONS = (mjx.TrnType.JOINT, mjx.TrnType.JOINTINPARENT)
 _SPRINGS = ("jnt_stiffness", "jnt_stiffnesspoly", "tendon_stiffness", "tendon_stiffnesspoly")
 _DAMPERS = ("dof_damping", "dof_dampingpoly", "tendon_damping", "tendon_dampingpoly")
 
@@ -75,7 +75,7 @@ def _of_actuators(model: Model) -> dict[str, Any]:
     """Armature and damping of joints and tendons with those of their actuators, times the squares of the gears."""
     kinds, joint_of = np.asarray(model.actuator_trntype), np.asarray(model.dof_jntid)
     target = np.asarray(model.actuator_trnid)[:, 0]
-    joints = (target == np.arange(model.njnt)[:, None]) & np.isin(kinds, _ON_JOINTS)
+    joints = (target == np.arange(model.njnt)[:, None]) & np.isin(kinds, _MJX_JOINT_TRANSMISSIONS)
     tendons = (target == np.arange(model.ntendon)[:, None]) & (kinds == mjx.TrnType.TENDON)
     changes = {}
     for name, extra_inertia in (
@@ -131,7 +131,7 @@ _CAPSULE, _ELLIPSOID, _CYLINDER, _MESH, _HFIELD = (
     for name in ("CAPSULE", "ELLIPSOID", "CYLINDER", "MESH", "HFIELD")
 )
 #: Flags that MJX refuses and that do not change a model's motion.
-_SILENT: Final = {
+_DIAGNOSTIC_FLAGS: Final = {
     "energy": mujoco.mjtEnableBit.mjENBL_ENERGY,
     "fwdinv": mujoco.mjtEnableBit.mjENBL_FWDINV,
 }
@@ -159,7 +159,7 @@ def fitted(model: mujoco.MjModel) -> tuple[mujoco.MjModel, list[str]]:
     if ours.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
         ours.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
         changes.append("solver is Newton, no PGS.")
-    for name, flag in _SILENT.items():
+    for name, flag in _DIAGNOSTIC_FLAGS.items():
         if ours.opt.enableflags & int(flag):
             ours.opt.enableflags &= ~int(flag)
             changes.append(f"flag {name} is disabled.")

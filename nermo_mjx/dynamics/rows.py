@@ -18,7 +18,7 @@ from nermo_mjx.dynamics.mjx_import import Solved, mjx
 from nermo_mjx.shapes import Array, Dofs, Efc
 
 #: Fields of MJX's data with an entry for each row.
-_ROWS: Final = tuple(
+_ROW_FIELDS: Final = tuple(
     f"efc_{name}" for name in ("J", "pos", "margin", "frictionloss", "D", "aref", "force")
 )
 
@@ -103,7 +103,7 @@ def as_made(model: mjx.Model, prepared: mjx.Model, data: Solved) -> mjx.Data:
         stays[equality : equality + dry] = had[has]
     if stays.all():
         return data.plain()
-    changes = {f"_impl.{name}": getattr(inner(data), name)[stays] for name in _ROWS}
+    changes = {f"_impl.{name}": getattr(inner(data), name)[stays] for name in _ROW_FIELDS}
     changes["_impl.contact.efc_address"] = inner(data).contact.efc_address - np.sum(~stays)
     cut: mjx.Data = data.plain().tree_replace(changes)
     return cut

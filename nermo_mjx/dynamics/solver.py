@@ -25,14 +25,14 @@ from nermo_mjx.shapes import Array, Count, Dofs, Efc, Scalar, Truth
 
 #: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 12 at most; light links in stiff contacts
 #: up to 40 in float64.
-ROUNDS: Final = 100
+MAX_ROUNDS: Final = 100
 #: Rounds on an accelerator, where a loop with a stopping criterion would wait for the host in each round.
-FIXED: Final = 11
+ACCELERATOR_ROUNDS: Final = 11
 #: Shares of a step at which the slope along it is evaluated, all at once, on a finer grid than a single step would
 #: need. Fewer shares need more rounds.
-SHARES: Final = (0.0, *(2.0 ** (-k / 2) for k in range(24, -1, -1)))
+STEP_SHARES: Final = (0.0, *(2.0 ** (-k / 2) for k in range(24, -1, -1)))
 #: A full step is accepted if it leaves no more than this share of the initial slope.
-ACCEPTED: Final = 0.25
+ACCEPTED_SLOPE_SHARE: Final = 0.25
 
 
 class Solution(NamedTuple):
@@ -52,8 +52,8 @@ class Solution(NamedTuple):
 
     @property
     def needed(self) -> Count:
-        """Number of rounds; `ROUNDS` + 1 where it has not converged."""
-        return jnp.where(self.converged, self.rounds, ROUNDS + 1)
+        """Number of rounds; `MAX_ROUNDS` + 1 where it has not converged."""
+        return jnp.where(self.converged, self.rounds, MAX_ROUNDS + 1)
 
 
 class Step(NamedTuple):
@@ -92,15 +92,17 @@ def minimum(layout: Layout, problem: ConstraintProblem, start: Dofs) -> Solution
         )
 
     def to_the_end(solution: Solution) -> Solution:
-        return jax.lax.fori_loop(0, FIXED, lambda _, current: next_round(current), solution)
+        return jax.lax.fori_loop(
+            0, ACCELERATOR_ROUNDS, lambda _, current: next_round(current), solution
+        )
 
     def until_all_have_converged(solution: Solution) -> Solution:
         return jax.lax.while_loop(
-            lambda current: ~current.converged & (current.rounds < ROUNDS), next_round, solution
+            lambda current: ~current.converged & (current.rounds < MAX_ROUNDS), next_round, solution
         )
 
-    # Gives the same result where `FIXED` rounds suffice. Only on a CPU does checking whether all worlds have finished
-    # cost nothing.
+    # Both branches give the same result where `ACCELERATOR_ROUNDS` rounds suffice. Only on a CPU does checking whether all
+    # worlds have finished cost nothing.
     converged_solution: Solution = jax.lax.platform_dependent(
         first, cpu=until_all_have_converged, default=to_the_end
     )
@@ -113,7 +115,7 @@ def newton(
     sizes: ConstraintProblem,
     qacc: Dofs,
     known_residual: Efc | None = None,
-    shares: Sequence[float] = SHARES,
+    shares: Sequence[float] = STEP_SHARES,
 ) -> Step:
     """A step of Newton's method, and how much of it to take.
 
@@ -147,7 +149,7 @@ def newton(
     # the way: beyond the change the next step may be longer. A world with NaNs, which compare as false, need not
     # continue.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** 1.5 * (qacc @ (problem.inertia @ qacc)))
-    full = small | (slopes[-1] <= -ACCEPTED * initial_slope)
+    full = small | (slopes[-1] <= -ACCEPTED_SLOPE_SHARE * initial_slope)
     # At rest the acceleration itself is rounding, and no step is small beside it. Such a step may still be long: on
     # the border of a zone in which the Hessian is soft.
     dof_index = np.arange(len(qacc))

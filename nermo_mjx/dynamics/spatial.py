@@ -25,14 +25,14 @@ Motion = Float[Array, "*#n 6"]
 Inertia = Float[Array, "*#n 10"]
 
 # 32-bit indices: JAX caches its conversion of an array, and would keep the precision of the first use in any mode.
-_NEXT: Final = np.array([1, 2, 0], np.int32)
-_LAST: Final = np.array([2, 0, 1], np.int32)
+_NEXT_AXIS: Final = np.array([1, 2, 0], np.int32)
+_LAST_AXIS: Final = np.array([2, 0, 1], np.int32)
 #: Rows and columns of the moments in an inertia, and which moment stands where in the matrix.
 _ROW: Final = np.array([0, 1, 2, 0, 0, 1], np.int32)
 _COLUMN: Final = np.array([0, 1, 2, 1, 2, 2], np.int32)
 _MOMENT: Final = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]], np.int32)
-#: (q p)_c is the sum over i of q_i p_j, j = _FACTOR[i, c], with the sign _SIGN[i, c].
-_FACTOR: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]], np.int32)
+#: (q p)_c is the sum over i of q_i p_j, j = _FACTOR_INDEX[i, c], with the sign _SIGN[i, c].
+_FACTOR_INDEX: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]], np.int32)
 _SIGN: Final = np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]])
 #: A vector as the matrix of its cross product: which component, with which sign.
 _SKEW: Final = (
@@ -43,12 +43,14 @@ _SKEW: Final = (
 
 def cross(a: Vector, b: Vector) -> Vector:
     """a x b."""
-    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+    return a[..., _NEXT_AXIS] * b[..., _LAST_AXIS] - a[..., _LAST_AXIS] * b[..., _NEXT_AXIS]
 
 
 def product(q: Quaternion, p: Quaternion) -> Quaternion:
     """The quaternion q p, which turns by p and then by q."""
-    return sum(q[..., i, None] * p[..., _FACTOR[i]] * _SIGN[i].astype(p.dtype) for i in range(4))
+    return sum(
+        q[..., i, None] * p[..., _FACTOR_INDEX[i]] * _SIGN[i].astype(p.dtype) for i in range(4)
+    )
 
 
 def rotate(vector: Vector, q: Quaternion) -> Vector:

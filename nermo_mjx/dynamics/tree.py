@@ -19,7 +19,9 @@ from nermo_mjx.dynamics import rows, spatial
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array
 
-FREE, BALL, SLIDE, HINGE = (mjx.JointType[name] for name in ("FREE", "BALL", "SLIDE", "HINGE"))
+FREE_JOINT, BALL_JOINT, SLIDE_JOINT, HINGE_JOINT = (
+    mjx.JointType[name] for name in ("FREE", "BALL", "SLIDE", "HINGE")
+)
 
 
 class Tree(NamedTuple):
@@ -47,7 +49,7 @@ def tree_of(model: mjx.Model) -> Tree:
         below[parents[body]] += below[body]
     moves = below.T[:, body_of]
     precedes = moves[body_of] * (joint_of[None, :] < joint_of[:, None])
-    for joint in np.flatnonzero(np.asarray(model.jnt_type) == FREE):
+    for joint in np.flatnonzero(np.asarray(model.jnt_type) == FREE_JOINT):
         first = int(np.asarray(model.jnt_dofadr)[joint])
         precedes[first + 3 : first + 6, first : first + 3] = 1.0  # it rotates about a moving point
     return Tree(below, moves, precedes)
@@ -71,7 +73,7 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
         axis = spatial.rotate(model.jnt_axis[joints], before)
         after = spatial.product(before, turns[joints])
         moved = anchor - spatial.rotate(offset, after) + axis * slides[joints, None]
-        free = (kinds[joints] == FREE)[:, None]
+        free = (kinds[joints] == FREE_JOINT)[:, None]
         if free.any():
             first = np.where(free[:, 0], np.asarray(model.jnt_qposadr)[joints], 0)
             place = qpos[first[:, None] + np.arange(3)]
@@ -125,14 +127,14 @@ def _joint_turns(
     if not len(kinds):
         return jnp.zeros((0, 4), qpos.dtype), jnp.zeros(0, qpos.dtype), qpos
     amount = qpos[first] - model.qpos0[first]
-    half = 0.5 * jnp.where(kinds == HINGE, amount, 0.0)[:, None]
+    half = 0.5 * jnp.where(kinds == HINGE_JOINT, amount, 0.0)[:, None]
     turns = jnp.concatenate([jnp.cos(half), jnp.sin(half) * model.jnt_axis], 1)
-    loose = np.flatnonzero((kinds == FREE) | (kinds == BALL))
+    loose = np.flatnonzero((kinds == FREE_JOINT) | (kinds == BALL_JOINT))
     if loose.size:
-        quat_addresses = (first + np.where(kinds == FREE, 3, 0))[loose, None] + np.arange(4)
+        quat_addresses = (first + np.where(kinds == FREE_JOINT, 3, 0))[loose, None] + np.arange(4)
         quats = spatial.normalized(qpos[quat_addresses])
         turns, qpos = turns.at[loose].set(quats), qpos.at[quat_addresses].set(quats)
-    return turns, jnp.where(kinds == SLIDE, amount, 0.0), qpos
+    return turns, jnp.where(kinds == SLIDE_JOINT, amount, 0.0), qpos
 
 
 def _in_the_world(parents: np.ndarray, position: Array, orientation: Array) -> tuple[Array, Array]:
@@ -170,7 +172,7 @@ def _axes(
     joint, body = np.asarray(model.dof_jntid), np.asarray(model.dof_bodyid)
     kind = np.asarray(model.jnt_type)[joint]
     dof_in_joint = np.arange(model.nv) - np.asarray(model.jnt_dofadr)[joint]  # in its joint
-    shifts = (kind == SLIDE) | ((kind == FREE) & (dof_in_joint < 3))
+    shifts = (kind == SLIDE_JOINT) | ((kind == FREE_JOINT) & (dof_in_joint < 3))
     # One table of all axes: those of joints, of bodies, and of the world.
     table = jnp.concatenate(
         [
@@ -183,11 +185,11 @@ def _axes(
         len(np.asarray(model.jnt_type)),
         len(np.asarray(model.jnt_type)) + 3 * model.nbody,
     )
-    spins = ((kind == FREE) | (kind == BALL)) & ~shifts
+    spins = ((kind == FREE_JOINT) | (kind == BALL_JOINT)) & ~shifts
     index = np.where(
         spins,
         joint_count + 3 * body + dof_in_joint % 3,
-        np.where(kind == FREE, world + dof_in_joint, joint),
+        np.where(kind == FREE_JOINT, world + dof_in_joint, joint),
     )
     axis = table[index]
     arm = spatial.cross(axis, centre[body] - data.xanchor[joint])

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from nermo_mjx.control import spine_modes
-from nermo_mjx.control.parameters import AS_BUILT, ControlParameters, Spine, body_values
+from nermo_mjx.control.parameters import BUILT_PROFILE, ControlParameters, Spine, body_values
 from nermo_mjx.experiments.cases import BODY, CaseRuns, Settings, clock
 from nermo_mjx.kinematics import body as kinematics
 from nermo_mjx.kinematics.body import attitude, diagonal_distance, hips, shoulders
@@ -480,7 +480,7 @@ def _worlds(settings: Settings) -> _Worlds:
             {"profile": profile, **numbered, "leg": LIMBS[limb], "sbc": sbc, "repeat": repeat}
         )
         built = (
-            {name: AS_BUILT[name] for name in SPINE_NAMES if name in AS_BUILT}
+            {name: BUILT_PROFILE[name] for name in SPINE_NAMES if name in BUILT_PROFILE}
             if profile == "as_built"
             else {}
         )

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.control.parameters import (
-    AS_BUILT,
+    BUILT_PROFILE,
     PROFILES,
     PUBLISHED_CLOCK_RATIO,
     body_values,
@@ -19,7 +19,7 @@ from nermo_mjx.control.parameters import (
     robot_choices,
 )
 from nermo_mjx.control.protocol import ActsUpon, controller_digest, load_controller
-from nermo_mjx.files import MOST_ARRAYS, read_bytes
+from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities
@@ -153,7 +153,7 @@ class ReplacementPolicy:
         return cls(
             acts,
             f"{Path(where).name} {controller_digest(where)}",
-            read_bytes(Path(where), MOST_ARRAYS),
+            read_bytes(Path(where), MAX_ARRAY_BYTES),
         )
 
     @property
@@ -338,7 +338,7 @@ def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Setti
         numbered: dict[str, Label] = {BODY: body + 1} if settings.body_count else {}
         shifts = [shift(body + repeat) for repeat in range(settings.repeats)]
         for profile in settings.profiles:
-            built = AS_BUILT if profile == "as_built" else {}
+            built = BUILT_PROFILE if profile == "as_built" else {}
             for case in cases:
                 if profile not in case.profiles:
                     continue

@@ -28,13 +28,13 @@ from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, light
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import (
-    BEST,
+    BEST_COLOUR,
     FOOT,
     GRID,
     INK,
-    LINE,
-    MISSING,
-    MUTED,
+    LINE_COLOUR,
+    MISSING_COLOUR,
+    MUTED_INK,
     OKABE_ITO,
     SERIES,
     SHADE,
@@ -178,7 +178,7 @@ def published_entry() -> Line2D:
 
 def shade_phases(ax: Axes, phases: Mapping[str, Sequence[float]], *, named: bool = True) -> None:
     """Phases on alternating grey backgrounds, each with its name above the axes."""
-    above: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7.5, "color": MUTED}
+    above: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7.5, "color": MUTED_INK}
     for i, (name, (begin, end)) in enumerate(phases.items()):
         if i % 2 == 0:
             ax.axvspan(begin, end, color=SHADE, lw=0, zorder=-5)
@@ -345,7 +345,7 @@ def bar_page(
         ),
         *([published_entry()] if any(bar.published is not None for bar in bars) else []),
         *(
-            [swatch(hatched, MUTED, hatch=_HATCH, ec="white", lw=0)]
+            [swatch(hatched, MUTED_INK, hatch=_HATCH, ec="white", lw=0)]
             if any(bar.hatched for bar in bars)
             else []
         ),
@@ -402,7 +402,7 @@ def by_gait(
 LEAST, MOST = -0.5, 2.5
 _NEAR: Final = "#e6f1f8"
 _TONES: Final = {
-    "as_published": LINE,
+    "as_published": LINE_COLOUR,
     "exact": "#b9cbd8",
     "as_built": "#8a6fb0",
     "author": "#444444",
@@ -450,7 +450,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     )
     ax, table = page.axes[0]
     ax.axvspan(1 - AGREES, 1 + AGREES, color=_NEAR, lw=0, zorder=-5)
-    ax.axvline(1, color=MUTED, lw=0.8, zorder=0)
+    ax.axvline(1, color=MUTED_INK, lw=0.8, zorder=0)
     for y, (line, neutral, reference) in enumerate(rows):
         ax.axhline(y, color=GRID, lw=0.8, zorder=-1)
         if isinstance(line.published, list):
@@ -497,7 +497,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
                 )
             wrong = name == line.judged_in and line.holds is False
             table.text(
-                x, y, text, ha="right", va="center", fontsize=7, color=BEST if wrong else INK
+                x, y, text, ha="right", va="center", fontsize=7, color=BEST_COLOUR if wrong else INK
             )
     ax.set_yticks(range(len(rows)), [line.figure for line, _, _ in rows], fontsize=8.5)
     ax.set_ylim(len(rows) - 0.4, -0.9)
@@ -517,7 +517,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
             va="center",
             fontsize=7.5,
             fontweight="bold",
-            color=MUTED,
+            color=MUTED_INK,
         )
     handles: list[Artist] = [published_entry()]
     handles += [
@@ -689,7 +689,7 @@ def _orientation(outcome: CaseRuns, lines: Lines) -> Figure | None:
         ax.set(ylabel=f"{name} [deg]", xlim=(0, 2), xticks=np.arange(0, 2.1, 0.5))
         ax.margins(y=0.08)
         horizontal_grid(ax)
-        ax.axvline(1, color=MISSING, lw=0.8, zorder=0)
+        ax.axvline(1, color=MISSING_COLOUR, lw=0.8, zorder=0)
     page.axes[-1, 0].set_xlabel("gait cycles [1]")
     return page.finish(
         handles, f"{plain(labels['profile'])}; positive: leaning left, nose down, turned left"
@@ -872,7 +872,9 @@ def _paths(outcome: CaseRuns) -> Figure | None:
         return np.stack([side * (radius - r * np.cos(angle)), -r * np.sin(angle)], axis=-1)
 
     edge = np.concatenate([arc(radius - bound), arc(radius + bound)[::-1]])
-    ax.add_patch(Polygon(np.stack(seen_from_above(ax, edge), axis=-1), fc=MISSING, lw=0, zorder=1))
+    ax.add_patch(
+        Polygon(np.stack(seen_from_above(ax, edge), axis=-1), fc=MISSING_COLOUR, lw=0, zorder=1)
+    )
     ax.plot(*seen_from_above(ax, arc(radius)), color=INK, ls="--", lw=1.2, zorder=5)
     for run in runs:
         # Until the torso passes the end of the quarter circle, and the running mean over a gait cycle.
@@ -897,7 +899,7 @@ def _paths(outcome: CaseRuns) -> Figure | None:
     ]
     handles += [
         stroke("course", INK, ls="--", lw=1.2),
-        swatch(f"followed: within {1e3 * bound:g} mm", MISSING),
+        swatch(f"followed: within {1e3 * bound:g} mm", MISSING_COLOUR),
     ]
     note = "thick: mean over a gait cycle; thin: the torso's IMU, by which a path is judged"
     return page.finish(handles, f"{plain(runs[0].metadata['labels']['profile'])}; {note}")
@@ -1147,7 +1149,9 @@ def _ways(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
     arrived = True
     for ax, (profile, ways) in zip(page.axes[0], runs.items(), strict=True):
         corners = np.stack(seen_from_above(ax, boxes), axis=-1)
-        ax.add_collection(PolyCollection(list(corners), fc=MISSING, ec="white", lw=0.8, zorder=1))
+        ax.add_collection(
+            PolyCollection(list(corners), fc=MISSING_COLOUR, ec="white", lw=0.8, zorder=1)
+        )
         ax.plot(*seen_from_above(ax, drawn), color=INK, ls="--", lw=1.1, zorder=5)
         for on, run in ways.items():
             end, time, colour = _arrival(outcome, profile, on), run.time / clock(profile), SPINE[on]
@@ -1171,10 +1175,14 @@ def _ways(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
         ax.set_title(plain(profile))
     for ax in page.axes[0][1:]:
         ax.set_ylabel("")
-    handles = [*spine_strokes(), stroke("course", INK, ls="--", lw=1.1), swatch("boxes", MISSING)]
-    handles.append(stroke(f"every {_DOTS:g} s", MUTED, ls="none", marker="o", ms=4.5))
+    handles = [
+        *spine_strokes(),
+        stroke("course", INK, ls="--", lw=1.1),
+        swatch("boxes", MISSING_COLOUR),
+    ]
+    handles.append(stroke(f"every {_DOTS:g} s", MUTED_INK, ls="none", marker="o", ms=4.5))
     if not arrived:
-        handles.append(stroke("end not reached", MUTED, ls="none", marker="X", ms=8))
+        handles.append(stroke("end not reached", MUTED_INK, ls="none", marker="X", ms=8))
     return page.finish(handles, "the torso's IMU, first repeat; the robot starts upwards")
 
 

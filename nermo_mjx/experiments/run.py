@@ -27,7 +27,7 @@ from nermo_mjx.experiments.cases import PROFILES, CaseRuns, ReplacementPolicy, S
 from nermo_mjx.experiments.published import Experiment, Line, Shot, published_lines
 from nermo_mjx.experiments.report import differences, entry_of
 from nermo_mjx.experiments.store import Directory, ExperimentRows, Stored
-from nermo_mjx.files import MOST_FILE, TEMPORARY, read_bytes
+from nermo_mjx.files import MAX_FILE_BYTES, TEMPORARY_SUFFIX, read_bytes
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.progress import shows_progress
@@ -540,7 +540,7 @@ class _Call:
         if not self.video or shows is None:
             return [], []
         path = self.directory.out / "videos" / f"{chosen.name}.mp4"
-        partial = path.with_name(f".{chosen.name}{TEMPORARY}.mp4")
+        partial = path.with_name(f".{chosen.name}{TEMPORARY_SUFFIX}.mp4")
         try:
             speed = shoot(
                 outcome,
@@ -548,7 +548,7 @@ class _Call:
                 partial,
                 lambda share: self._tell(f"{chosen.name}, video", share),
             )
-            self.written.write(path, read_bytes(partial, MOST_FILE))
+            self.written.write(path, read_bytes(partial, MAX_FILE_BYTES))
         except (VideoError, RecordingError) as error:
             note = f"There is no video of {chosen.name}. {error}"
             self.watch.warn(note)

@@ -29,7 +29,7 @@ from nermo_mjx.robot import (
 from nermo_mjx.robot.equipment import VISUAL_GROUP, chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import mass_values
-from nermo_mjx.robot.parameters import LEGS, ROUTINGS, SERVO_RANGE, SPINE
+from nermo_mjx.robot.parameters import LEGS, ROUTINGS, SERVO_RANGE, SPINE_GEOMETRY
 from nermo_mjx.robot.quantity import (
     check_quantities,
     choice,
@@ -346,7 +346,7 @@ def run_spine(settings: Settings) -> CaseRuns:
         def settled(servo: Any) -> Stand:
             return Stand(assemble_spine(parameters, robot, hinges)).settle(servo)
 
-        ends = [settled(sign * SPINE.max_servo_angle * share) for sign in (1.0, -1.0)]
+        ends = [settled(sign * SPINE_GEOMETRY.max_servo_angle * share) for sign in (1.0, -1.0)]
         near = [settled(sign * _STEP * share).site("spine_end") for sign in (1.0, -1.0)]
         return {
             "joint_angle": float(np.mean([ends[0].angle(joint) for joint in joints])),
@@ -355,7 +355,9 @@ def run_spine(settings: Settings) -> CaseRuns:
             "speed": float(
                 np.linalg.norm(near[0] - near[1]) / (2 * _STEP) * parameters.servo.speed
             ),
-            "work": settled(0.0 * share).work(lambda at: at * SPINE.max_servo_angle * share)[0],
+            "work": settled(0.0 * share).work(
+                lambda at: at * SPINE_GEOMETRY.max_servo_angle * share
+            )[0],
             "bend": bend(assemble_spine(parameters, robot, hinges), joints),
         }
 

@@ -21,7 +21,7 @@ from nermo_mjx.control.trajectory import neutral_feet
 from nermo_mjx.kinematics.body import feet_positions, stride_gain
 from nermo_mjx.kinematics.spine import joint_angle, transform
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 
 #: Number of times in a stance over which `equal_stride_radius` averages.
 _MOMENTS: Final = 41
@@ -65,7 +65,7 @@ def theory_radius(steering: str, stride: float = 0.06) -> float:
         stride: l_s [m].
     """
     legs, spine = STEERING[steering]
-    theta_v = spine * SPINE.max_joint_angle
+    theta_v = spine * SPINE_GEOMETRY.max_joint_angle
     if not legs:
         return float(
             turning.spine_radius(

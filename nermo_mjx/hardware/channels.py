@@ -33,9 +33,9 @@ from nermo_mjx.specs.reading import read_file, read_mapping
 from nermo_mjx.specs.values import Finite, Whole
 
 #: The order of the author's software, by its name.
-PUBLISHED: Final = "published"
+PUBLISHED_ORDER: Final = "published"
 #: How angles are rounded to whole degrees.
-WHOLE: Final = {"rounded": np.rint, "truncated": np.trunc}
+ROUNDING_FUNCTIONS: Final = {"rounded": np.rint, "truncated": np.trunc}
 
 
 class ChannelFields(Fields):
@@ -62,12 +62,14 @@ class Servos(Fields):
     what: ClassVar = "a servo"
     rate: float = optional("how often the servos are given angles [Hz]", exclusiveMinimum=0)
     whole_degrees: str = optional(
-        "angles are given in whole degrees: to the nearest, or cut", enum=[*WHOLE]
+        "angles are given in whole degrees: to the nearest, or cut", enum=[*ROUNDING_FUNCTIONS]
     )
 
 
-_NAMED: dict[str, Any] = {name: (ChannelFields, optional()) for name in SERVOS}
-ChannelsFile = create_model("ChannelsFile", __base__=Servos, __doc__=Servos.__doc__, **_NAMED)
+_SERVO_FIELDS: dict[str, Any] = {name: (ChannelFields, optional()) for name in SERVOS}
+ChannelsFile = create_model(
+    "ChannelsFile", __base__=Servos, __doc__=Servos.__doc__, **_SERVO_FIELDS
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +113,11 @@ class Channels:
 
     def given(self, degrees: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
         """Angles as sent to the servos [deg]."""
-        return degrees if self.whole_degrees is None else WHOLE[self.whole_degrees](degrees) + 0.0
+        return (
+            degrees
+            if self.whole_degrees is None
+            else ROUNDING_FUNCTIONS[self.whole_degrees](degrees) + 0.0
+        )
 
 
 def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channels:
@@ -132,9 +138,9 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
     if isinstance(source, Mapping):
         doc = read_mapping(source, "channels")
     else:
-        shipped = os.fspath(source) == PUBLISHED
+        shipped = os.fspath(source) == PUBLISHED_ORDER
         doc = read_file(
-            Path(__file__).with_name(f"{PUBLISHED}.yaml") if shipped else source,
+            Path(__file__).with_name(f"{PUBLISHED_ORDER}.yaml") if shipped else source,
             "table of channels",
         )
     file = read(doc, ChannelsFile)
@@ -157,8 +163,11 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
         channels_by_number[channel.number] = channel
     if not channels_by_number:
         doc.fail((), "no servo is named; at least one is needed.")
-    if file.whole_degrees not in (None, *WHOLE):
-        doc.fail(("whole_degrees",), f"is {file.whole_degrees!r}: allowed is {' or '.join(WHOLE)}.")
+    if file.whole_degrees not in (None, *ROUNDING_FUNCTIONS):
+        doc.fail(
+            ("whole_degrees",),
+            f"is {file.whole_degrees!r}: allowed is {' or '.join(ROUNDING_FUNCTIONS)}.",
+        )
     return Channels(
         tuple(channels_by_number[number] for number in sorted(channels_by_number)),
         file.rate,

@@ -28,12 +28,12 @@ from nermo_mjx.robot.quantity import ParameterError, require
 #: The topic of the author's software.
 TOPIC: Final = "q_values"
 #: How long a broker or bridge may not answer, or be away [s].
-PATIENCE: Final = 5.0
+ANSWER_SECONDS: Final = 5.0
 ROS_TYPE: Final = "std_msgs/msg/Float32MultiArray"
 #: The address of no robot: messages are printed.
-PRINT: Final = "print:"
+PRINT_ADDRESS: Final = "print:"
 #: Share of commands that come too late or not at all, above which a robot was not driven as it should have been.
-TOO_LATE: Final = 0.1
+LARGEST_LATE_SHARE: Final = 0.1
 #: Is called with a message as its JSON reads.
 Receiver: TypeAlias = Callable[[Any], None]
 _PORTS: Final = {"mqtt": 1883, "ws": 9090, "wss": 443}
@@ -69,8 +69,8 @@ class Sent:
 
 
 def lateness(late: float, total: float) -> str:
-    """A sentence on commands that this machine was too slow for, if they are more than a share of `TOO_LATE`."""
-    if late <= TOO_LATE * total:
+    """A sentence on commands that this machine was too slow for, if they are more than a share of `LARGEST_LATE_SHARE`."""
+    if late <= LARGEST_LATE_SHARE * total:
         return ""
     return f"{late / total:.0%} of the commands were late and left out: this machine is too slow, or too busy."
 
@@ -93,7 +93,7 @@ def send_table(
 
     Raises:
         SendError: messages were not sent, and how many; sending ends when the connection is lost, or has been away for
-            `PATIENCE`.
+            `ANSWER_SECONDS`.
     """
     column_given, rows = table.given, len(table.time)
     if not table.periodic:
@@ -114,7 +114,7 @@ def send_table(
                 messages, reached, latest = messages + 1, clock(), max(latest, -early)
             except SendError as error:
                 lost = str(error).rstrip(".")
-                if not isinstance(error, NotSentError) or clock() - reached > PATIENCE:
+                if not isinstance(error, NotSentError) or clock() - reached > ANSWER_SECONDS:
                     row = (
                         row + 1
                         if seconds is None
@@ -149,7 +149,7 @@ def servo_message(
     url: str, angles: Float[np.ndarray, " channels"], column_given: Float[np.ndarray, " channels"]
 ) -> Any:
     """The message with the angles of a row [deg], as the robot behind this URL takes it."""
-    if url.startswith(("mqtt", PRINT)):
+    if url.startswith(("mqtt", PRINT_ADDRESS)):
         return [
             int(angle) if angle == int(angle) else round(float(angle), 3)
             for angle in column_given.tolist()
@@ -203,7 +203,7 @@ def address(url: str, field: str) -> SplitResult:
     try:
         parts = urlsplit(re.sub("^ros://", "ws://", url))
         # A port out of range raises; MQTT has no path (the topic is none), and takes a user without a password.
-        right = url == PRINT or all(
+        right = url == PRINT_ADDRESS or all(
             (
                 parts.scheme in _PORTS and parts.hostname,
                 parts.port != 0,
@@ -219,10 +219,10 @@ def address(url: str, field: str) -> SplitResult:
         # Up to the last @, as a # or / that was not quoted may stand in the password.
         masked = re.sub("^([^/]*//)?.*@", r"\1...@", url, flags=re.DOTALL)
         raise ParameterError(
-            f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT], ws://HOST[:PORT] or {PRINT}, with a port from 1 to "
+            f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT], ws://HOST[:PORT] or {PRINT_ADDRESS}, with a port from 1 to "
             "65535, and USER:PASSWORD@ before HOST, special characters as %XX."
         )
-    if url != PRINT:
+    if url != PRINT_ADDRESS:
         require(field, *(("paho", "mqtt") if parts.scheme == "mqtt" else ("websockets", "drive")))
     return parts
 
@@ -250,11 +250,13 @@ def _mqtt(
     client.on_connect = on_connect
     if receive is not None:
         client.on_message = lambda client, data, message: receive(_parsed(message.payload))
-    client.connect_timeout = PATIENCE
+    client.connect_timeout = ANSWER_SECONDS
     try:
-        client.connect(str(url.hostname), url.port or _PORTS["mqtt"], keepalive=round(PATIENCE))
+        client.connect(
+            str(url.hostname), url.port or _PORTS["mqtt"], keepalive=round(ANSWER_SECONDS)
+        )
         client.loop_start()
-        if not answered.wait(PATIENCE):
+        if not answered.wait(ANSWER_SECONDS):
             raise SendError(f"{where}: no MQTT broker answers there.")
         if answer[0].is_failure:
             raise SendError(f"{where}: the MQTT broker refuses the connection ({answer[0]}).")
@@ -299,7 +301,10 @@ def _rosbridge(
     try:
         address = url._replace(netloc=url.netloc[: url.netloc.rfind("@") + 1] + where).geturl()
         with client.connect(
-            address, open_timeout=PATIENCE, ping_interval=PATIENCE, ping_timeout=PATIENCE
+            address,
+            open_timeout=ANSWER_SECONDS,
+            ping_interval=ANSWER_SECONDS,
+            ping_timeout=ANSWER_SECONDS,
         ) as socket:
             socket.send(json.dumps({"op": "advertise", "topic": topic, "type": kind}))
             if receive is not None:

@@ -29,45 +29,51 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from nermo_mjx.files import MOST_ARRAYS, read_bytes
+from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import Document, SpecError, describe, read_file, read_mapping
 from nermo_mjx.specs.values import Choice, Finite, Positive
 
-_DEGREE: Final = float(np.pi / 180.0)
-_ANGLE: Final = {"rad": 1.0, "deg": _DEGREE}
-_LENGTH: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_FORCE: Final = {"N": 1.0, "mN": 1e-3}
-_TORQUE: Final = {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2}
+_DEGREE_RAD: Final = float(np.pi / 180.0)
+_ANGLE_UNITS: Final = {"rad": 1.0, "deg": _DEGREE_RAD}
+_LENGTH_UNITS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_FORCE_UNITS: Final = {"N": 1.0, "mN": 1e-3}
+_TORQUE_UNITS: Final = {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2}
 #: The quantities of channels, and the units of each in SI; the first is that of the values. Those of sliding joints and
 #: of motors are among the servos'.
 QUANTITIES: Final[dict[str, dict[str, float]]] = {
-    "command": _ANGLE | _LENGTH | _TORQUE,
-    "angle": _ANGLE | _LENGTH,
-    "velocity": {"rad/s": 1.0, "deg/s": _DEGREE, "rpm": 6.0 * _DEGREE, "m/s": 1.0, "mm/s": 1e-3},
-    "gyro": {"rad/s": 1.0, "deg/s": _DEGREE},
+    "command": _ANGLE_UNITS | _LENGTH_UNITS | _TORQUE_UNITS,
+    "angle": _ANGLE_UNITS | _LENGTH_UNITS,
+    "velocity": {
+        "rad/s": 1.0,
+        "deg/s": _DEGREE_RAD,
+        "rpm": 6.0 * _DEGREE_RAD,
+        "m/s": 1.0,
+        "mm/s": 1e-3,
+    },
+    "gyro": {"rad/s": 1.0, "deg/s": _DEGREE_RAD},
     "accelerometer": {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
-    "position": _LENGTH,
-    "yaw": _ANGLE,
-    "force": _FORCE,
+    "position": _LENGTH_UNITS,
+    "yaw": _ANGLE_UNITS,
+    "force": _FORCE_UNITS,
     "contact": {"switch": 1.0},
     "current": {"A": 1.0, "mA": 1e-3},
-    "torque": _TORQUE,
+    "torque": _TORQUE_UNITS,
 }
 #: What a channel is of where a file does not say it: the only such sensor of this robot.
-_OF: Final = {"gyro": "imu", "accelerometer": "imu", "position": "torso", "yaw": "torso"}
+_CHANNEL_PARTS: Final = {"gyro": "imu", "accelerometer": "imu", "position": "torso", "yaw": "torso"}
 #: How many columns a channel may have: one for each axis of these quantities.
-_AXES: Final = {"gyro": (3,), "accelerometer": (3,), "position": (2, 3)}
-_SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_AXIS_COUNTS: Final = {"gyro": (3,), "accelerometer": (3,), "position": (2, 3)}
+_TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Quantities that never stand still when they are measured; an angle may, unless its command moves by more than this
 #: [rad, m].
-_MOVING: Final = ("velocity", "gyro", "accelerometer", "position", "yaw")
-MOVED: Final = 0.05
+_MOVING_QUANTITIES: Final = ("velocity", "gyro", "accelerometer", "position", "yaw")
+MOTION_THRESHOLD: Final = 0.05
 #: Rows in a row that may be stamped before an earlier one: more are of a clock that was set back.
-_LATE_ROWS: Final = 10
+_MAX_LATE_ROWS: Final = 10
 #: Longest interval between samples that is no gap, in usual ones: a single lost sample makes one of 2.
-_GAP: Final = 1.8
+_MAX_INTERVAL_RATIO: Final = 1.8
 
 
 class ClockFields(Fields):
@@ -76,7 +82,9 @@ class ClockFields(Fields):
     what: ClassVar = "a field of a clock"
     expected: ClassVar = "a mapping such as {column: t, unit: ms}"
     column: str = optional("with the time of each row; by default that of the other channels")
-    unit: Any = optional(f"{', '.join(_SECONDS)}, or a number of seconds, such as those of a frame")
+    unit: Any = optional(
+        f"{', '.join(_TIME_UNITS)}, or a number of seconds, such as those of a frame"
+    )
     scale: Positive = optional("true seconds per second of this clock")
     offset: Finite = optional("what this clock shows too little [s]")
 
@@ -104,7 +112,7 @@ class SignalFields(Fields):
         if (
             isinstance(value, dict)
             and value.get("quantity") == "contact"
-            and value.get("unit") in [*_FORCE]
+            and value.get("unit") in [*_FORCE_UNITS]
         ):
             return value | {"quantity": "force"}
         return value
@@ -151,7 +159,7 @@ class Channel:
     @property
     def gaps(self) -> Float[np.ndarray, "k 2"]:
         """Begin and end of the times without samples [s]."""
-        long = np.flatnonzero(np.diff(self.times) > _GAP * self.interval)
+        long = np.flatnonzero(np.diff(self.times) > _MAX_INTERVAL_RATIO * self.interval)
         return np.stack([self.times[long], self.times[long + 1]], axis=-1)
 
 
@@ -211,7 +219,7 @@ def _csv(path: Path) -> Any:
     import pandas as pd  # imported where it is used: it takes half a second
 
     try:
-        text = read_bytes(path, MOST_ARRAYS).decode("utf-8-sig")
+        text = read_bytes(path, MAX_ARRAY_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SpecError(
             f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start})."
@@ -292,7 +300,7 @@ def read_log(
     reader, channel_map = _Reader(doc, fields, str(file), table), dict[tuple[str, str], Channel]()
     for name, entry in fields.channels.items():
         quantity = entry.quantity
-        key = (quantity, entry.of or _OF.get(quantity, ""))
+        key = (quantity, entry.of or _CHANNEL_PARTS.get(quantity, ""))
         if not key[1]:
             doc.fail(
                 ("channels", name), "has no 'of': expected the name of its servo, joint or foot."
@@ -306,7 +314,9 @@ def read_log(
         channel_map[key] = Channel(name, *key, times, values, unit)
     for (quantity, source), channel in channel_map.items():
         command = channel_map.get(("command", source)) if quantity == "angle" else None
-        moves = quantity in _MOVING or (command is not None and np.ptp(command.values) > MOVED)
+        moves = quantity in _MOVING_QUANTITIES or (
+            command is not None and np.ptp(command.values) > MOTION_THRESHOLD
+        )
         still = np.flatnonzero(np.ptp(channel.values, axis=0).reshape(-1) == 0.0) if moves else ()
         for i in still:
             entry = fields.channels[channel.name]
@@ -415,7 +425,7 @@ class _Reader:
             if field not in time_fields:
                 self.doc.fail(path, f"has no '{field}': expected {ClockFields.expected}.")
         stamps = self.column(time_fields["column"], *path, "column") * self.factor(
-            time_fields["unit"], _SECONDS, *path
+            time_fields["unit"], _TIME_UNITS, *path
         )
         first = stamps[np.argmax(np.isfinite(stamps))]
         return (
@@ -426,7 +436,7 @@ class _Reader:
 
     def columns(self, name: str, entry: SignalFields) -> list[str]:
         """The names of a channel's columns."""
-        axes = _AXES.get(entry.quantity, (1,))
+        axes = _AXIS_COUNTS.get(entry.quantity, (1,))
         names = [entry.column or name] if entry.columns is None else entry.columns
         if len(names) not in axes or (entry.column is not None and entry.columns is not None):
             allowed = " or ".join(map(str, axes))
@@ -487,7 +497,7 @@ class _Reader:
         ends = np.append(np.flatnonzero(~behind), len(times))
         for begin in begins:
             length = int(ends[np.searchsorted(ends, begin)] - begin)
-            if length > _LATE_ROWS:
+            if length > _MAX_LATE_ROWS:
                 raise SpecError(
                     f"{self.where(int(rows[begin]))}: the time runs backward, from {times[begin - 1]:.6g} to "
                     f"{times[begin]:.6g} s, for {length} rows: split the file there, or mend its clock."

@@ -10,13 +10,13 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.hardware.log import MOVED, Channel, Log, several
+from nermo_mjx.hardware.log import MOTION_THRESHOLD, Channel, Log, several
 
 #: Largest lag that is looked for [s].
-LONGEST_LAG: Final = 0.25
+LONGEST_LAG_SECONDS: Final = 0.25
 #: Shares of the largest correlation that are its hill, and that are as high: then the smallest lag is meant.
-_HILL: Final = 0.95
-_ALIKE: Final = 0.99
+_HILL_SHARE: Final = 0.95
+_PEAK_SHARE: Final = 0.99
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +60,7 @@ def lag_of(channel: Channel, reference: Channel) -> tuple[float, float]:
     parabola through its hill, so between samples, too.
     """
     step = max(channel.interval, reference.interval)
-    count = max(2, int(LONGEST_LAG / step))
+    count = max(2, int(LONGEST_LAG_SECONDS / step))
     lags = step * np.arange(-count, count + 1)
     correlations = np.array(
         [_correlation(channel.values, values_at(reference, channel.times - lag)) for lag in lags]
@@ -71,10 +71,12 @@ def lag_of(channel: Channel, reference: Channel) -> tuple[float, float]:
         return 0.0, sign * float(correlations[count])
     # Each hill around a maximum, of those that are as high as the highest the nearest: signals may be periodic.
     edges = np.flatnonzero(
-        np.diff(correlations >= _HILL * correlations.max(), prepend=False, append=False)
+        np.diff(correlations >= _HILL_SHARE * correlations.max(), prepend=False, append=False)
     ).reshape(-1, 2)
     hills = [
-        hill for hill in edges if correlations[slice(*hill)].max() >= _ALIKE * correlations.max()
+        hill
+        for hill in edges
+        if correlations[slice(*hill)].max() >= _PEAK_SHARE * correlations.max()
     ]
     begin, end = min(hills, key=lambda hill: abs(lags[slice(*hill)].mean()))
     best = begin + int(np.argmax(correlations[begin:end]))
@@ -173,29 +175,29 @@ def axes_of(channel: Channel) -> list[tuple[str, Channel]]:
 # What looks wrong in a log: each sentence names what it was found of.
 
 #: Correlation of an angle with its command below which it does not follow it.
-_FOLLOWS: Final = 0.5
+_MIN_CORRELATION: Final = 0.5
 #: Gains of an angle, and its distance from its command [rad, m], that no servo in order has.
-_GAINS: Final = (0.5, 2.0)
-_OFF: Final = 0.2
+_GAIN_RANGE: Final = (0.5, 2.0)
+_LARGEST_OFFSET: Final = 0.2
 #: A servo is late where its lag is beyond all others' by more than this [s], and by more than these are apart.
-_LATE: Final = 0.01
+_LAG_MARGIN_SECONDS: Final = 0.01
 #: A clock drifts where lags in so many parts of a log change by more than this in all [s], and than so many standard
 #: deviations.
-_PARTS: Final = 6
-_DRIFTED: Final = 0.01
-_CERTAIN: Final = 5.0
+_LOG_SECTIONS: Final = 6
+_DRIFT_SECONDS: Final = 0.01
+_DRIFT_DEVIATIONS: Final = 5.0
 #: Interval beyond which the unit of a time is in doubt [s].
-_SLOWEST: Final = 2.0
+_LONGEST_INTERVAL_SECONDS: Final = 2.0
 #: Turns of servos [rad], angular velocities [rad/s], and weights [m/s^2] beyond which a unit is wrong: 2,000 deg/s is
 #: what gyros measure.
-_TURNS: Final = 2.0 * np.pi
-_FASTEST: Final = 36.0
-_WEIGHT: Final = (5.0, 15.0)
+_LARGEST_SERVO_ANGLE: Final = 2.0 * np.pi
+_LARGEST_ANGULAR_VELOCITY: Final = 36.0
+_GRAVITY_RANGE: Final = (5.0, 15.0)
 #: A signal is saturated where it stays at its largest value for so many samples, and its command moves by more than so
 #: many levels and standard deviations then; or without a command, where it is there so many times as often as near it.
-_STAYS: Final = 5
-_BEYOND: Final = 0.5
-_OFTEN: Final = 10
+_SATURATION_SAMPLES: Final = 5
+_SATURATION_DEVIATIONS: Final = 0.5
+_SATURATION_RATIO: Final = 10
 
 
 def findings_of(log: Log) -> tuple[str, ...]:
@@ -204,7 +206,7 @@ def findings_of(log: Log) -> tuple[str, ...]:
     pairs = [
         (angles[servo], commands[servo])
         for servo in angles
-        if servo in commands and np.ptp(commands[servo].values) > MOVED
+        if servo in commands and np.ptp(commands[servo].values) > MOTION_THRESHOLD
     ]
     lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
     findings = [*log.findings]
@@ -222,7 +224,9 @@ def findings_of(log: Log) -> tuple[str, ...]:
                 f"{commands[servo].name} is of {servo!r}, and {angles[similar_name].name} of"
                 f" {similar_name!r}: are both of one servo?"
             )
-    if slow := [channel.name for channel in log.channels if channel.interval > _SLOWEST]:
+    if slow := [
+        channel.name for channel in log.channels if channel.interval > _LONGEST_INTERVAL_SECONDS
+    ]:
         every = max(channel.interval for channel in log.channels)
         findings.append(
             f"{several(slow)}: a sample comes every {every:.3g} s: has the time another unit?"
@@ -249,7 +253,7 @@ def _servo_findings(
         others: Lags of the other servos [s].
     """
     name = angle.of.replace("_", " ")
-    if abs(correlation) < _FOLLOWS:
+    if abs(correlation) < _MIN_CORRELATION:
         yield f"{name} does not follow its command ({correlation:.2f})."
         return
     if correlation < 0.0:
@@ -258,13 +262,13 @@ def _servo_findings(
     is_finite = np.isfinite(command_values)
     gain = np.polyfit(command_values[is_finite], angle.values[is_finite], 1)[0]
     offset = (angle.values - command_values)[is_finite].mean()
-    if not _GAINS[0] < abs(gain) < _GAINS[1]:
+    if not _GAIN_RANGE[0] < abs(gain) < _GAIN_RANGE[1]:
         yield f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit."
-    elif correlation > 0.0 and abs(offset) > _OFF:
+    elif correlation > 0.0 and abs(offset) > _LARGEST_OFFSET:
         yield f"{name} stands {offset:.2g} {angle.unit} off its command: one of the two has another zero."
     if lag < -max(angle.interval, command.interval):
         yield f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock."
-    elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
+    elif len(others) > 1 and lag - max(others) > max(_LAG_MARGIN_SECONDS, np.ptp(others)):
         largest_lag = f"{1e3 * max(others):.0f} ms at most"
         yield f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {largest_lag}."
 
@@ -285,7 +289,9 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
         if np.isin(fewer_times, more_times).mean() > 0.5:
             continue
         parts = [
-            part for part in np.array_split(np.arange(len(channel.times)), _PARTS) if len(part) > 2
+            part
+            for part in np.array_split(np.arange(len(channel.times)), _LOG_SECTIONS)
+            if len(part) > 2
         ]
         pieces = [
             dataclasses.replace(channel, times=channel.times[p], values=channel.values[p])
@@ -295,7 +301,7 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
         middle = [pair_channel.times.mean() for pair_channel in pieces]
         (slope, _), (variance, *_) = np.polyfit(middle, lags, 1, cov=True)
         change = abs(slope) * np.ptp(channel.times)
-        if change > _DRIFTED and abs(slope) > _CERTAIN * np.sqrt(variance[0]):
+        if change > _DRIFT_SECONDS and abs(slope) > _DRIFT_DEVIATIONS * np.sqrt(variance[0]):
             drifts.setdefault((channel.quantity, command_channel.quantity), []).append(
                 (name, float(slope))
             )
@@ -311,13 +317,17 @@ def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]
 def _own_findings(channel: Channel, expected: np.ndarray | None) -> Iterator[str]:
     """What looks wrong in one channel alone; `expected` is its command, if it has one, at its lag."""
     largest = float(np.abs(channel.values).max())
-    if channel.quantity in ("command", "angle") and channel.unit == "rad" and largest > _TURNS:
+    if (
+        channel.quantity in ("command", "angle")
+        and channel.unit == "rad"
+        and largest > _LARGEST_SERVO_ANGLE
+    ):
         yield f"{channel.name} reaches {largest:.3g} rad: is its unit deg, or its zero another one?"
-    if channel.quantity == "gyro" and largest > _FASTEST:
+    if channel.quantity == "gyro" and largest > _LARGEST_ANGULAR_VELOCITY:
         yield f"{channel.name} reaches {largest:.3g} rad/s: is its unit deg/s?"
     if channel.quantity == "accelerometer":
         weight = float(np.median(np.linalg.norm(channel.values, axis=-1)))
-        if not _WEIGHT[0] < weight < _WEIGHT[1]:
+        if not _GRAVITY_RANGE[0] < weight < _GRAVITY_RANGE[1]:
             yield f"{channel.name} has a median of {weight:.3g} m/s^2, not of gravity: has it another unit?"
     if channel.quantity in ("angle", "velocity", "gyro", "accelerometer", "current"):
         for name, axis in axes_of(channel):
@@ -331,13 +341,14 @@ def _is_saturated(values: np.ndarray, expected: np.ndarray | None) -> bool:
     """Whether a signal stays at its largest value while what it should follow goes on, or more often than near it."""
     is_largest, levels = values == values.max(), np.unique(values)
     lengths = np.diff(np.flatnonzero(np.diff(is_largest, prepend=False, append=False)))[::2]
-    if lengths.max(initial=0) < _STAYS or len(levels) < _STAYS:
+    if lengths.max(initial=0) < _SATURATION_SAMPLES or len(levels) < _SATURATION_SAMPLES:
         return False
     width = float(np.median(np.diff(levels)))
     if expected is not None:
         going = expected[is_largest & np.isfinite(expected)]
         return len(going) > 0 and bool(
-            np.ptp(going) > max(_STAYS * width, _BEYOND * np.nanstd(expected))
+            np.ptp(going)
+            > max(_SATURATION_SAMPLES * width, _SATURATION_DEVIATIONS * np.nanstd(expected))
         )
     near = ((values < values.max()) & (values >= values.max() - 3.0 * width)).sum() / 3.0
-    return bool(is_largest.sum() > _OFTEN * max(near, 1.0))
+    return bool(is_largest.sum() > _SATURATION_RATIO * max(near, 1.0))

@@ -34,15 +34,15 @@ CONTROL_RATE: Final = 100.0
 DEFAULT_RATE: Final = 50.0
 #: Highest rate of a table, and longest table [Hz, rows].
 HIGHEST_RATE: Final = 1000.0
-MOST_ROWS: Final = 1_000_000
+MAX_ROWS: Final = 1_000_000
 #: A table is periodic when no angle differs more than this between one of its cycles and the next [rad].
 _PERIODIC_TOLERANCE_RAD: Final = 1e-6
 #: Head and tail controls that use sensors.
-_ANSWERING: Final = (GAZE, COUNTER_YAW, COUNTER_ROLL, "pitch_balance")
+_FEEDBACK_CONTROLS: Final = (GAZE, COUNTER_YAW, COUNTER_ROLL, "pitch_balance")
 #: Physics steps between two looks at whether parts touch.
-_BETWEEN: Final = 5
+_CONTACT_CHECK_STEPS: Final = 5
 #: Maximum number of gait cycles for the controller to settle.
-_PATIENCE: Final = 200
+_MAX_SETTLING_CYCLES: Final = 200
 
 
 @dataclasses.dataclass(frozen=True)
@@ -183,7 +183,7 @@ def servo_table(
         ("tail_motion", setup.tail_motion),
         *(("spine", mode) for mode in modes),
     ):
-        if choice in _ANSWERING:
+        if choice in _FEEDBACK_CONTROLS:
             raise ParameterError(
                 f"{name} is {choice!r}, which answers to sensors: a servo table reads none."
             )
@@ -206,9 +206,9 @@ def servo_table(
         )
     frequency = float(np.asarray(params.gait.frequency))
     rows = max(1, round(rate * cycles / frequency))
-    if rows > MOST_ROWS:
+    if rows > MAX_ROWS:
         raise ParameterError(
-            f"cycles is {cycles}: with {rate:g} rows/s this would be {rows:,} rows, of {MOST_ROWS:,}."
+            f"cycles is {cycles}: with {rate:g} rows/s this would be {rows:,} rows, of {MAX_ROWS:,}."
         )
     rate = rows * frequency / cycles
     if rows < 4 * cycles:
@@ -279,10 +279,10 @@ def check_clearance(
     pairs = np.stack([first, second], axis=-1)[clearance]
     reach = model.geom_rbound[pairs].sum(axis=-1)
     data.ctrl[:] = angles[0]
-    mujoco.mj_step(model, data, nstep=50 * _BETWEEN)
-    for time in np.arange(0.0, len(angles) / rate, _BETWEEN * model.opt.timestep):
+    mujoco.mj_step(model, data, nstep=50 * _CONTACT_CHECK_STEPS)
+    for time in np.arange(0.0, len(angles) / rate, _CONTACT_CHECK_STEPS * model.opt.timestep):
         data.ctrl[:] = angles[int(time * rate + 1e-9)]
-        mujoco.mj_step(model, data, nstep=_BETWEEN)
+        mujoco.mj_step(model, data, nstep=_CONTACT_CHECK_STEPS)
         mujoco.mj_kinematics(model, data)
         between = np.linalg.norm(data.geom_xpos[pairs[:, 0]] - data.geom_xpos[pairs[:, 1]], axis=-1)
         for pair in pairs[between < reach]:
@@ -312,7 +312,7 @@ def _steady(
         still = robot.sensors(jnp.zeros(robot.model.nsensordata))  # which an open loop ignores
         state = _begin(servo_controller, exact, still, phase)  # the rate does not affect it
         previous = None
-        for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
+        for _ in range(max(2, math.ceil(_MAX_SETTLING_CYCLES / cycles))):
             state, angles = _run(controller, robot.servos, exact, state, still, rows, tick_limit)
             angle_table = np.asarray(angles)
             if (

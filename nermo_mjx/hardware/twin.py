@@ -20,16 +20,16 @@ from nermo_mjx.hardware.signals import (
     values_at,
 )
 from nermo_mjx.kinematics.body import attitude
-from nermo_mjx.recording import BESIDE, Recording
+from nermo_mjx.recording import LOG_PREFIX, Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
 from nermo_mjx.robot.parameters import READINGS
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.rollout import Run, Setup, Simulator
 
 #: How long the twin stands at the first commands before the log begins [s].
-SETTLING: Final = 1.0
+SETTLING_SECONDS: Final = 1.0
 #: Load of a foot from which a switch under it is closed [N].
-_SWITCH: Final = 0.02
+_SWITCH_NEWTONS: Final = 0.02
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def replay_log(
 ) -> Recording:
     """Drive the twin by a log's commands at their times, to the next step of its physics.
 
-    It has stood at the first ones for `SETTLING` when the log begins.
+    It has stood at the first ones for `SETTLING_SECONDS` when the log begins.
 
     Args:
         log: see `read_log`.
@@ -123,7 +123,7 @@ def replay_log(
     """
     setup = setup or Setup()
     servos, dt = setup.load().servos, setup.timestep
-    table, settling_ticks = command_table(log, servos, dt), round(SETTLING / dt)
+    table, settling_ticks = command_table(log, servos, dt), round(SETTLING_SECONDS / dt)
     commands = LoggedCommands(
         np.concatenate([np.repeat(table[:1], settling_ticks, axis=0), table]), servos, dt
     )
@@ -170,7 +170,7 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
         {"torso": np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])},
     )
     add("force", "N", each(LIMBS, sensors["foot_force"]))
-    add("contact", "switch", each(LIMBS, (sensors["foot_force"] > _SWITCH).astype(float)))
+    add("contact", "switch", each(LIMBS, (sensors["foot_force"] > _SWITCH_NEWTONS).astype(float)))
     return Log(tuple(channels), "the twin")
 
 
@@ -198,7 +198,7 @@ def with_log(recording: Recording, log: Log, robot: Robot) -> tuple[Recording, l
             for (name, axis_values), (_, two) in zip(
                 axes_of(channel), axes_of(twin_channel), strict=False
             ):
-                sensors[BESIDE + name] = np.stack(
+                sensors[LOG_PREFIX + name] = np.stack(
                     [
                         values_at(axis_channel, recording.time)
                         for axis_channel in (axis_values, two)

@@ -23,7 +23,7 @@ from nermo_mjx.identify.identification import Identification
 from nermo_mjx.identify.proposal import TIMES, USEFUL, next_experiment
 from nermo_mjx.plotting.charts import page as blank_page
 from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
+from nermo_mjx.plotting.style import BAND_COLOUR, BEST_COLOUR, INK, LINE_COLOUR, MUTED_INK
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
 from nermo_mjx.robot.quantity import quantities
@@ -301,9 +301,11 @@ def _predicted(identification: Identification, limit: int = 6) -> Figure:
         rows = rows[:: twin.components[i]]
         time = twin.measured.time[rows]
         ax.plot(time, twin.measured.values[rows], ".", ms=2.5, color=INK, label="measured")
-        ax.fill_between(time, low[rows], high[rows], color=BAND, lw=0, alpha=0.7)
-        ax.plot(time, initial_prediction[rows], color=MUTED, lw=0.9, ls="--", label="default body")
-        ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
+        ax.fill_between(time, low[rows], high[rows], color=BAND_COLOUR, lw=0, alpha=0.7)
+        ax.plot(
+            time, initial_prediction[rows], color=MUTED_INK, lw=0.9, ls="--", label="default body"
+        )
+        ax.plot(time, best[rows], color=LINE_COLOUR, lw=1.2, label="identified")
         ax.set_title(
             f"{twin.labels[i]}{' x' * (twin.components[i] > 1)} [{units[twin.labels[i]]}]",
             loc="left",
@@ -322,11 +324,11 @@ def _residuals(identification: Identification) -> Figure:
     )
     ax, y = figure.subplots(), np.arange(len(labels))
     for shift, residual, colour, label in (
-        (-0.18, identification.before.judgement.rms, BAND, "default body"),
-        (0.18, judged.rms, LINE, "identified"),
+        (-0.18, identification.before.judgement.rms, BAND_COLOUR, "default body"),
+        (0.18, judged.rms, LINE_COLOUR, "identified"),
     ):
         ax.barh(y + shift, residual / judged.noise, 0.36, color=colour, label=label)
-    ax.axvline(1.0, color=BEST, lw=0.9, label="noise")
+    ax.axvline(1.0, color=BEST_COLOUR, lw=0.9, label="noise")
     ax.set_yticks(y, labels)
     ax.set(xscale="log", xlabel="root mean square [noise]", ylim=(len(labels) - 0.4, -0.6))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
@@ -345,7 +347,7 @@ def _intervals(identification: Identification) -> Figure:
         "90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space)
     )
     ax, y = figure.subplots(), np.arange(len(space))
-    colours = [LINE if is_determined else BAND for is_determined in fit.determined]
+    colours = [LINE_COLOUR if is_determined else BAND_COLOUR for is_determined in fit.determined]
     ax.hlines(y, *ends, color=colours, lw=4)
     ax.plot((fit.x - space.low) / span, y, "|", color=INK)
     ax.set_yticks(y, [parameter.name for parameter in space.parameters])

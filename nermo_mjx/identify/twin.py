@@ -20,7 +20,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.hardware.twin import SETTLING
+from nermo_mjx.hardware.twin import SETTLING_SECONDS
 from nermo_mjx.identify.body import LANES, Body, body_of
 from nermo_mjx.identify.estimation import LoggedSamples, without
 from nermo_mjx.physics.servo_play import Play, ServosWithPlay
@@ -223,7 +223,7 @@ class _Driven:
         total = max(1, math.ceil(log.duration / self.step))
         self.steps = total if window is None or self.stands else max(1, round(window / self.step))
         self.windows = math.ceil(total / self.steps)
-        self.settle = round(SETTLING / self.step) if self.stands else 0
+        self.settle = round(SETTLING_SECONDS / self.step) if self.stands else 0
         self.readings = [self._reading(channel) for channel in self.channels]
         grid = np.arange(self.windows * self.steps + 1) * self.step
         self.grid = np.concatenate([(np.arange(self.settle) - self.settle) * self.step, grid])

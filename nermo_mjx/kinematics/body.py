@@ -19,7 +19,7 @@ from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.leg import bracketed_root
 from nermo_mjx.robot.geometry import Geometry, Hip, Shoulder
 from nermo_mjx.robot.masses import MassModel
-from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 from nermo_mjx.shapes import Array, Planar, Quaternion, Scalars, Spatial, TruthPerLimb
 
 _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
@@ -155,9 +155,9 @@ def _constant(value: ArrayLike) -> Array:
 
 
 #: Longer than any leg [m]; feet farther out are moved in, so that all results are finite.
-_FARTHEST: Final = 1.0
+_LARGEST_REACH: Final = 1.0
 #: Feet closer together than this [m] define no line.
-_COINCIDENT: Final = 1e-6
+_COINCIDENCE_DISTANCE: Final = 1e-6
 
 
 def diagonal_distance(point: ArrayLike, front_foot: ArrayLike, rear_foot: ArrayLike) -> Scalars:
@@ -172,7 +172,7 @@ def diagonal_distance(point: ArrayLike, front_foot: ArrayLike, rear_foot: ArrayL
     # Distances are taken from the rear foot instead of using c, which avoids cancellation.
     product = a * (point[..., 0] - rear[..., 0]) + b * (point[..., 1] - rear[..., 1])
     squared = a**2 + b**2
-    distinct = squared > _COINCIDENT**2
+    distinct = squared > _COINCIDENCE_DISTANCE**2
     return jnp.where(distinct, product, 0.0) / jnp.sqrt(jnp.where(distinct, squared, 1.0))
 
 
@@ -182,7 +182,7 @@ def balance_angle(
     stance: ArrayLike,
     geometry: Geometry,
     lift: ArrayLike = 0.0,
-    limit: ArrayLike = SPINE.max_joint_angle,
+    limit: ArrayLike = SPINE_GEOMETRY.max_joint_angle,
 ) -> Scalars:
     """Spine joint angle theta_v [rad], within +-limit, that balances the robot on its stance feet.
 
@@ -200,7 +200,7 @@ def balance_angle(
         limit: largest angle [rad].
     """
     front, rear, third, supported = _support(jnp.asarray(stance) > 0.5)
-    feet = jnp.clip(jnp.asarray(feet), -_FARTHEST, _FARTHEST)
+    feet = jnp.clip(jnp.asarray(feet), -_LARGEST_REACH, _LARGEST_REACH)
     front, rear, third = (foot[..., None].astype(feet.dtype) for foot in (front, rear, third))
 
     def line(theta_v: ArrayLike) -> tuple[Array, Array, Array]:

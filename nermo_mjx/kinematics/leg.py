@@ -27,7 +27,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from nermo_mjx.robot.geometry import (
-    TINY,
+    SMALLEST_LENGTH_METRES,
     Geometry,
     check_routing,
     lead_height,
@@ -43,7 +43,7 @@ from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
 
 
 #: Maximum number of steps: ten reach rounding everywhere in the workspace, in double precision; the rest is a margin.
-STEPS: Final = 14
+MAX_STEPS: Final = 14
 
 
 class _Search(NamedTuple):
@@ -98,7 +98,7 @@ def bracketed_root(
         rising = at_high >= at_low
 
         def goes_on(state: _Search) -> Array:
-            return (state.steps < STEPS) & ~state.found.all()
+            return (state.steps < MAX_STEPS) & ~state.found.all()
 
         def step(state: _Search) -> _Search:
             i, a, b, x, best = state
@@ -123,7 +123,7 @@ def bracketed_root(
             first,
             cpu=lambda search: jax.lax.while_loop(goes_on, step, search).root,
             default=lambda search: (
-                jax.lax.fori_loop(0, STEPS, lambda _, current: step(current), search).root
+                jax.lax.fori_loop(0, MAX_STEPS, lambda _, current: step(current), search).root
             ),
         )
 
@@ -145,13 +145,13 @@ def bracketed_root(
 
 
 #: Margin to the singular ends of the knee's range, where the foot or the tendon no longer determines the knee [rad].
-KNEE_MARGIN: Final = 0.05
+KNEE_MARGIN_RAD: Final = 0.05
 
 
 def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Array]:
     """Lowest and highest knee angle theta_1 [rad] at hip angle q1, and whether the routing works there.
 
-    Two conditions bound it, each with a margin of `KNEE_MARGIN`. The foot must determine the knee (`arm_range`),
+    Two conditions bound it, each with a margin of `KNEE_MARGIN_RAD`. The foot must determine the knee (`arm_range`),
     and the tendon must flex it: the tendon's lever on the knee vanishes where B lies on the line from A to the hip axis
     (type 3, at 0 and pi), to the guide point (type 2) or along the tangent to the pulley (type 1). Between these two
     dead centres `pull` is monotonic. With type 3 the range is 0.05 to 2.93 rad in front and 0.54 to 3.09 rad behind.
@@ -159,8 +159,8 @@ def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Arr
     """
     low, high = arm_range(leg)
     limit, works = _dead_centre(leg, q1, routing)
-    low = jnp.maximum(low, limit - math.pi + KNEE_MARGIN)
-    high = jnp.maximum(jnp.minimum(high, limit - KNEE_MARGIN), low + KNEE_MARGIN)
+    low = jnp.maximum(low, limit - math.pi + KNEE_MARGIN_RAD)
+    high = jnp.maximum(jnp.minimum(high, limit - KNEE_MARGIN_RAD), low + KNEE_MARGIN_RAD)
     return low, high, works
 
 
@@ -171,8 +171,8 @@ def arm_range(leg: Leg) -> tuple[Array, Array]:
     From knee and arm O-A-H both stretched to both folded; they differ because the ankle turns H by gamma off the shin.
     """
     bend = leg.knee_direction * shank(leg)[1]
-    low = jnp.maximum(bend, 0.0) + KNEE_MARGIN
-    return low, jnp.minimum(bend, 0.0) + math.pi - KNEE_MARGIN
+    low = jnp.maximum(bend, 0.0) + KNEE_MARGIN_RAD
+    return low, jnp.minimum(bend, 0.0) + math.pi - KNEE_MARGIN_RAD
 
 
 def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
@@ -197,17 +197,19 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
         routing == "type3_idler"
     ):  # on the other side of the axis than type 1 of the pulley, or straight past the idler
         return jnp.maximum(math.pi + jnp.arcsin(IDLER_RADIUS / leg.l1), angle), jnp.asarray(True)
-    distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, TINY**2))
+    distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, SMALLEST_LENGTH_METRES**2))
     turned = jnp.arcsin(jnp.minimum(leg.pulley_radius / distance, 0.9))
-    return angle - turned, distance**2 > (leg.l2 + TINY) ** 2 + leg.pulley_radius**2
+    return angle - turned, distance**2 > (
+        leg.l2 + SMALLEST_LENGTH_METRES
+    ) ** 2 + leg.pulley_radius**2
 
 
 #: Tolerance beyond the range within which a foot or tendon counts as reached: float32 rounding [m].
 REACH_TOLERANCE: Final = 1e-6
 #: Angles saturate here, so that sums of them stay finite [rad].
-_LARGEST_ANGLE: Final = 1e6
-#: Feet farther out than this are moved in along their direction; closer to O than `_NEAREST` they have none [m].
-_FARTHEST, _NEAREST = 1.0, 1e-6
+_LARGEST_ANGLE_RAD: Final = 1e6
+#: Feet farther out than this are moved in along their direction; closer to O than `_SMALLEST_REACH` they have none [m].
+_LARGEST_REACH, _SMALLEST_REACH = 1.0, 1e-6
 
 
 @jax.tree_util.register_dataclass
@@ -355,9 +357,11 @@ def inverse_kinematics(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     leg, foot = _arrays(leg), jnp.asarray(foot)
     # The result does not depend on the distance of a foot that is out of reach, so its scale has no derivative.
     size = jnp.max(jnp.abs(foot), axis=-1, keepdims=True)
-    y, z = jnp.moveaxis(foot / jax.lax.stop_gradient(jnp.maximum(size / _FARTHEST, 1.0)), -1, 0)
-    undirected = y**2 + z**2 < _NEAREST**2
-    y, z = jnp.where(undirected, 0.0, y), jnp.where(undirected, -_NEAREST, z)
+    y, z = jnp.moveaxis(
+        foot / jax.lax.stop_gradient(jnp.maximum(size / _LARGEST_REACH, 1.0)), -1, 0
+    )
+    undirected = y**2 + z**2 < _SMALLEST_REACH**2
+    y, z = jnp.where(undirected, 0.0, y), jnp.where(undirected, -_SMALLEST_REACH, z)
 
     link, bend = shank(leg)
     low, high = arm_range(leg)
@@ -419,7 +423,7 @@ def _arrays(leg: Leg) -> Leg:
 
 
 def _angle(angle: ArrayLike) -> Array:
-    return jnp.clip(jnp.asarray(angle), -_LARGEST_ANGLE, _LARGEST_ANGLE)
+    return jnp.clip(jnp.asarray(angle), -_LARGEST_ANGLE_RAD, _LARGEST_ANGLE_RAD)
 
 
 def _polar(length: Array | np.ndarray, angle: Array) -> Planar:

@@ -17,13 +17,13 @@ from jaxtyping import Float
 
 from nermo_mjx.kinematics.leg import bracketed_root
 from nermo_mjx.robot.geometry import SEGMENT_ROWS, Geometry
-from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 from nermo_mjx.shapes import Array, Scalars
 
 #: Angles saturate here, so that the sine of any float is finite [rad].
-_LARGEST_ANGLE: Final = 1e6
+_LARGEST_ANGLE_RAD: Final = 1e6
 #: The published length of a segment [m], at which the links of the table are folded.
-_SEGMENT: Final = 2 * SPINE.dh[SEGMENT_ROWS[0]][1]
+_SEGMENT_LENGTH: Final = 2 * SPINE_GEOMETRY.dh[SEGMENT_ROWS[0]][1]
 
 
 def transform(
@@ -41,11 +41,11 @@ def transform(
         return _stretched(*_fixed_transform(theta_v), geometry, jnp.result_type(float))
     theta_v = _floating(theta_v)
     dtype = theta_v.dtype
-    angles = dict.fromkeys(SPINE.lateral_joints, -theta_v)
+    angles = dict.fromkeys(SPINE_GEOMETRY.lateral_joints, -theta_v)
     if vertical is not None:
         vertical = _floating(vertical)
         dtype = jnp.promote_types(dtype, vertical.dtype)
-        angles |= {row: vertical[..., i] for i, row in enumerate(SPINE.vertical_joints)}
+        angles |= {row: vertical[..., i] for i, row in enumerate(SPINE_GEOMETRY.vertical_joints)}
 
     pose: Array | None = None
     for row, link, stretch in _links(tuple(sorted(angles))):
@@ -58,7 +58,7 @@ def transform(
 
 def _stretched(pose: np.ndarray, stretch: np.ndarray, geometry: Geometry, dtype: Any) -> Array:
     """A pose that is linear in a segment's length: the published one, and its slope per metre."""
-    longer = jnp.asarray(geometry.spine.segment, dtype) - jnp.asarray(_SEGMENT, dtype)
+    longer = jnp.asarray(geometry.spine.segment, dtype) - jnp.asarray(_SEGMENT_LENGTH, dtype)
     return jnp.asarray(pose, dtype) + longer[..., None, None] * jnp.asarray(stretch, dtype)
 
 
@@ -70,7 +70,7 @@ def _links(moving: tuple[int, ...]) -> list[tuple[int | None, np.ndarray, np.nda
     """
     links: list[tuple[int | None, np.ndarray, np.ndarray]] = []
     fixed, stretch = np.eye(4), np.zeros((4, 4))
-    for row, link in enumerate(SPINE.dh):
+    for row, link in enumerate(SPINE_GEOMETRY.dh):
         fixed, stretch = _extended(fixed, stretch, row, _link(*link))
         if row in moving:
             links.append((row, fixed, stretch))
@@ -100,15 +100,15 @@ def yaw(theta_v: ArrayLike) -> Scalars:
 def _yaw_per_joint_angle() -> float:
     """Sum of the vertical components of the lateral joints' axes, for the straight spine."""
     pose, total = np.eye(4), 0.0
-    for row, link in enumerate(SPINE.dh):
+    for row, link in enumerate(SPINE_GEOMETRY.dh):
         pose = pose @ _link(*link)
-        total += float(pose[2, 2]) * (row in SPINE.lateral_joints)
+        total += float(pose[2, 2]) * (row in SPINE_GEOMETRY.lateral_joints)
     return total
 
 
 def max_joint_angle() -> float:
     """Largest theta_v that the servo can command [rad], where the inner tendon segment's length becomes zero."""
-    return 2 * math.atan(SPINE.segment_length / (2 * SPINE.segment_offset))
+    return 2 * math.atan(SPINE_GEOMETRY.segment_length / (2 * SPINE_GEOMETRY.segment_offset))
 
 
 def joint_angle(servo: ArrayLike, geometry: Geometry) -> Scalars:
@@ -124,7 +124,8 @@ def joint_angle(servo: ArrayLike, geometry: Geometry) -> Scalars:
     size, sign = _magnitude(servo)
     size = jnp.minimum(size, _servo_magnitude(jnp.asarray(max_joint_angle(), size.dtype), geometry))
     segment = (
-        SPINE.segment_length + jnp.asarray(geometry.spine.pulley_radius, size.dtype) * size / 4
+        SPINE_GEOMETRY.segment_length
+        + jnp.asarray(geometry.spine.pulley_radius, size.dtype) * size / 4
     )
     return sign * (2 * jnp.arcsin(segment / (2 * radius)) - straight)
 
@@ -161,8 +162,10 @@ def _floating(value: ArrayLike) -> Array:
 
 def _chord() -> tuple[float, float]:
     """R [m], from a joint to where its tendon segment ends, and the angle pi - 2 alpha_v that a straight one spans."""
-    radius = math.hypot(SPINE.segment_length / 2, SPINE.segment_offset)
-    return radius, math.pi - 2 * math.atan(2 * SPINE.segment_offset / SPINE.segment_length)
+    radius = math.hypot(SPINE_GEOMETRY.segment_length / 2, SPINE_GEOMETRY.segment_offset)
+    return radius, math.pi - 2 * math.atan(
+        2 * SPINE_GEOMETRY.segment_offset / SPINE_GEOMETRY.segment_length
+    )
 
 
 def _servo_magnitude(theta_v: Array, geometry: Geometry) -> Array:
@@ -170,7 +173,7 @@ def _servo_magnitude(theta_v: Array, geometry: Geometry) -> Array:
     segment = 2 * radius * jnp.sin((theta_v + straight) / 2)
     return (
         4
-        * (segment - SPINE.segment_length)
+        * (segment - SPINE_GEOMETRY.segment_length)
         / jnp.asarray(geometry.spine.pulley_radius, segment.dtype)
     )
 
@@ -199,9 +202,9 @@ def _fixed_transform(theta_v: float) -> tuple[np.ndarray, np.ndarray]:
     """`transform` of a constant, and its slope by the segment's length: adds almost nothing to tracing and
     compilation."""
     pose, stretch = np.eye(4), np.zeros((4, 4))
-    for row, link in enumerate(SPINE.dh):
+    for row, link in enumerate(SPINE_GEOMETRY.dh):
         pose, stretch = _extended(pose, stretch, row, _link(*link))
-        if row in SPINE.lateral_joints:
+        if row in SPINE_GEOMETRY.lateral_joints:
             turned = _link(0.0, 0.0, -theta_v, 0.0)
             pose, stretch = pose @ turned, stretch @ turned
     return pose, stretch
@@ -213,7 +216,7 @@ def _matmul(left: Array, right: Array) -> Array:
 
 
 def _about_z(angle: Array) -> Float[Array, "*batch 4 4"]:
-    angle = jnp.clip(angle, -_LARGEST_ANGLE, _LARGEST_ANGLE)
+    angle = jnp.clip(angle, -_LARGEST_ANGLE_RAD, _LARGEST_ANGLE_RAD)
     cos, sin, zero = jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)
     rows = (
         [cos, -sin, zero, zero],

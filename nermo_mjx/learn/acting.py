@@ -31,7 +31,7 @@ from nermo_mjx.specs.model import Spec, one_of
 from nermo_mjx.specs.values import Ends
 
 #: Servos that actions reach: those of the legs and the spine. The neck and the tail look straight ahead and back.
-ACTED: Final = SERVOS[:9]
+ACTION_SERVOS: Final = SERVOS[:9]
 
 Action = Float[Array, " a"]
 _Range = Annotated[float, Field(ge=0, le=1.6)]
@@ -82,7 +82,7 @@ class ServoAction(Spec, ActionKind):
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(name for name in ACTED if getattr(self, name.rsplit("_", 1)[-1]))
+        return tuple(name for name in ACTION_SERVOS if getattr(self, name.rsplit("_", 1)[-1]))
 
     def moved(self, servo: ServoAngles, action: Action) -> ServoAngles:
         """Servo angles, moved by the action."""
@@ -130,7 +130,7 @@ class Targets(ServoAction):
 
 
 #: Default parameters of `Modulation`, and their ranges.
-MODULATED: Final[Mapping[str, tuple[float, float]]] = {
+MODULATION_RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "frequency": (0.4, 1.4),
     "stride": (0.4, 1.0),
     "spine.amplitude": (0.0, 0.4),
@@ -150,7 +150,7 @@ class Modulation(Spec, ActionKind):
 
     what = "an option of 'modulation'"
     expected = "{ranges: {parameter: [low, high]}}"
-    ranges: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(MODULATED))
+    ranges: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(MODULATION_RANGES))
     """parameters of the controller, and their ranges (low, high), each in its unit"""
 
     def __hash__(self) -> int:

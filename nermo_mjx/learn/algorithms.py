@@ -14,8 +14,8 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from nermo_mjx.learn.experience import (
-    ACTING,
-    SHUFFLING,
+    ACTION_KEY,
+    SHUFFLE_KEY,
     EnvironmentLike,
     Experience,
     Learned,
@@ -33,7 +33,7 @@ Iteration = Callable[[Learned, Any], tuple[Learned, Any, Experience, dict[str, A
 _Hidden = Annotated[tuple[Annotated[int, Whole(1, 4096)], ...], Field(strict=False)]
 
 #: Bounds of a learning rate that follows the policy's change, and the factor of a change of it.
-_SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
+_SMALLEST_RATE, _LARGEST_RATE, _RATE_FACTOR = 1e-5, 1e-2, 1.5
 
 
 def _value_loss(
@@ -81,7 +81,7 @@ class PPO(Spec):
         """A function that does one iteration, see `Iteration`."""
         collect = collector(environment, self.horizon)
         update = jax.jit(functools.partial(self._updated, environment.observation_size))
-        key = jax.jit(lambda learned: learned.random(ACTING))
+        key = jax.jit(lambda learned: learned.random(ACTION_KEY))
 
         def iterate(
             learned: Learned, state: Any
@@ -104,8 +104,8 @@ class PPO(Spec):
         if self.kl is None:
             return rate
         slower, faster = kl > 2.0 * self.kl, kl < 0.5 * self.kl
-        rate = jnp.where(slower, rate / _FACTOR, jnp.where(faster, rate * _FACTOR, rate))
-        return jnp.clip(rate, _SLOWEST, _FASTEST)
+        rate = jnp.where(slower, rate / _RATE_FACTOR, jnp.where(faster, rate * _RATE_FACTOR, rate))
+        return jnp.clip(rate, _SMALLEST_RATE, _LARGEST_RATE)
 
     # Long because one update of the algorithm can be read next to the paper.
     def _updated(
@@ -159,7 +159,7 @@ class PPO(Spec):
 
         previous = (learned.actor, learned.critic, learned.optimizers)
         # Which steps (epochs * minibatches, n) each minibatch contains.
-        keys = jax.random.split(learned.random(SHUFFLING), self.epochs)
+        keys = jax.random.split(learned.random(SHUFFLE_KEY), self.epochs)
         shuffled = jax.vmap(lambda key: jax.random.permutation(key, count))(keys)
         size = count // self.minibatches
         parts = shuffled[:, : size * self.minibatches].reshape(-1, size)

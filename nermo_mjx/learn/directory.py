@@ -49,12 +49,12 @@ from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import SpecError, changes
 
 POLICY_FILE: Final = "policy.npz"
-EVALUATION: Final = "evaluation.parquet"
-SUMMARY: Final = "summary.json"
-SPEC: Final = "training.yaml"
-HISTORY: Final = "history.parquet"
+EVALUATION_FILE: Final = "evaluation.parquet"
+SUMMARY_FILE: Final = "summary.json"
+SPEC_FILE: Final = "training.yaml"
+HISTORY_FILE: Final = "history.parquet"
 #: Role, unit and meaning of the history's columns that every training may have.
-_COLUMNS: Final[dict[str, tuple[str, str, str]]] = {
+_HISTORY_COLUMNS: Final[dict[str, tuple[str, str, str]]] = {
     "steps": ("index", "1", "control steps of all worlds so far"),
     "episodes": (
         "return",
@@ -132,7 +132,7 @@ class Curves:
                 f"mean of the reward's term {term} a step",
             )
             cells = values.astype(int) if name in ("steps", "episodes") else values
-            table.add(name, cells, *_COLUMNS.get(name, reward_column))
+            table.add(name, cells, *_HISTORY_COLUMNS.get(name, reward_column))
         lasted = np.diff([*(first for first, _ in self.codes), iterations])
         code = np.repeat(np.array([code for _, code in self.codes], object), lasted)
         table.add("code", code, "code", "1", "which code made the row, by its name in run.json")
@@ -145,7 +145,7 @@ def read_curves(out: str | os.PathLike[str]) -> pa.Table:
     Raises:
         DirectoryError: there is none, it is damaged, or cannot be read now.
     """
-    return stored_table(Path(out) / HISTORY, "history of a training")
+    return stored_table(Path(out) / HISTORY_FILE, "history of a training")
 
 
 class TrainingDirectory:
@@ -199,7 +199,7 @@ class TrainingDirectory:
             if differences := changes(former["fields"], current["fields"]):
                 raise WrongDirectory(
                     f"{self.out} holds another training, with another {', '.join(differences)} (see "
-                    f"{self.out / SPEC}); choose another directory."
+                    f"{self.out / SPEC_FILE}); choose another directory."
                 )
             if (differences := changes(former["defaults"], current["defaults"])) and not accept:
                 raise OtherCode(
@@ -228,7 +228,7 @@ class TrainingDirectory:
     def claim(self) -> None:
         """Claim the directory for this training; a user's own files in the way are moved aside."""
         self.training = self.training.with_code_copied(self.out.resolve(), self.held.write)
-        write_described(self.held, SPEC, self.training, Training.from_file, self._warn)
+        write_described(self.held, SPEC_FILE, self.training, Training.from_file, self._warn)
 
     def keep(self, learned: Learned, curves: Curves) -> None:
         """Store what was learned, and its history."""
@@ -245,7 +245,7 @@ class TrainingDirectory:
 
     def publish(self, curves: Curves, units: Mapping[str, str], policy: bytes | None) -> None:
         """Make history.parquet and policy.npz of the latest checkpoint."""
-        self.held.write(HISTORY, parquet_bytes(curves.table(units, self.training.digest())))
+        self.held.write(HISTORY_FILE, parquet_bytes(curves.table(units, self.training.digest())))
         if policy is not None:
             self.held.write(POLICY_FILE, policy)
 
@@ -254,17 +254,19 @@ def training_status(out: Path) -> Status:
     """How many iterations the history of a training's directory has."""
     notes, rows, step_count, until = list[str](), None, 0, None
     try:
-        training = Training.from_file(out / SPEC)
+        training = Training.from_file(out / SPEC_FILE)
         rows, until = training.iterations, training.until
     except (SpecError, OSError) as error:
         notes.append(f"Its training cannot be read: {error}")
-    if metadata := metadata_of(out / HISTORY, notes, "it is made again of the checkpoints."):
+    if metadata := metadata_of(out / HISTORY_FILE, notes, "it is made again of the checkpoints."):
         step_count = metadata.num_rows
         if until is not None:  # one that was good enough before has no more of them
             with contextlib.suppress(FileError):
-                summary = json_of(content_of(out / SUMMARY) or b"{}", dict[str, Any], out / SUMMARY)
+                summary = json_of(
+                    content_of(out / SUMMARY_FILE) or b"{}", dict[str, Any], out / SUMMARY_FILE
+                )
                 rows = step_count if summary.get("complete") is True else rows
-    complete = rows is not None and step_count >= rows and (out / SUMMARY).exists()
+    complete = rows is not None and step_count >= rows and (out / SUMMARY_FILE).exists()
     return status_of(
         "iterations",
         out,
@@ -272,7 +274,7 @@ def training_status(out: Path) -> Status:
         rows,
         complete,
         command="train",
-        spec=SPEC,
+        spec=SPEC_FILE,
         engine=engine_of(out),
         notes=notes,
     )

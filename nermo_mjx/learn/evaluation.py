@@ -15,7 +15,14 @@ from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.own import code_place, own_terminations
 from nermo_mjx.learn.policy import Policy, RandomPolicy, load_policy
 from nermo_mjx.learn.spec import Training
-from nermo_mjx.learn.task import ADDED, GIVEN, PUSHES, Task, pushes_of, task_parameters
+from nermo_mjx.learn.task import (
+    EPISODE_PARAMETERS,
+    POLICY_PARAMETERS,
+    PUSH_PARAMETERS,
+    Task,
+    pushes_of,
+    task_parameters,
+)
 from nermo_mjx.progress import shown_share
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, identified
@@ -28,13 +35,13 @@ from nermo_mjx.rollout.simulator import default_precision
 from nermo_mjx.runs.rows import Columns
 
 #: Added to a training's seed, so that no training episode was drawn from such a key.
-UNSEEN: Final = 0x5EED
+EVALUATION_OFFSET: Final = 0x5EED
 #: Policies without a file.
-ZERO, RANDOM = "zero", "random"
+ZERO_POLICY, RANDOM_POLICY = "zero", "random"
 #: What is evaluated: the policy, and the controller that it acts on.
-POLICY, ALONE = "policy", "alone"
+POLICY, BASELINE = "policy", "alone"
 #: Metrics of the table.
-METRICS: Final = (
+EVALUATION_METRICS: Final = (
     "speed",
     "distance",
     "lateral_drift",
@@ -79,7 +86,7 @@ class PolicyEvaluator:
         progress: Callable[[float], None] | None = None,
         *,
         draws: Draws | None = None,
-        walkers: tuple[str, ...] = (POLICY, ALONE),
+        walkers: tuple[str, ...] = (POLICY, BASELINE),
     ) -> pa.Table:
         """Simulate every evaluation scene, with the policy and the controller alone, from the same starts and bodies.
 
@@ -87,7 +94,7 @@ class PolicyEvaluator:
             policy: of the training.
             progress: called with the share done.
             draws: of bodies and starts; by default those of the training's evaluation.
-            walkers: of `POLICY` and `ALONE`.
+            walkers: of `POLICY` and `BASELINE`.
 
         Returns:
             One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a
@@ -95,7 +102,7 @@ class PolicyEvaluator:
             scene's corridor, and none of the task's own terminations was true while it was measured.
         """
         training = self.training
-        draws = draws or Draws(training.evaluation.bodies, UNSEEN)
+        draws = draws or Draws(training.evaluation.bodies, EVALUATION_OFFSET)
         cases = [
             (setup, task, walker) for setup, task in training.evaluated() for walker in walkers
         ]
@@ -189,7 +196,8 @@ def recorded(
         walk_setup = _setup(setup, policy)
         simulator = Simulator(walk_setup, engine=engine)
         values = _known(
-            simulator.setup, {**task.set, **unseen_bodies(training, task, Draws(1, UNSEEN))}
+            simulator.setup,
+            {**task.set, **unseen_bodies(training, task, Draws(1, EVALUATION_OFFSET))},
         )
         yield (
             scene_name(str(setup.scene)),
@@ -229,10 +237,10 @@ def played_task(
     training = dataclasses.replace(training, evaluation=evaluation, run=run)
     ((setup, task),) = training.evaluated()
     task.check(setup)
-    if policy in (ZERO, RANDOM):
+    if policy in (ZERO_POLICY, RANDOM_POLICY):
         environment = Environment(setup, worlds=1, task=task)
         acting = Policy.of(environment, training.algorithm.begin(environment, training.seed))
-        acting = RandomPolicy(**vars(acting)) if policy == RANDOM else acting
+        acting = RandomPolicy(**vars(acting)) if policy == RANDOM_POLICY else acting
     else:
         acting = load_policy(policy, code_place(training.task.observe))
     commands = acting.observer.commands
@@ -242,11 +250,15 @@ def played_task(
         {"sensing.delay"} if is_delayed else set()
     )
     for name in values:
-        if name in PUSHES:
+        if name in PUSH_PARAMETERS:
             raise ParameterError(
                 f"{name} is given, and a walk that is played is not pushed: push it in drive."
             )
-        if name in GIVEN and name not in declared and not (noisy and name.endswith("_noise")):
+        if (
+            name in POLICY_PARAMETERS
+            and name not in declared
+            and not (noisy and name.endswith("_noise"))
+        ):
             raise ParameterError(
                 f"{name} is given, and the policy was not trained with it: leave it out."
             )
@@ -305,7 +317,9 @@ def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
     """The values that a setup has a name for: a controller alone is not commanded, and has no late sensors."""
     declarations = dict(quantities(setup.world({})))
     return {
-        name: value for name, value in values.items() if name in declarations or name not in ADDED
+        name: value
+        for name, value in values.items()
+        if name in declarations or name not in EPISODE_PARAMETERS
     }
 
 
@@ -326,7 +340,7 @@ def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
     for name in dict.fromkeys(name for part in parts for name in part.drawn):
         values = np.concatenate([part.drawn.get(name, np.full(n, np.nan)) for part in parts])
         table.add(name, values, "randomized", units[name].unit, units[name].doc)
-    for name in METRICS:
+    for name in EVALUATION_METRICS:
         column = np.concatenate([np.asarray(part.result.metrics[name]) for part in parts])
         table.add(name, column, "metric", metrics[name].unit, metrics[name].doc)
     status = np.concatenate([np.asarray(part.result.status) for part in parts])

@@ -392,7 +392,7 @@ def scanned(
 
 
 #: Gradients of a network are clipped to this 2-norm.
-LONGEST_STEP = 1.0
+MAX_GRADIENT_NORM = 1.0
 
 
 @jax.tree_util.register_dataclass
@@ -435,7 +435,7 @@ class Learned:
 
 
 #: Purposes of random numbers.
-RESET, ACTING, SHUFFLING = range(3)
+RESET_KEY, ACTION_KEY, SHUFFLE_KEY = range(3)
 
 
 def beginning(
@@ -469,7 +469,7 @@ def beginning(
 
 def descent() -> optax.GradientTransformation:
     """Adam's direction; the learning rate comes with each step."""
-    return optax.chain(optax.clip_by_global_norm(LONGEST_STEP), optax.scale_by_adam(eps=1e-7))
+    return optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(eps=1e-7))
 
 
 def stepped(network: Any, gradient: Any, state: Any, rate: Any) -> Any:

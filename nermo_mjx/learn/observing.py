@@ -16,13 +16,13 @@ from jaxtyping import Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.pilot import heading
-from nermo_mjx.control.protocol import NAMED, Ground
+from nermo_mjx.control.protocol import OBJECT_FORM, Ground
 from nermo_mjx.kinematics.body import attitude
-from nermo_mjx.learn.acting import ACTED
+from nermo_mjx.learn.acting import ACTION_SERVOS
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import SCANNED, reading_names
+from nermo_mjx.robot.parameters import SCAN_POINTS, reading_names
 from nermo_mjx.robot.quantity import parameter_tree, quantity
 from nermo_mjx.rollout.metrics import LOADED
 from nermo_mjx.shapes import Array, Scalar
@@ -31,7 +31,7 @@ Vector = Float[Array, " k"]
 
 #: The longest delay that readings may have [s].
 LONGEST_DELAY: Final = 0.1
-_AXES: Final = ("x", "y", "z")
+_AXIS_NAMES: Final = ("x", "y", "z")
 
 
 @parameter_tree
@@ -85,7 +85,7 @@ def current(sensors: Sensors) -> Float[Array, " k"]:
     """
     servo = ModelParameters().servo
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
-    return servo.idle_current + per_torque * jnp.abs(sensors.servo_torque[: len(ACTED)])
+    return servo.idle_current + per_torque * jnp.abs(sensors.servo_torque[: len(ACTION_SERVOS)])
 
 
 def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> Float[Array, " 12"]:
@@ -96,7 +96,7 @@ def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> 
     """
     x, y, _ = sensors.position
     left_direction, ahead = directions(attitude(sensors.orientation)[2] if yaw is None else yaw)
-    points = jnp.asarray(SCANNED)
+    points = jnp.asarray(SCAN_POINTS)
     heights = ground(
         x + points[:, 0] * left_direction[0] + points[:, 1] * ahead[0],
         y + points[:, 0] * left_direction[1] + points[:, 1] * ahead[1],
@@ -111,9 +111,9 @@ def directions(yaw: Scalar) -> tuple[Array, Array]:
 
 #: What the robot senses, and the ground's heights, by names of `READINGS`. Currents are what a motor's supply shows of
 #: its torque: no sign.
-SENSED: Final[dict[str, Sensed]] = {
-    "servo_angle": Sensed(lambda s: s.servo_angle[: len(ACTED)]),
-    "servo_torque": Sensed(lambda s: s.servo_torque[: len(ACTED)], 0.1),
+SENSED_READINGS: Final[dict[str, Sensed]] = {
+    "servo_angle": Sensed(lambda s: s.servo_angle[: len(ACTION_SERVOS)]),
+    "servo_torque": Sensed(lambda s: s.servo_torque[: len(ACTION_SERVOS)], 0.1),
     "motor_current": Sensed(current, 0.5),
     "knee_angle": Sensed(lambda s: s.knee_angle),
     "foot_contact": Sensed(contact),
@@ -122,14 +122,14 @@ SENSED: Final[dict[str, Sensed]] = {
     "projected_gravity": Sensed(projected_gravity),
     "height_scan": Sensed(height_scan, 0.01, ground=True),
 }
-_RENAMED: Final = {
+_FORMER_READINGS: Final = {
     "servo_load": "servo_torque",
     "servo_current": "motor_current",
     "tilt": "projected_gravity",
 }
 #: What files of former versions call readings and their noise.
-FORMER: Final = _RENAMED | {
-    f"sensing.{old}_noise": f"sensing.{new}_noise" for old, new in _RENAMED.items()
+FORMER_NAMES: Final = _FORMER_READINGS | {
+    f"sensing.{old}_noise": f"sensing.{new}_noise" for old, new in _FORMER_READINGS.items()
 }
 
 
@@ -140,17 +140,17 @@ def today(name: str) -> str:
     ('spine_servo_torque', 'gyro_x', 'phase.cos')
     """
     group, _, label = name.partition(".")
-    group = FORMER.get(group, group)
-    if not label or group not in SENSED:
+    group = FORMER_NAMES.get(group, group)
+    if not label or group not in SENSED_READINGS:
         return name
-    return f"{group}_{label}" if label in _AXES else f"{label}_{group}"
+    return f"{group}_{label}" if label in _AXIS_NAMES else f"{label}_{group}"
 
 
 #: Other inputs of a policy: the gait's phase as cosine and sine, the command, where it is beside the path, the path's
 #: curvature there, and its own last action.
-TOLD: Final = ("phase", "command", "path", "curvature", "action")
+POLICY_INPUTS: Final = ("phase", "command", "path", "curvature", "action")
 #: Default observation of a policy.
-OBSERVED: Final = (
+DEFAULT_OBSERVATION: Final = (
     "servo_angle",
     "servo_torque",
     "knee_angle",
@@ -187,14 +187,14 @@ class Observer:
     """Makes observations of one world.
 
     Attributes:
-        groups: names of `SENSED` and `TOLD`, in the order in which they are observed.
+        groups: names of `SENSED_READINGS` and `POLICY_INPUTS`, in the order in which they are observed.
         commands: names of what is commanded.
         actions: names of the actions.
         phase, path: whether the controller has a phase and a path.
         delayed: largest delay of readings, in control ticks.
         noisy: whether there is noise.
         dt: length of a control tick [s].
-        own: name and readings of each group of one's own, observed after those of `SENSED`.
+        own: name and readings of each group of one's own, observed after those of `SENSED_READINGS`.
     """
 
     groups: tuple[str, ...]
@@ -208,18 +208,22 @@ class Observer:
     own: tuple[tuple[str, Sensed], ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "groups", tuple(FORMER.get(name, name) for name in self.groups))
-        allowed = (*SENSED, *TOLD)
+        object.__setattr__(
+            self, "groups", tuple(FORMER_NAMES.get(name, name) for name in self.groups)
+        )
+        allowed = (*SENSED_READINGS, *POLICY_INPUTS)
         for name in self.groups:
             if name not in allowed:
                 raise ParameterError(
-                    f"observe has {name!r}: allowed is {', '.join(allowed)}, or {NAMED}."
+                    f"observe has {name!r}: allowed is {', '.join(allowed)}, or {OBJECT_FORM}."
                 )
 
     @property
     def sensed(self) -> dict[str, Sensed]:
         """The groups that come from sensors, by name."""
-        return {name: SENSED[name] for name in self.groups if name in SENSED} | dict(self.own)
+        return {
+            name: SENSED_READINGS[name] for name in self.groups if name in SENSED_READINGS
+        } | dict(self.own)
 
     @property
     def sees_path(self) -> bool:
@@ -239,7 +243,7 @@ class Observer:
         labels = {name: _names(name, group) for name, group in self.sensed.items()}
         labels |= {
             name: tuple(f"{name}.{label}" for label in told_labels[name])
-            for name in TOLD
+            for name in POLICY_INPUTS
             if name in self.groups
         }
         return tuple(itertools.chain.from_iterable(labels.values()))
@@ -323,14 +327,14 @@ class Observer:
                 [told.path.error / 0.1, heading(told.path, sensors, told.geometry)]
             )
             parts["curvature"] = jnp.reshape(told.path.curvature * 0.5, 1)
-        selected = [parts[name] for name in TOLD if name in self.groups and name in parts]
+        selected = [parts[name] for name in POLICY_INPUTS if name in self.groups and name in parts]
         return jnp.concatenate(selected) if selected else jnp.zeros(0)
 
 
 def _names(name: str, group: Sensed) -> tuple[str, ...]:
     """Of every number of a group of readings."""
     labels = tuple(f"{name}_{label}" if label else name for label in group.labels)
-    return labels or tuple(reading_names(name, ACTED))
+    return labels or tuple(reading_names(name, ACTION_SERVOS))
 
 
 def privileged_names(
@@ -339,7 +343,7 @@ def privileged_names(
     """Of every number that `privileged` gives."""
     return (
         *(f"exact.{name}" for name in observed),
-        *(f"velocity.{axis}" for axis in _AXES),
+        *(f"velocity.{axis}" for axis in _AXIS_NAMES),
         *reading_names("projected_gravity"),
         "height",
         *reading_names("foot_force"),
@@ -385,7 +389,7 @@ def privileged(
             height / 0.05,
             jnp.tanh(force / 2.0),
             feet / 0.01,
-            height_scan(sensors, ground, yaw) / SENSED["height_scan"].scale,
+            height_scan(sensors, ground, yaw) / SENSED_READINGS["height_scan"].scale,
             *course,
             jnp.reshape(time_left, 1),
             sampled,

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.control.protocol import Ground, function_place, load_object, named_object, user_code
-from nermo_mjx.learn.observing import SENSED, TOLD, Sensed
+from nermo_mjx.learn.observing import POLICY_INPUTS, SENSED_READINGS, Sensed
 from nermo_mjx.robot import ParameterError, RobotConfig, Sensors
 from nermo_mjx.rollout.custom_metrics import at_rest, described, numbers_at_rest
 from nermo_mjx.runtime import start_jax
@@ -67,7 +67,7 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
     readings: dict[str, Sensed] = {}
     for reference in filter(is_own, observe):
         name = own_name(reference)
-        if name in (*SENSED, *TOLD, *readings):
+        if name in (*SENSED_READINGS, *POLICY_INPUTS, *readings):
             raise ParameterError(
                 f"observe has {reference!r}, but {name} is observed already: give it another name."
             )
@@ -128,18 +128,20 @@ def own_terminations(
 
 
 #: How many draws of a sampler are checked, at the beginning of a training and after it.
-_TRIED = 64
+_CHECKED_SAMPLES = 64
 
 
 @functools.lru_cache(maxsize=32)
 def _drawn(reference: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
-    """Where a sampler stands, and values that it draws, by parameter (2 * _TRIED,)."""
+    """Where a sampler stands, and values that it draws, by parameter (2 * _CHECKED_SAMPLES,)."""
     function = own_function("commands", reference)
     subject = f"commands has {function_place(own_name(reference), function)}"
     start_jax()
-    keys = jnp.tile(jax.random.split(jax.random.key(0), _TRIED), 2)
+    keys = jnp.tile(jax.random.split(jax.random.key(0), _CHECKED_SAMPLES), 2)
     with user_code(f"{subject}, which fails"):
-        samples = jax.jit(jax.vmap(function))(keys, jnp.repeat(jnp.array([0.0, jnp.inf]), _TRIED))
+        samples = jax.jit(jax.vmap(function))(
+            keys, jnp.repeat(jnp.array([0.0, jnp.inf]), _CHECKED_SAMPLES)
+        )
     if not isinstance(samples, dict) or not samples:
         raise ParameterError(
             f"{subject}, which gives {described(samples)}: expected values by parameters' names."

@@ -31,7 +31,7 @@ from nermo_mjx.rollout.setup import Setup
 
 __all__ = ["NermoMjxEnv", "default_config", "register"]
 
-_ARRIVED: Final = list(Outcome).index(Outcome.arrived)
+_ARRIVAL_CODE: Final = list(Outcome).index(Outcome.arrived)
 
 
 def default_config(setup: Setup | None = None, task: Task | None = None) -> ConfigDict:
@@ -143,7 +143,7 @@ class NermoMjxEnv(MjxEnv):
             qacc_warmstart=carry.physics.qacc_warmstart,
             sensordata=carry.sensordata[-1],
         )
-        is_done = observed.terminated | (observed.status == _ARRIVED)
+        is_done = observed.terminated | (observed.status == _ARRIVAL_CODE)
         metrics = {f"reward/{name}": value for name, value in observed.terms.items()}
         metrics |= {f"episode/{name}": value for name, value in observed.episode.items()}
         return State(

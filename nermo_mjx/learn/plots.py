@@ -10,12 +10,12 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from nermo_mjx.learn.directory import EVALUATION, SPEC, Curves, read_curves
-from nermo_mjx.learn.evaluation import ALONE, POLICY, summary_of
+from nermo_mjx.learn.directory import EVALUATION_FILE, SPEC_FILE, Curves, read_curves
+from nermo_mjx.learn.evaluation import BASELINE, POLICY, summary_of
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import Figures
-from nermo_mjx.plotting.style import BAND, LINE, MUTED, SERIES
+from nermo_mjx.plotting.style import BAND_COLOUR, LINE_COLOUR, MUTED_INK, SERIES
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
 
@@ -30,7 +30,7 @@ PANELS: Final = {
     "explained": "variance that the\ncritic explains [%]",
 }
 #: Iterations over which a curve is smoothed, as a fraction of all.
-_SMOOTHING: Final = 0.02
+_SMOOTHING_FRACTION: Final = 0.02
 
 
 def figures_of_training(
@@ -50,13 +50,13 @@ def training_figures(out: Path) -> Figures:
         SpecError: its training.yaml cannot be read.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    training, history = Training.from_file(out / SPEC), read_curves(out)
+    training, history = Training.from_file(out / SPEC_FILE), read_curves(out)
     if not history.num_rows:
         raise DirectoryError(f"there is nothing to draw of {out}: no section of it is finished.")
     names = tuple(name for name in history.column_names if name not in ("iteration", "code"))
     rows = np.stack([np.asarray(history.column(name), float) for name in names], axis=1)
     return figures_of_training(
-        training, Curves(names, rows), parquet_table(content_of(out / EVALUATION) or b"")
+        training, Curves(names, rows), parquet_table(content_of(out / EVALUATION_FILE) or b"")
     )
 
 
@@ -72,10 +72,10 @@ def curves_figure(training: Training, curves: Curves) -> Figure:
         values = curves.column(name) * factor.get(name, 1.0)
         fine = np.isfinite(values)
         if 2 * fine.sum() < len(values):  # episodes that end together
-            ax.plot(_million(curves)[fine], values[fine], "o-", color=LINE, ms=3.5)
+            ax.plot(_million(curves)[fine], values[fine], "o-", color=LINE_COLOUR, ms=3.5)
         else:
-            ax.plot(_million(curves), values, color=BAND, lw=0.7)
-            ax.plot(_million(curves), _smooth(values), color=LINE)
+            ax.plot(_million(curves), values, color=BAND_COLOUR, lw=0.7)
+            ax.plot(_million(curves), _smooth(values), color=LINE_COLOUR)
         horizontal_grid(ax)
         ax.set_ylabel(label)
         if name in ("lasted", "explained"):
@@ -109,7 +109,7 @@ def evaluation_figure(training: Training, table: pa.Table) -> Figure:
     note = f"{_what(training)}; {count:,} bodies and starts on each scene, none seen in training; whiskers: quartiles"
     figure = page("Evaluation", 7.2, 3.4, note)
     axes = figure.subplots(1, 2)
-    for i, (walker, colour) in enumerate(((POLICY, LINE), (ALONE, MUTED))):
+    for i, (walker, colour) in enumerate(((POLICY, LINE_COLOUR), (BASELINE, MUTED_INK))):
         label = "policy" if walker == POLICY else "controller alone"
         positions = np.arange(len(summary)) + (i - 0.5) * 0.36
         axes[0].bar(
@@ -153,7 +153,7 @@ def _million(curves: Curves) -> np.ndarray:
 
 def _smooth(values: np.ndarray) -> np.ndarray:
     """A moving mean over what is finite; NaN where nothing near is."""
-    width = min(max(1, round(_SMOOTHING * len(values))), (len(values) - 1) // 2)
+    width = min(max(1, round(_SMOOTHING_FRACTION * len(values))), (len(values) - 1) // 2)
     kernel, fine = np.ones(2 * width + 1), np.isfinite(values)
     total = np.convolve(np.where(fine, values, 0.0), kernel, "same")
     count = np.convolve(fine.astype(float), kernel, "same")

@@ -23,14 +23,20 @@ from pydantic import BaseModel, Field, FiniteFloat
 
 from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.control.protocol import NAMED, ChecksParameters, CompletesValues, Ground, Source
-from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, check_arrays, read_as, read_bytes
+from nermo_mjx.control.protocol import (
+    OBJECT_FORM,
+    ChecksParameters,
+    CompletesValues,
+    Ground,
+    Source,
+)
+from nermo_mjx.files import MAX_ARRAY_BYTES, FileError, arrays_of, check_arrays, read_as, read_bytes
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.experience import Actor, Learned, Statistics
-from nermo_mjx.learn.observing import FORMER, LONGEST_DELAY, Observer, today
+from nermo_mjx.learn.observing import FORMER_NAMES, LONGEST_DELAY, Observer, today
 from nermo_mjx.learn.own import code_place, drawn_by, own_readings
-from nermo_mjx.learn.task import GIVEN, Given, commanded
+from nermo_mjx.learn.task import POLICY_PARAMETERS, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.parameters import PRESETS
@@ -51,10 +57,10 @@ from nermo_mjx.shapes import Array, Count, Scalar
 from nermo_mjx.specs.model import named_section
 
 #: What a file says that it is, and the latest form of it that is read.
-KIND: Final = "nermo-mjx policy"
-FORM: Final = 1
+FILE_KIND: Final = "nermo-mjx policy"
+FORMAT_VERSION: Final = 1
 #: Choices of a setup that decide the controller that is acted on.
-BASE: Final = (
+BASE_CHOICES: Final = (
     "robot",
     "tail",
     "routing",
@@ -148,17 +154,17 @@ class Policy:
         normalized = {
             name: 0.5 * (low + high)
             for name, (low, high) in task.randomize.items()
-            if name in GIVEN
+            if name in POLICY_PARAMETERS
         }
         if task.commands is not None:
             normalized |= {
                 name: float(np.median(sample))
                 for name, sample in drawn_by(task.commands)[1].items()
-                if name in GIVEN
+                if name in POLICY_PARAMETERS
             }
         code = code_place(task.observe)
         if code:
-            source = Source.named("observe has", code, NAMED)
+            source = Source.named("observe has", code, OBJECT_FORM)
             groups = [name for name, _ in environment.loop.observer.own]
             about = {
                 **(about or {}),
@@ -168,7 +174,7 @@ class Policy:
         fixed = {
             name: float(value)
             for name, value in task.set.items()
-            if name in declarations or name in GIVEN
+            if name in declarations or name in POLICY_PARAMETERS
         }
         return cls(
             learned.actor,
@@ -176,7 +182,7 @@ class Policy:
             task.action,
             environment.loop.observer,
             task.decimation,
-            {name: getattr(setup, name) for name in BASE},
+            {name: getattr(setup, name) for name in BASE_CHOICES},
             fixed | normalized,
             {**(about or {}), "judged": (about or {}).get("judged", judged_in(setup))},
         )
@@ -184,7 +190,7 @@ class Policy:
     def upon(self, **choices: Any) -> Policy:
         """See `ActsUpon`: what it observes of a path is that of the new one."""
         for name in choices:
-            choice("choice", name, BASE)
+            choice("choice", name, BASE_CHOICES)
         if self.observer.sees_path and choices.get("pilot") == "open_loop":
             raise ParameterError(
                 "pilot is 'open_loop', which has no path, and the policy observes one."
@@ -226,13 +232,14 @@ class Policy:
     def parameters(self) -> PolicyParameters:
         """See `ControllerLike`; they can be named as those of the controller below."""
         control = self.setup.world(
-            {name: value for name, value in self.fixed.items() if name not in GIVEN}
+            {name: value for name, value in self.fixed.items() if name not in POLICY_PARAMETERS}
         ).control
         network = self.actor, self.statistics
         if not (self.observer.commands or self.observer.delayed or self.observer.noisy):
             return PolicyParameters(control=control, network=network)
         control_given = replace_quantities(
-            Given(), {name: value for name, value in self.fixed.items() if name in GIVEN}
+            Given(),
+            {name: value for name, value in self.fixed.items() if name in POLICY_PARAMETERS},
         )
         return PolicyParameters(control=control, given=control_given, network=network)
 
@@ -324,9 +331,14 @@ class Policy:
         for name, _ in self.observer.own:
             if name not in groups:
                 raise ParameterError(
-                    f"observe has {name}: name it as {NAMED}, as a policy's file can."
+                    f"observe has {name}: name it as {OBJECT_FORM}, as a policy's file can."
                 )
-        metadata = {"kind": KIND, "form": FORM, "layers": len(self.actor.layers), **self.facts()}
+        metadata = {
+            "kind": FILE_KIND,
+            "form": FORMAT_VERSION,
+            "layers": len(self.actor.layers),
+            **self.facts(),
+        }
         arrays: dict[str, Any] = {"about": np.frombuffer(json.dumps(metadata).encode(), np.uint8)}
         for i, (weights, bias) in enumerate(self.actor.layers):
             arrays |= {f"weights.{i}": np.asarray(weights), f"bias.{i}": np.asarray(bias)}
@@ -371,7 +383,7 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
     """
     subject = f"controller is '{path}'"
     try:
-        policy = _policy(read_bytes(Path(path), MOST_ARRAYS))
+        policy = _policy(read_bytes(Path(path), MAX_ARRAY_BYTES))
     except OSError as error:
         raise ParameterError(f"{subject}: it cannot be read ({error.strerror}).") from None
     except (FileError, ParameterError) as error:
@@ -389,7 +401,9 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
         raise ParameterError(
             f"{subject}, {observed}, code that is run only where you name it: {path}:{custom_code['file']}."
         )
-    if (digest := Source.named("controller is", code, NAMED).digest()) != custom_code["digest"]:
+    if (digest := Source.named("controller is", code, OBJECT_FORM).digest()) != custom_code[
+        "digest"
+    ]:
         raise ParameterError(
             f"{subject}, {observed} with the digest {custom_code['digest']}; that of {code} is {digest}:"
             " give the file with which it was trained."
@@ -437,7 +451,7 @@ class _About(BaseModel, extra="forbid"):
     """What a file says; there are no other keys, and none of them names code."""
 
     kind: Literal["nermo-mjx policy"]
-    form: Annotated[int, Field(ge=1, le=FORM)]
+    form: Annotated[int, Field(ge=1, le=FORMAT_VERSION)]
     layers: Annotated[int, Field(ge=1, le=100)]
     action: ActionField
     actions: tuple[str, ...]
@@ -460,7 +474,7 @@ def _policy(content: bytes) -> Policy:
         raise FileError("it has no 'about'")
     metadata: _About = read_as(arrays.pop("about").tobytes(), _About, "about")
     for name in metadata.base:
-        choice("base", name, BASE)
+        choice("base", name, BASE_CHOICES)
     if (
         metadata.observer.delayed < 0
         or metadata.observer.delayed * metadata.observer.dt > 2 * LONGEST_DELAY
@@ -498,7 +512,7 @@ def _policy(content: bytes) -> Policy:
         metadata.observer,
         metadata.decimation,
         metadata.base,
-        {FORMER.get(name, name): value for name, value in metadata.fixed.items()},
+        {FORMER_NAMES.get(name, name): value for name, value in metadata.fixed.items()},
         metadata.model_dump(include={"trained", "judged", "versions", "own"}, exclude_none=True),
     )
     if metadata.own is None and policy.observer.names != tuple(map(today, metadata.observation)):

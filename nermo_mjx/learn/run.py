@@ -26,16 +26,16 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from nermo_mjx.learn.directory import (
-    EVALUATION,
+    EVALUATION_FILE,
     POLICY_FILE,
-    SPEC,
-    SUMMARY,
+    SPEC_FILE,
+    SUMMARY_FILE,
     Curves,
     TrainingDirectory,
 )
 from nermo_mjx.learn.environment import Environment, Mixture
 from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, recorded, summary_of
-from nermo_mjx.learn.experience import RESET, EnvironmentLike, EpisodeScores, Learned
+from nermo_mjx.learn.experience import RESET_KEY, EnvironmentLike, EpisodeScores, Learned
 from nermo_mjx.learn.own import code_place
 from nermo_mjx.learn.policy import Policy, judged_in, load_policy
 from nermo_mjx.learn.spec import Training, Until
@@ -57,11 +57,11 @@ from nermo_mjx.runs.job import (
 from nermo_mjx.runtime import compiler_options
 
 #: The table of what was tried: one row per checkpoint.
-VALIDATION: Final = "validation.parquet"
+VALIDATION_FILE: Final = "validation.parquet"
 #: A video of the policy after so many control steps.
-VIDEO: Final = "videos/{:012d}.mp4"
+VIDEO_FILE: Final = "videos/{:012d}.mp4"
 #: Added to a training's seed; another number than that of the evaluation.
-_KEY: Final = 0xB0D1E5
+_VALIDATION_OFFSET: Final = 0xB0D1E5
 
 
 class _Tried(NamedTuple):
@@ -94,7 +94,7 @@ class BestPolicy:
         """`walks` gives the share of a policy's successes on each scene; `warn` is told if the policy is gone; `code`
         is what policies need beside them."""
         self._held, self._walks, self._warn, self._code = directory, walks, warn, code
-        table = parquet_table(content_of(directory.out / VALIDATION) or b"")
+        table = parquet_table(content_of(directory.out / VALIDATION_FILE) or b"")
         rows = [] if table is None else table.to_pylist()
         self._tried = [_Tried(row.pop("steps"), row) for row in rows]
 
@@ -117,7 +117,7 @@ class BestPolicy:
                 stored = policy
             self._tried.append(candidate)
             rows = [{"steps": tried.steps, **tried.scenes} for tried in self._tried]
-            self._held.write(VALIDATION, parquet_bytes(pa.Table.from_pylist(rows)))
+            self._held.write(VALIDATION_FILE, parquet_bytes(pa.Table.from_pylist(rows)))
         return stored or policy
 
     def enough(self, until: Until | None, steps: int) -> bool:
@@ -132,7 +132,9 @@ def successes(evaluator: PolicyEvaluator, policy: Policy) -> dict[str, float]:
     """The share of a policy's walks on each scene of the evaluation that succeed, and are as fast as `until` asks for:
     `validation` of them."""
     training = evaluator.training
-    table = evaluator(policy, draws=Draws(training.validation, _KEY), walkers=(POLICY,))
+    table = evaluator(
+        policy, draws=Draws(training.validation, _VALIDATION_OFFSET), walkers=(POLICY,)
+    )
     if training.until is not None:
         fast = pc.fill_null(pc.greater_equal(table["speed"], training.until.speed), False)
         column = table.column_names.index("success")
@@ -208,11 +210,11 @@ def run_training(
     if video:
         from nermo_mjx.view import check_video
 
-        check_video(training.setup.load().model, VIDEO.format(0))
+        check_video(training.setup.load().model, VIDEO_FILE.format(0))
     name = training_engine(engine)
     with (
         TrainingDirectory(out, training, name, watch.warn) as directory,
-        resumable(directory.out, f"train {directory.out / SPEC}") as interruption,
+        resumable(directory.out, f"train {directory.out / SPEC_FILE}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         worlds = environment or training.environment(name)
@@ -236,7 +238,7 @@ def run_training(
         table = None if policy is None else _evaluated(directory, policy, evaluator, watch)
         summary = _summary(training, learned, curves, policy, table)
         summary["complete"] = _ended(training, learned, curves, choice)
-        directory.held.write(SUMMARY, to_json(summary))
+        directory.held.write(SUMMARY_FILE, to_json(summary))
         plots = _write_plots(directory.out, training, curves, table) if training.plots else []
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
@@ -302,7 +304,7 @@ class _Learning:
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
             so_far = {} if self._robot is None else {"steps": float(learned.steps)}
-            state = reset(learned.random(RESET), **so_far)
+            state = reset(learned.random(RESET_KEY), **so_far)
             scores = EpisodeScores.none(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
@@ -326,7 +328,7 @@ class _Learning:
                 self.directory.keep(learned, curves)
             self.publish(learned, curves)
             if self.video and (policy := self._policy(learned)) is not None:
-                self._film(policy, self.directory.out / VIDEO.format(int(learned.steps)))
+                self._film(policy, self.directory.out / VIDEO_FILE.format(int(learned.steps)))
         return learned, curves
 
     def publish(self, learned: Learned, curves: Curves) -> Policy | None:
@@ -387,7 +389,7 @@ def _evaluated(
     directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch
 ) -> pa.Table:
     """The evaluation of this policy, which is made once."""
-    cached = parquet_table(content_of(directory.out / EVALUATION) or b"")
+    cached = parquet_table(content_of(directory.out / EVALUATION_FILE) or b"")
     training = directory.training
     policy_key = f"{training.digest()} {training.evaluation} {training.run} {policy.about['trained']['steps']}"
     if (
@@ -399,7 +401,7 @@ def _evaluated(
     table = table.replace_schema_metadata(
         {**(table.schema.metadata or {}), b"evaluated": policy_key.encode()}
     )
-    directory.held.write(EVALUATION, parquet_bytes(table))
+    directory.held.write(EVALUATION_FILE, parquet_bytes(table))
     return table
 
 
@@ -437,7 +439,7 @@ def _summary(
 
 
 #: Number of timed iterations; one before them compiles.
-_TIMED: Final = 2
+_TIMED_ITERATIONS: Final = 2
 
 
 def training_forecast(training: Training, engine: str = "auto") -> Forecast:
@@ -454,13 +456,13 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
         iterate = training.algorithm.iteration(worlds)
         compiles = time.perf_counter()
         learned = training.algorithm.begin(worlds, training.seed)
-        learned, state, *_ = iterate(learned, worlds.reset(learned.random(RESET)))
+        learned, state, *_ = iterate(learned, worlds.reset(learned.random(RESET_KEY)))
         float(learned.steps)
         began = time.perf_counter()
-        for _ in range(_TIMED):
+        for _ in range(_TIMED_ITERATIONS):
             learned, state, *_ = iterate(learned, state)
         float(learned.steps)
-        rate = _TIMED * training.steps_per_iteration / (time.perf_counter() - began)
+        rate = _TIMED_ITERATIONS * training.steps_per_iteration / (time.perf_counter() - began)
         wall, note = steps / rate, f"{rate:,.0f} control steps/s, measured now"
         notes.append(f"Compiling takes {began - compiles:.0f} s on top.")
     input_size = worlds.observation_size + worlds.privileged_size

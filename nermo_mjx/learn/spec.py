@@ -11,14 +11,20 @@ from typing import Annotated, Any, ClassVar, Final, NamedTuple
 
 from pydantic import ConfigDict, Field
 
-from nermo_mjx.control.protocol import NAMED
+from nermo_mjx.control.protocol import OBJECT_FORM
 from nermo_mjx.learn.acting import ACTIONS, Acting
 from nermo_mjx.learn.algorithms import PPO
 from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check_worlds
 from nermo_mjx.learn.loop import EpisodeLoop
-from nermo_mjx.learn.observing import FORMER
+from nermo_mjx.learn.observing import FORMER_NAMES
 from nermo_mjx.learn.own import code_place, is_own, own_name
-from nermo_mjx.learn.task import ADDED, GIVEN, RANDOMIZED, Task, task_parameters
+from nermo_mjx.learn.task import (
+    DEFAULT_RANDOMIZATION,
+    EPISODE_PARAMETERS,
+    POLICY_PARAMETERS,
+    Task,
+    task_parameters,
+)
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
@@ -48,7 +54,7 @@ from nermo_mjx.specs.walk import (
     read_walk,
     scene_beside,
 )
-from nermo_mjx.trust import RUNS_CODE
+from nermo_mjx.trust import CODE_EXECUTION
 
 
 class SceneFields(Fields):
@@ -140,7 +146,7 @@ def read_scenes(
 
 
 #: Fields that do not change what an iteration computes: a training may be resumed with others.
-FREE: Final = ("steps", "run", "evaluate", "plots")
+CHANGEABLE_FIELDS: Final = ("steps", "run", "evaluate", "plots")
 #: Ways of learning, by the name in files.
 ALGORITHMS: Final[Mapping[str, type[Spec]]] = {"ppo": PPO}
 
@@ -199,7 +205,7 @@ class TrainingFile(WalkFields):
     task: Task = Field(default_factory=Task)
     """what a policy does, and what it is rewarded for"""
     randomize: DrawnFields = Field(
-        DrawnFields.model_validate({name: [*ends] for name, ends in RANDOMIZED.items()})
+        DrawnFields.model_validate({name: [*ends] for name, ends in DEFAULT_RANDOMIZATION.items()})
     )
     """what each episode draws: a parameter, and its range [low, high]; with from: DIR whole bodies"""
     scenes: list[SceneFields] = optional(
@@ -359,7 +365,9 @@ class Training(WalkSpec, Described):
 
     def decisive(self) -> dict[str, Any]:
         """The fields that may not change: a controller counts by what it is."""
-        data = {key: value for key, value in self.resolved().items() if key not in FREE}
+        data = {
+            key: value for key, value in self.resolved().items() if key not in CHANGEABLE_FIELDS
+        }
         task_fields = written(self.task.with_own(_code_identity))
         data["task"] |= {
             name: task_fields[name]
@@ -405,7 +413,13 @@ def changed(training: Training, **values: Any) -> Training:
 def _read(doc: Document) -> Training:
     with known_names(doc):
         doc = in_numbers(
-            doc, ADDED | {old: ADDED[new] for old, new in FORMER.items() if new in ADDED}
+            doc,
+            EPISODE_PARAMETERS
+            | {
+                old: EPISODE_PARAMETERS[new]
+                for old, new in FORMER_NAMES.items()
+                if new in EPISODE_PARAMETERS
+            },
         )
         file = read(doc, TrainingFile)
     if wrong := too_many(file.worlds):
@@ -460,7 +474,7 @@ def _read_task(doc: Document, file: TrainingFile, walk: Mapping[str, Any]) -> Ta
             for each in filter(is_own, getattr(task, field)):
                 if not isinstance(each, str):
                     raise ParameterError(
-                        f"{field} has {own_name(each)}: name it as {NAMED}, as a file can."
+                        f"{field} has {own_name(each)}: name it as {OBJECT_FORM}, as a file can."
                     )
         task = task.with_own(functools.partial(code_beside, doc))
         code_place(task.observe)
@@ -498,13 +512,13 @@ def _check_evaluation(doc: Document, evaluation: EvaluationSpec, training: Train
     pairs = training.evaluated()
     late, tasks = "sensing.delay", [each.task for each in training.scenes] or [training.task]
     taught = {name for each in tasks for name in (*each.set, *each.randomize)}
-    if RUNS_CODE.get() or not any(each.has_own for each in tasks):
+    if CODE_EXECUTION.get() or not any(each.has_own for each in tasks):
         taught |= {name for each in tasks for name in each.sampled}
     else:  # own code that is not run may draw any command
-        taught |= {name for name in GIVEN if name.startswith("command.")}
+        taught |= {name for name in POLICY_PARAMETERS if name.startswith("command.")}
     taught |= {
         name
-        for name in GIVEN
+        for name in POLICY_PARAMETERS
         if name.endswith("_noise") and any(each.endswith("_noise") for each in taught)
     }
     longest = max(
@@ -512,7 +526,7 @@ def _check_evaluation(doc: Document, evaluation: EvaluationSpec, training: Train
     )
     for section, given in (("set", evaluation.set), ("randomize", evaluation.randomize)):
         for name, value in given.items():
-            if name in GIVEN and name not in taught:
+            if name in POLICY_PARAMETERS and name not in taught:
                 doc.fail(
                     ("evaluate", section, name),
                     "is given, and the policy is not trained with it: leave it out.",
@@ -560,7 +574,7 @@ def _code_identity(where: str) -> str:
 
 def _try_out(setup: Setup, task: Task) -> EpisodeLoop | None:
     """Catch errors that would otherwise occur when the environment is created; None where own code is not run."""
-    if task.has_own and not RUNS_CODE.get():
+    if task.has_own and not CODE_EXECUTION.get():
         return None
     return EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
 

@@ -24,9 +24,15 @@ from pydantic_core.core_schema import CoreSchema
 from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
-from nermo_mjx.control.protocol import NAMED, ControllerLike, function_place, user_code
+from nermo_mjx.control.protocol import OBJECT_FORM, ControllerLike, function_place, user_code
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
-from nermo_mjx.learn.observing import FORMER, OBSERVED, SENSED, TOLD, Sensing
+from nermo_mjx.learn.observing import (
+    DEFAULT_OBSERVATION,
+    FORMER_NAMES,
+    POLICY_INPUTS,
+    SENSED_READINGS,
+    Sensing,
+)
 from nermo_mjx.learn.own import drawn_by, is_own, own_name, own_object
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.model_parameters import is_shaped
@@ -59,7 +65,7 @@ from nermo_mjx.specs.values import (
     Way,
     Whole,
 )
-from nermo_mjx.trust import RUNS_CODE
+from nermo_mjx.trust import CODE_EXECUTION
 
 #: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
 SPEED_WIDTH: Final = 0.05
@@ -141,7 +147,7 @@ def _sum_square(values: Array) -> Scalar:
     return jnp.sum(values**2)
 
 
-_TERMS: Final = (
+_REWARD_TERMS: Final = (
     Term(
         "progress",
         "m",
@@ -238,7 +244,7 @@ _TERMS: Final = (
     ),
 )
 #: All terms, by name.
-TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _TERMS}
+TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _REWARD_TERMS}
 
 
 def chosen_terms(
@@ -258,7 +264,7 @@ def chosen_terms(
             near = nearest(str(reference), list(TERMS))
             hint = f"did you mean {near!r}? " if near else ""
             raise ParameterError(
-                f"rewards has {reference!r}: {hint}allowed is one of {', '.join(TERMS)}, or {NAMED}."
+                f"rewards has {reference!r}: {hint}allowed is one of {', '.join(TERMS)}, or {OBJECT_FORM}."
             )
         name = term.name
         if term.needs is not None and term.needs not in commands:
@@ -315,12 +321,12 @@ class Given:
 
 
 #: Default differences between episodes.
-RANDOMIZED: Final[Mapping[str, tuple[float, float]]] = {
+DEFAULT_RANDOMIZATION: Final[Mapping[str, tuple[float, float]]] = {
     "start.phase": (0.0, 1.0),
     "start.yaw": (-0.05, 0.05),
 }
 #: Default rewards: walk forward, stay on the path, use little energy, stay upright.
-REWARDS: Final[Mapping[str | Term, float]] = {
+DEFAULT_REWARDS: Final[Mapping[str | Term, float]] = {
     "progress": 20.0,
     "deviation": -2.0,
     "tilt": -1.0,
@@ -343,7 +349,7 @@ class _Rewards(Checked):
             name: {"type": "number", "description": f"{term.doc} [{term.unit}]"}
             for name, term in TERMS.items()
         }
-        base = {":": {"type": "number", "description": f"a term of one's own: {NAMED}"}}
+        base = {":": {"type": "number", "description": f"a term of one's own: {OBJECT_FORM}"}}
         return {
             "type": "object",
             "properties": properties,
@@ -356,9 +362,9 @@ def _terms(value: Any) -> Any:
     for name in value if isinstance(value, dict) else ():
         if name not in TERMS and ":" not in str(name):
             raise Refused(
-                f"is no term of the reward; allowed are {', '.join(TERMS)}, or {NAMED}.", name
+                f"is no term of the reward; allowed are {', '.join(TERMS)}, or {OBJECT_FORM}.", name
             )
-    return value or dict(REWARDS)
+    return value or dict(DEFAULT_REWARDS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -378,11 +384,13 @@ class Task(Spec):
     action: ActionField = dataclasses.field(default_factory=Residual)
     """what an action does: `Residual`, `Modulation` or `Targets`"""
     observe: Annotated[
-        tuple[Annotated[Any, OwnOr((*SENSED, *TOLD), FORMER)], ...], Field(strict=False)
-    ] = OBSERVED
-    """what a policy observes: groups of `observing.SENSED` and `TOLD`, and functions of the sensors as FILE.py:NAME"""
+        tuple[Annotated[Any, OwnOr((*SENSED_READINGS, *POLICY_INPUTS), FORMER_NAMES)], ...],
+        Field(strict=False),
+    ] = DEFAULT_OBSERVATION
+    """what a policy observes: groups of `observing.SENSED_READINGS` and `POLICY_INPUTS`, and functions of the sensors as
+    FILE.py:NAME"""
     rewards: Annotated[Mapping[Any, float], _Rewards()] = dataclasses.field(
-        default_factory=lambda: dict(REWARDS)
+        default_factory=lambda: dict(DEFAULT_REWARDS)
     )
     """weights of the reward's terms, see `rewards.TERMS`, and of functions of a `Moment` as FILE.py:NAME; in Python
     also of a custom `Term`"""
@@ -393,7 +401,9 @@ class Task(Spec):
     and commands, by name, of an episode, as a sampler or a curriculum; an evaluation has infinitely many steps"""
     set: dict[str, FiniteInUnits] = dataclasses.field(default_factory=dict)
     """value in all episodes of parameters, commands and sensors, such as command.speed or sensing.delay"""
-    randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
+    randomize: dict[str, Ends] = dataclasses.field(
+        default_factory=lambda: dict(DEFAULT_RANDOMIZATION)
+    )
     """range (low, high) of each parameter that is drawn, uniformly, for each episode"""
     bodies: Annotated[str | bool, BodiesField()] = ""
     """identified or true, or the directory of an identification: each episode draws one of its bodies"""
@@ -435,15 +445,20 @@ class Task(Spec):
             if value is not None and not 0.0 < value < np.inf:
                 raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
         object.__setattr__(self, "terminations", tuple(self.terminations))
-        observe = (group if is_own(group) else FORMER.get(group, group) for group in self.observe)
+        observe = (
+            group if is_own(group) else FORMER_NAMES.get(group, group) for group in self.observe
+        )
         object.__setattr__(self, "observe", tuple(observe))
         for section in ("set", "randomize"):
             declared = {
-                FORMER.get(name, name): value for name, value in getattr(self, section).items()
+                FORMER_NAMES.get(name, name): value
+                for name, value in getattr(self, section).items()
             }
             object.__setattr__(self, section, declared)
         if isinstance(self.bodies, bool):
-            object.__setattr__(self, "bodies", identified.IDENTIFIED if self.bodies else "")
+            object.__setattr__(
+                self, "bodies", identified.IDENTIFIED_ENSEMBLE if self.bodies else ""
+            )
 
     @property
     def commanded(self) -> tuple[str, ...]:
@@ -532,7 +547,9 @@ class Task(Spec):
             allowed[name].check(f"set.{name}", value)
         self.check_commands(setup)
         setup.check(
-            setup.world({name: value for name, value in self.set.items() if name not in ADDED})
+            setup.world(
+                {name: value for name, value in self.set.items() if name not in EPISODE_PARAMETERS}
+            )
         )
 
     def check_commands(self, setup: Setup) -> None:
@@ -541,7 +558,7 @@ class Task(Spec):
         Raises:
             ParameterError: with file, line and what is wrong.
         """
-        if self.commands is None or not RUNS_CODE.get():
+        if self.commands is None or not CODE_EXECUTION.get():
             return
         allowed, (subject, sampled) = task_parameters(setup), drawn_by(self.commands)
         for name, values in sampled.items():
@@ -559,9 +576,9 @@ class Task(Spec):
 
 
 #: Parameters of a policy's episodes that runs do not have; its file has them, too.
-GIVEN: Final[dict[str, Quantity]] = dict(quantities(Given))
+POLICY_PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(Given))
 #: Of what pushes the robot there.
-PUSHES: Final[dict[str, Quantity]] = {
+PUSH_PARAMETERS: Final[dict[str, Quantity]] = {
     "push.force": Quantity(
         1.0, "N", 0.0, 10.0, f"on the torso for {PUSH_SECONDS:g} s, in any horizontal direction"
     ),
@@ -570,12 +587,12 @@ PUSHES: Final[dict[str, Quantity]] = {
     ),
 }
 #: All parameters of episodes that runs do not have.
-ADDED: Final[dict[str, Quantity]] = GIVEN | PUSHES
+EPISODE_PARAMETERS: Final[dict[str, Quantity]] = POLICY_PARAMETERS | PUSH_PARAMETERS
 
 
 def task_parameters(setup: Setup) -> dict[str, Quantity]:
     """Every parameter that a task may name under `set` and `randomize`."""
-    return all_parameters(setup) | ADDED
+    return all_parameters(setup) | EPISODE_PARAMETERS
 
 
 @jax.tree_util.register_dataclass
@@ -647,10 +664,10 @@ class Episodes:
             ]
             shares = jnp.concatenate([shares, jnp.clip(jnp.stack(spread), -1.0, 1.0)])
         sampled = replace_quantities(
-            Given(), {name: value for name, value in values.items() if name in GIVEN}
+            Given(), {name: value for name, value in values.items() if name in POLICY_PARAMETERS}
         )
         world = self.setup.world(
-            {name: value for name, value in values.items() if name not in ADDED}
+            {name: value for name, value in values.items() if name not in EPISODE_PARAMETERS}
         )
         command_values = commanded(
             self.controller.base, self.task.commanded, world.control, sampled.command
@@ -674,11 +691,11 @@ class Episodes:
 
 
 def pushes_of(values: Mapping[str, Any], seed: Any) -> Pushes | None:
-    """The pushes of a world with these values, by name; None if none of `PUSHES` is among them."""
+    """The pushes of a world with these values, by name; None if none of `PUSH_PARAMETERS` is among them."""
     force, interval = (
-        values.get(name, declaration.default) for name, declaration in PUSHES.items()
+        values.get(name, declaration.default) for name, declaration in PUSH_PARAMETERS.items()
     )
-    return Pushes(force, interval, seed) if PUSHES.keys() & values.keys() else None
+    return Pushes(force, interval, seed) if PUSH_PARAMETERS.keys() & values.keys() else None
 
 
 def commanded(

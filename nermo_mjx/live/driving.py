@@ -22,10 +22,10 @@ from pydantic import BaseModel, Field, NonNegativeInt
 
 from nermo_mjx.control.head_and_tail import GAZE, TAIL_MOTIONS
 from nermo_mjx.control.protocol import ChecksParameters, data_of
-from nermo_mjx.control.schedule import GAINS, MODES, Schedule, Switch, turned
+from nermo_mjx.control.schedule import MODE_CHOICES, MODE_GAINS, Schedule, Switch, turned
 from nermo_mjx.control.spine_modes import LATERAL_MODES, NO_MODE, SAGITTAL_MODES
-from nermo_mjx.files import MOST_FILE, read_as, read_bytes
-from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine
+from nermo_mjx.files import MAX_FILE_BYTES, read_as, read_bytes
+from nermo_mjx.physics.c_engine import BLOCK_WORLDS, CBodies, CEngine
 from nermo_mjx.recording import Metadata, Recording, RecordingError, model_hash
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities, replace_quantities, values_of
@@ -40,10 +40,10 @@ from nermo_mjx.specs.walk import RecordedSetup, WalkSpec
 from nermo_mjx.trust import FileError
 
 #: Largest force of a push on each axis [N]; the robot weighs 2.65 N. Longest push [s].
-MOST_FORCE: Final = 10.0
-LONGEST_PUSH: Final = 5.0
+LARGEST_FORCE_NEWTONS: Final = 10.0
+LONGEST_PUSH_SECONDS: Final = 5.0
 #: Changes under way at once: each takes its time in every tick.
-MOST_BLENDS: Final = 100
+MAX_BLENDS: Final = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,7 +168,7 @@ class Driving:
         # Commands that have not ended: tick at which each began, how long it takes [s], by how much values change.
         self._blends: list[tuple[int, float, np.ndarray]] = []
         self.ticks, self.commands, self._due = 0, list[tuple[int, Switch]](), list[Switch]()
-        lanes, readings = self._lanes(), np.tile(rest, (LANES, 1))
+        lanes, readings = self._lanes(), np.tile(rest, (BLOCK_WORLDS, 1))
         self._compiled = self._engine.packed(lanes, readings)
         self._row = self._compiled.pack(lanes)
         self._state = self._compiled.init(self._row, readings)
@@ -183,9 +183,9 @@ class Driving:
                 legs' workspace, or a limb that would go backward; nothing has changed then.
         """
         values, rate = switch.absolute(), self.cycle_rate
-        if len(self._blends) >= MOST_BLENDS:
+        if len(self._blends) >= MAX_BLENDS:
             raise ParameterError(
-                f"command: {MOST_BLENDS} changes are under way, and no more are allowed at once."
+                f"command: {MAX_BLENDS} changes are under way, and no more are allowed at once."
             )
         for name, value in values.items():
             self.parameters[choice("parameter", name, self.parameters)].check(name, value)
@@ -228,7 +228,7 @@ class Driving:
         if self._blends:
             self._blend()
             self._row = self._compiled.pack(self._lanes())
-        lanes = np.tile(np.asarray(readings, float), (LANES, 1, 1))
+        lanes = np.tile(np.asarray(readings, float), (BLOCK_WORLDS, 1, 1))
         self._state, ctrl = self._compiled.step(self._compiled.once, self._row, self._state, lanes)
         self.ticks += 1
         return np.asarray(ctrl)[0]
@@ -267,13 +267,13 @@ class Driving:
             raise ParameterError(
                 f"push.body is {body}: allowed is one of the robot's, below {bodies}."
             )
-        if not np.all(np.abs(force) <= MOST_FORCE):
+        if not np.all(np.abs(force) <= LARGEST_FORCE_NEWTONS):
             raise ParameterError(
-                f"push.force is {list(force)}: allowed is [-{MOST_FORCE:g}, {MOST_FORCE:g}] N."
+                f"push.force is {list(force)}: allowed is [-{LARGEST_FORCE_NEWTONS:g}, {LARGEST_FORCE_NEWTONS:g}] N."
             )
-        if not 0 < seconds <= LONGEST_PUSH:
+        if not 0 < seconds <= LONGEST_PUSH_SECONDS:
             raise ParameterError(
-                f"push.seconds is {seconds:g}: allowed is (0, {LONGEST_PUSH:g}] s."
+                f"push.seconds is {seconds:g}: allowed is (0, {LONGEST_PUSH_SECONDS:g}] s."
             )
         ticks = max(1, round(seconds / self.dt))
         self.pushes.append(
@@ -371,9 +371,9 @@ class Driving:
         available = self.simulator.setup.modes
         off = {
             gain
-            for field in MODES
+            for field in MODE_CHOICES
             for name in set(available[field]) - modes[field]
-            for gain in GAINS[name]
+            for gain in MODE_GAINS[name]
         }
         values = {
             name: np.array([value])
@@ -383,7 +383,7 @@ class Driving:
 
     def _lanes(self) -> Any:
         params = dataclasses.replace(self._params, control=self.control)
-        return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf), LANES, 0), params)
+        return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf), BLOCK_WORLDS, 0), params)
 
 
 def _numbers(control: Any) -> dict[str, float]:
@@ -453,7 +453,7 @@ class _Driven(BaseModel, extra="forbid"):
 
 
 #: How often a journal is written [s].
-_EVERY: Final = 0.25
+_JOURNAL_SECONDS: Final = 0.25
 
 
 class Appended:
@@ -480,7 +480,7 @@ class Appended:
     def _work(self) -> None:
         ended = False
         while not ended:
-            ended = self._stop.wait(_EVERY)
+            ended = self._stop.wait(_JOURNAL_SECONDS)
             self._left += self._more()
             try:
                 while self._left:
@@ -538,7 +538,7 @@ def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
         if isinstance(source, Recording):
             metadata, pieces = source.metadata, [b'{"ticks": %d}' % len(source.time)]
         else:  # after a power cut zeros may follow
-            first, *pieces = read_bytes(source, MOST_FILE).partition(b"\0")[0].split(b"\n")[
+            first, *pieces = read_bytes(source, MAX_FILE_BYTES).partition(b"\0")[0].split(b"\n")[
                 :-1
             ] or [b""]
             metadata = read_as(first, Metadata, "line 1").model_dump()

@@ -30,7 +30,7 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
 from nermo_mjx.control.parameters import STEERING
-from nermo_mjx.control.schedule import GAINS
+from nermo_mjx.control.schedule import MODE_GAINS
 from nermo_mjx.live.driving import Commanded, Driving, Finite, Journal
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import LIMBS
@@ -39,22 +39,22 @@ from nermo_mjx.robot.quantity import ParameterError, require
 from nermo_mjx.runs.job import interruptible
 from nermo_mjx.view.clip import clips_of
 from nermo_mjx.view.page import Packer, document
-from nermo_mjx.view.recorded import ARC, Motion, motion_of, plots_of, recorded_model
+from nermo_mjx.view.recorded import ARC_POINTS, Motion, motion_of, plots_of, recorded_model
 
 #: Longest message of a page [bytes]; how many may wait to be read, and to be sent.
-LONGEST: Final = 4096
-WAITING: Final = 32
-TO_SEND: Final = 16
+MAX_MESSAGE_BYTES: Final = 4096
+INBOX_MESSAGES: Final = 32
+OUTBOX_MESSAGES: Final = 16
 #: Connections at once, of pages and of whoever else finds the port; how long one may take to close [s].
-CONNECTIONS: Final = 16
-CLOSING: Final = 2.0
+MAX_CONNECTIONS: Final = 16
+CLOSING_SECONDS: Final = 2.0
 #: Pictures per second at most [Hz], and how many may be under way to the page.
-PICTURES: Final = 50.0
-UNDER_WAY: Final = 2
+PICTURE_RATE_HZ: Final = 50.0
+MAX_PENDING_PICTURES: Final = 2
 #: Lateness above which the drive is slower than the clock, instead of hurrying after it [s].
-LATE: Final = 0.1
+LARGEST_DELAY_SECONDS: Final = 0.1
 #: Close code of a page that another one has replaced.
-REPLACED: Final = 4001
+REPLACEMENT_CODE: Final = 4001
 
 #: Sliders of the page: parameter, title, unit, range.
 SLIDERS: Final = {
@@ -69,9 +69,9 @@ SLIDERS: Final = {
 # What the page shows: its document at the start, then a row of numbers for each moment.
 
 #: Arrows for contacts: two for each limb, and others.
-SLOTS: Final = (*(limb for limb in range(len(LIMBS)) for _ in range(2)), *(-1,) * 8)
+ARROW_SLOTS: Final = (*(limb for limb in range(len(LIMBS)) for _ in range(2)), *(-1,) * 8)
 #: Time in which the followed point comes near the robot [s].
-FOLLOW: Final = 0.25
+FOLLOWING_SECONDS: Final = 0.25
 
 
 class Shown:
@@ -88,7 +88,7 @@ class Shown:
         #: Points of each tendon at most: a site is one, and a pulley two with an arc between them.
         self._points = [
             sum(
-                1 if wraps[k] == mujoco.mjtWrap.mjWRAP_SITE else 2 + ARC
+                1 if wraps[k] == mujoco.mjtWrap.mjWRAP_SITE else 2 + ARC_POINTS
                 for k in range(first, first + count)
             )
             for first, count in zip(self._model.tendon_adr, self._model.tendon_num, strict=True)
@@ -107,7 +107,7 @@ class Shown:
 
     def document(self, description: dict[str, Any]) -> str:
         """The page; `about` is what its driving part has to know."""
-        live = {"points": self._points, "slots": SLOTS, **description}
+        live = {"points": self._points, "slots": ARROW_SLOTS, **description}
         return document(
             "viewer", "Nermo: drive", self._header | {"live": live}, [self._packer], ("", "live")
         )
@@ -126,7 +126,7 @@ class Shown:
         target, passed = origin + self._centre, self.driving.time - self._time
         self._time = self.driving.time
         position = target if self._follow is None else self._follow
-        self._follow = position + (target - position) * (1.0 - np.exp(-passed / FOLLOW))
+        self._follow = position + (target - position) * (1.0 - np.exp(-passed / FOLLOWING_SECONDS))
         parts = [
             [self.driving.time],
             origin,
@@ -141,10 +141,15 @@ class Shown:
         return np.concatenate([np.ravel(part) for part in parts]).astype("<f4").tobytes()
 
     def _contacts(self, motion: Motion, origin: np.ndarray) -> np.ndarray:
-        slots, taken = np.zeros((len(SLOTS), 6)), set[int]()
+        slots, taken = np.zeros((len(ARROW_SLOTS), 6)), set[int]()
         for contact in motion.contacts:
             free = next(
-                (k for k, limb in enumerate(SLOTS) if limb == contact.limb and k not in taken), None
+                (
+                    k
+                    for k, limb in enumerate(ARROW_SLOTS)
+                    if limb == contact.limb and k not in taken
+                ),
+                None,
             )
             if free is not None:
                 taken.add(free)
@@ -231,13 +236,13 @@ class LiveDrive:
         self._changed, self._told, self._refused = False, 0.0, ""
         self._token = secrets.token_urlsafe(16)
         self._page: Any = None
-        self._outbox, self._sender = queue.Queue[Any](TO_SEND), threading.Thread()
+        self._outbox, self._sender = queue.Queue[Any](OUTBOX_MESSAGES), threading.Thread()
         self._lock = threading.Lock()
         self._connections = dict[
             socket.socket, bool
         ]()  # whether it got in, in the order in which they came
         # `(page, text)` of each message, `(page, True)` of a page that came, `(page, False)` of one that went.
-        self._inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(WAITING)
+        self._inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(INBOX_MESSAGES)
         silent = logging.getLogger(__name__)  # browsers open connections that they do not use
         silent.setLevel(logging.CRITICAL)
         try:
@@ -246,7 +251,7 @@ class LiveDrive:
                 "127.0.0.1",
                 port,
                 process_request=self._answer,
-                max_size=LONGEST,
+                max_size=MAX_MESSAGE_BYTES,
                 compression=None,
                 logger=silent,
             )
@@ -277,7 +282,7 @@ class LiveDrive:
     def _serve(self, accepted: socket.socket, address: Any) -> None:
         """A connection in its own thread; of too many, one that has not got in makes room."""
         with self._lock:
-            if len(self._connections) >= CONNECTIONS:
+            if len(self._connections) >= MAX_CONNECTIONS:
                 out = next(
                     (
                         connection
@@ -355,10 +360,10 @@ class LiveDrive:
         """Part from the page in a thread, even if it hangs."""
 
         def part(page: Any, sender: threading.Thread) -> None:
-            sender.join(CLOSING / 2)
+            sender.join(CLOSING_SECONDS / 2)
             closing = threading.Thread(target=page.close, args=(code, why), daemon=True)
             closing.start()
-            closing.join(CLOSING)
+            closing.join(CLOSING_SECONDS)
             _cut(page.socket)
 
         with contextlib.suppress(queue.Full):
@@ -418,7 +423,7 @@ class LiveDrive:
                 self._refuse(
                     f"{self._journal.path} cannot be written ({why}): time stands still until it can be."
                 )
-            if self._changed and now - self._told >= 1.0 / PICTURES:
+            if self._changed and now - self._told >= 1.0 / PICTURE_RATE_HZ:
                 self._tell(now)
             if self.paused or not self._began:
                 self.driving.watch()
@@ -436,11 +441,11 @@ class LiveDrive:
                 self._restart()
             due += dt / self.speed
             late = time.perf_counter() - due
-            late = late if late > LATE else 0.0
+            late = late if late > LARGEST_DELAY_SECONDS else 0.0
             due += late
             if self.speed == 1.0:
                 self._spent = [self._spent[0] + dt, self._spent[1] + dt + late]
-            if now - picture >= 0.99 / PICTURES and len(self._sent) < UNDER_WAY:
+            if now - picture >= 0.99 / PICTURE_RATE_HZ and len(self._sent) < MAX_PENDING_PICTURES:
                 picture = now
                 self._show()
 
@@ -448,15 +453,15 @@ class LiveDrive:
         """Those that wait, or the first one that comes in time [s]."""
         with contextlib.suppress(queue.Empty):
             yield self._inbox.get(timeout=patience) if patience > 0 else self._inbox.get_nowait()
-            for _ in range(WAITING):
+            for _ in range(INBOX_MESSAGES):
                 yield self._inbox.get_nowait()
 
     def _receive(self, page: Any, message: str | bytes | bool) -> None:
         if message is True:
             if self._page is not None:
-                self._leave(REPLACED, "another page drives now")
+                self._leave(REPLACEMENT_CODE, "another page drives now")
             self._page, self._began, self._sent, self._gone, self._refused = page, True, {}, [], ""
-            self._outbox = queue.Queue(TO_SEND)
+            self._outbox = queue.Queue(OUTBOX_MESSAGES)
             self._sender = threading.Thread(
                 target=_send_all, args=(page, self._outbox), daemon=True
             )
@@ -520,7 +525,7 @@ class LiveDrive:
         if self.record is not None:
             path = free(self.record, first=not self.files and not self.failure)
             try:
-                self._journal = Journal(path.with_suffix(JOURNAL), self.driving)
+                self._journal = Journal(path.with_suffix(JOURNAL_SUFFIX), self.driving)
             except OSError as error:
                 raise ParameterError(
                     f"record is {path}: it cannot be written ({error.strerror})."
@@ -577,7 +582,7 @@ class LiveDrive:
         ]
         # Without those that would do nothing: the harmonics, unless they have amplitudes.
         modes = {
-            field: sorted(name for name in names if any(map(driving.value, GAINS[name])))
+            field: sorted(name for name in names if any(map(driving.value, MODE_GAINS[name])))
             for field, names in driving.simulator.setup.modes.items()
         }
         ours = "offset.front_left" in driving.parameters
@@ -601,7 +606,7 @@ def _cut(connection: socket.socket) -> None:
 
 
 #: Suffix of the journal beside a recording's file.
-JOURNAL: Final = ".jsonl"
+JOURNAL_SUFFIX: Final = ".jsonl"
 
 
 def free(record: Path, *, first: bool = True) -> Path:
@@ -615,7 +620,7 @@ def free(record: Path, *, first: bool = True) -> Path:
         existing = next(
             (
                 candidate
-                for candidate in (path.with_suffix(JOURNAL), path)
+                for candidate in (path.with_suffix(JOURNAL_SUFFIX), path)
                 if os.path.lexists(candidate)
             ),
             None,
@@ -625,7 +630,7 @@ def free(record: Path, *, first: bool = True) -> Path:
         if first:
             advice = (
                 f" (nermo-mjx replay {existing} makes what was driven again)"
-                if existing.suffix == JOURNAL
+                if existing.suffix == JOURNAL_SUFFIX
                 else ""
             )
             raise ParameterError(

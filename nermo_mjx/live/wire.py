@@ -32,10 +32,10 @@ from nermo_mjx.control.protocol import seeing
 from nermo_mjx.files import replace_file
 from nermo_mjx.hardware.channels import Channels
 from nermo_mjx.hardware.live import (
-    PATIENCE,
-    PRINT,
+    ANSWER_SECONDS,
+    LARGEST_LATE_SHARE,
+    PRINT_ADDRESS,
     ROS_TYPE,
-    TOO_LATE,
     TOPIC,
     NotSentError,
     SendError,
@@ -54,7 +54,7 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.metrics import DIVERGED_SPEED
 from nermo_mjx.runs.job import interruptible
 from nermo_mjx.specs.reading import dump
-from nermo_mjx.trust import TELL
+from nermo_mjx.trust import MESSAGE_HANDLER
 from nermo_mjx.view.recorded import attitude_of
 
 #: The author's topic and message of the sensors.
@@ -65,19 +65,19 @@ _LEG_SERVOS: Final = 8
 #: Parts of `imu_sensor`, in its order, and their lengths.
 _IMU: Final = {"position": 3, "orientation": 4, "linear_velocity": 3, "accelerometer": 3, "gyro": 3}
 #: Vectors among what is logged.
-_LOGGED: Final = ("gyro", "accelerometer", "position")
+_LOGGED_VECTORS: Final = ("gyro", "accelerometer", "position")
 #: How long a robot may say nothing before it is driven in an open loop [s].
-QUIET: Final = 2.0
+SILENCE_SECONDS: Final = 2.0
 #: Speed at which servos go to the pose in which the gait begins [rad/s].
-APPROACH: Final = 1.0
+APPROACH_RAD_PER_SECOND: Final = 1.0
 #: A command is this near to that pose when the gait begins [rad].
-_NEAR: Final = 1e-6
+_POSE_TOLERANCE_RAD: Final = 1e-6
 #: Without messages for this long the robot holds still [s].
-WATCHDOG: Final = 0.25
+WATCHDOG_SECONDS: Final = 0.25
 #: Between two ticks that are further apart the robot may have been moved [s]; in slow motion they are 0.2 s apart.
-_PAUSE: Final = 0.5
+_PAUSE_SECONDS: Final = 0.5
 #: Largest number of a message that can be a measurement.
-_LARGEST: Final = 1e4
+_LARGEST_MEASUREMENT: Final = 1e4
 
 
 def needed_sensors(setup: Setup) -> set[str]:
@@ -107,7 +107,7 @@ def _numbers(value: Any, *lengths: int) -> np.ndarray:
         raise ValueError("garbage")
     if numbers.ndim != 1 or len(numbers) not in lengths:
         raise ValueError("of a wrong size")
-    if not (np.abs(numbers) < _LARGEST).all():  # NaN, too
+    if not (np.abs(numbers) < _LARGEST_MEASUREMENT).all():  # NaN, too
         raise ValueError("not finite")
     return numbers
 
@@ -127,7 +127,7 @@ class Measured:
         self,
         robot: Robot,
         channels: Channels,
-        watchdog: float = WATCHDOG,
+        watchdog: float = WATCHDOG_SECONDS,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.robot, self.channels, self.watchdog, self.clock = robot, channels, watchdog, clock
@@ -253,7 +253,9 @@ class Driven:
         """What was wrong with it: of a robot that `answers`, driven at `factor` seconds per second."""
         everything = self.sent + self.unsent + self.skipped
         unsent = (
-            f"{self.unsent} commands were not taken." if self.unsent > TOO_LATE * everything else ""
+            f"{self.unsent} commands were not taken."
+            if self.unsent > LARGEST_LATE_SHARE * everything
+            else ""
         )
         lateness_note = lateness(self.skipped + max(0.0, 1.0 - factor) * everything, everything)
         ended = f"{self.ended[:1].upper()}{self.ended[1:].rstrip('.')}." if self.ended else ""
@@ -285,7 +287,7 @@ class LinkLog(Appended):
         self.about, self._begun, self._offset = path.with_suffix(".yaml"), clock(), math.inf
         self._robot = robot
         self._servos = {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos}
-        axes = {name: list(reading_names(name)) for name in _LOGGED}
+        axes = {name: list(reading_names(name)) for name in _LOGGED_VECTORS}
         channel_specs: dict[str, dict[str, Any]] = {}
         for mapped_channel in (channel for channel in channels if channel.servo in robot.servos):
             spec = {"unit": "deg", "sign": mapped_channel.direction, "zero": mapped_channel.zero}
@@ -305,7 +307,7 @@ class LinkLog(Appended):
         }
         channel_specs |= {
             name: {"quantity": name, "columns": axes[name], "unit": READINGS[name].unit}
-            for name in _LOGGED
+            for name in _LOGGED_VECTORS
         }
         self._told = channel_specs | {"yaw": {"quantity": "yaw", "unit": "rad"}}
         self._names = [name for key in self._told for name in axes.get(key, [key])] + ["stamp"]
@@ -321,7 +323,7 @@ class LinkLog(Appended):
         """A message that came at a time [s], by field of `Sensors`, and its own time."""
         row = {} if stamp is None else {"stamp": stamp}
         self._offset = min(self._offset, now - self._begun - row.get("stamp", -math.inf))
-        for name in ("servo_angle", "foot_force", *_LOGGED):
+        for name in ("servo_angle", "foot_force", *_LOGGED_VECTORS):
             row |= dict(
                 zip(reading_names(name, self._robot.servos), readings.get(name, ()), strict=False)
             )
@@ -366,7 +368,7 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
         SendError: there is none.
         ParameterError: it does not tell all that is needed.
     """
-    end = measured.clock() + (PATIENCE if needed else QUIET)
+    end = measured.clock() + (ANSWER_SECONDS if needed else SILENCE_SECONDS)
     while not measured.told and measured.clock() < end:
         wait(0.01)
     what = f"the controller reads {', '.join(sorted(needed - measured.told))}"
@@ -375,7 +377,7 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
             f"; {number} messages were {what}" for what, number in measured.counts.items() if number
         )
         raise SendError(
-            f"no message of the robot for {PATIENCE:g} s, and {what}: a robot without sensors walks with "
+            f"no message of the robot for {ANSWER_SECONDS:g} s, and {what}: a robot without sensors walks with "
             f"the pilot open_loop{why}."
         )
     if needed - measured.told:
@@ -391,7 +393,7 @@ class RobotDriving(Driving):
     The servos go from the robot's pose to that in which the gait starts, and then the controller runs. Without messages
     for `measured.watchdog` it stands still, and nothing is sent: servos hold their last angle. When messages have come
     for as long, so that none is old, the servos go from where they are to these angles, and the walk goes on, as after
-    a pause. After `PATIENCE` the drive ends. A robot that has never said a thing is driven without this watch, and from
+    a pause. After `ANSWER_SECONDS` the drive ends. A robot that has never said a thing is driven without this watch, and from
     the pose of the gait's start.
 
     Attributes:
@@ -411,7 +413,7 @@ class RobotDriving(Driving):
         url: str = "ros://localhost",
         channels: Any = "published",
         rate: float | None = None,
-        watchdog: float = WATCHDOG,
+        watchdog: float = WATCHDOG_SECONDS,
         *,
         record: bool = True,
         log: Path | None = None,
@@ -447,18 +449,21 @@ class RobotDriving(Driving):
     @contextlib.contextmanager
     def reach(self) -> Iterator[None]:
         """The robot, which is there; for errors see `linked` and `meet`. A sentence tells what is waited for."""
-        measured, tell = Measured(self.simulator.robot, self._channels, self._watchdog), TELL.get()
+        measured, tell = (
+            Measured(self.simulator.robot, self._channels, self._watchdog),
+            MESSAGE_HANDLER.get(),
+        )
         with linked(
             self._url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "connect"
         ) as publish:
-            if self._url != PRINT:
+            if self._url != PRINT_ADDRESS:
                 tell(f"connected: waiting for the robot's messages on {SENSORS_TOPIC}.")
                 meet(measured, self.needed)
                 heard = f"the robot tells {', '.join(sorted(measured.told))}."
                 tell(
                     heard
                     if measured.told
-                    else f"no message on {SENSORS_TOPIC} in {QUIET:g} s: open loop."
+                    else f"no message on {SENSORS_TOPIC} in {SILENCE_SECONDS:g} s: open loop."
                 )
             self.connect(measured, publish)
             if self._log is not None:
@@ -478,7 +483,7 @@ class RobotDriving(Driving):
 
     def failures(self, factor: float = 1.0) -> list[str]:
         """What was wrong with the drive, see `Driven`; without a robot none answers."""
-        messages = self.driven.failures(factor, answers=self._url != PRINT)
+        messages = self.driven.failures(factor, answers=self._url != PRINT_ADDRESS)
         return [*messages, self.failed] if self.failed else messages
 
     def connect(self, measured: Measured, publish: Callable[[Any], None]) -> None:
@@ -509,7 +514,7 @@ class RobotDriving(Driving):
         """See `Driving`; the robot may be elsewhere when time goes on.
 
         Raises:
-            SendError: nothing was heard for `PATIENCE`.
+            SendError: nothing was heard for `ANSWER_SECONDS`.
         """
         if self.measured is not None:
             self._look(self.operator())
@@ -525,10 +530,8 @@ class RobotDriving(Driving):
         measured, driven = self.measured, self.driven
         assert measured is not None
         silence = max(measured.silence if measured.told else 0.0, operator)
-        if silence > PATIENCE:
-            driven.ended = (
-                f"no message {'of the robot ' if operator < silence else ''}for {PATIENCE:g} s"
-            )
+        if silence > ANSWER_SECONDS:
+            driven.ended = f"no message {'of the robot ' if operator < silence else ''}for {ANSWER_SECONDS:g} s"
         elif silence > measured.watchdog:
             driven.holds += driven.walked > 0.0 and not self._away
             self._away, self._quiet = True, measured.clock()
@@ -545,7 +548,7 @@ class RobotDriving(Driving):
         if driven.ended:
             return
         now, before = measured.clock(), self._stepped
-        self._stepped, self._away = now, self._away or now - before > _PAUSE
+        self._stepped, self._away = now, self._away or now - before > _PAUSE_SECONDS
         if (
             self._away
             and measured.told
@@ -562,8 +565,10 @@ class RobotDriving(Driving):
             )
             driven.walked += dt
         else:
-            self.pose = self.pose + np.clip(self._start - self.pose, -APPROACH * dt, APPROACH * dt)
-            self._there = bool(np.abs(self._start - self.pose).max() < _NEAR)
+            self.pose = self.pose + np.clip(
+                self._start - self.pose, -APPROACH_RAD_PER_SECOND * dt, APPROACH_RAD_PER_SECOND * dt
+            )
+            self._there = bool(np.abs(self._start - self.pose).max() < _POSE_TOLERANCE_RAD)
             if self._there and not self.ticks and not self.commands:
                 self.restart(measured.sensordata)  # the walk begins where the robot stands now
         self._slots += 1
@@ -586,7 +591,10 @@ class RobotDriving(Driving):
                 measured.log.command(self._reached, channels.given(degrees))
         except SendError as error:
             driven.unsent += 1
-            if not isinstance(error, NotSentError) or measured.clock() - self._reached > PATIENCE:
+            if (
+                not isinstance(error, NotSentError)
+                or measured.clock() - self._reached > ANSWER_SECONDS
+            ):
                 driven.ended = str(error)
 
     def run(

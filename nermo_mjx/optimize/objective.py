@@ -15,7 +15,7 @@ from nermo_mjx.rollout import METRICS, Metric
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.model import Spec
 from nermo_mjx.specs.reading import Document
-from nermo_mjx.specs.values import MEASURED, Choice, Finite, Positive
+from nermo_mjx.specs.values import FILE_METRICS, Choice, Finite, Positive
 
 #: The term that compares with a recording; the tuning's file names it under `recording`.
 TRAJECTORY_ERROR: Final = "trajectory_error"
@@ -47,7 +47,7 @@ class _Metrics(Choice):
     """A metric that a term may name: a built-in or a custom one."""
 
     def check(self, value: Any) -> str:
-        return Choice(tuple(objective_metrics(MEASURED.get()))).check(value)
+        return Choice(tuple(objective_metrics(FILE_METRICS.get()))).check(value)
 
     def schema(self, base: JsonSchema) -> JsonSchema:
         return {"anyOf": [super().schema(base), {"type": "string"}]}

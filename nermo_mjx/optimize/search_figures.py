@@ -32,7 +32,7 @@ from nermo_mjx.plotting.charts import (
 )
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import ShownValues, shown
-from nermo_mjx.plotting.style import BAND, COLOURS, LINE, MUTED
+from nermo_mjx.plotting.style import BAND_COLOUR, COLOUR_MAP, LINE_COLOUR, MUTED_INK
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
@@ -113,15 +113,20 @@ def convergence(evaluations: Evaluations) -> Figure:
     figure = page(f"{_title(quantity)} over the evaluations", WIDTH, 4.4, note)
     ax = figure.subplots()
     ax.scatter(
-        number[allowed], values[allowed], s=9, color=BAND, lw=0, rasterized=len(values) > 2000
+        number[allowed],
+        values[allowed],
+        s=9,
+        color=BAND_COLOUR,
+        lw=0,
+        rasterized=len(values) > 2000,
     )
     reached = np.isfinite(cost[leading])
-    ax.step(number[reached], values[leading][reached], where="post", color=LINE)
+    ax.step(number[reached], values[leading][reached], where="post", color=LINE_COLOUR)
     star(ax, number[best], values[best], 170, zorder=5)
     if not allowed.all():  # short lines at the bottom where a point fell or broke a constraint
         height = np.full(int((~allowed).sum()), 0.01)
         ax.plot(
-            number[~allowed], height, "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform()
+            number[~allowed], height, "|", color=MUTED_INK, ms=5, transform=ax.get_xaxis_transform()
         )
     terms = evaluations.search.aim.objective.terms
     higher = len(terms) == 1 and terms[0].aim == "maximize"
@@ -168,7 +173,7 @@ def hypervolume(evaluations: Evaluations) -> Figure:
     )
     figure = page("Hypervolume of the front over the evaluations", WIDTH, 3.6, note)
     ax = figure.subplots()
-    ax.step(_ends(evaluations), 100 * shares, where="post", color=LINE)
+    ax.step(_ends(evaluations), 100 * shares, where="post", color=LINE_COLOUR)
     ax.set(
         xlabel="evaluations [1]", ylabel="hypervolume [%]", xlim=(0, len(evaluations.scores) + 1)
     )
@@ -185,12 +190,12 @@ def coverage(evaluations: Evaluations) -> Figure:
     note += "what their best is better than the worst of the first batch"
     figure = page("Filled cells and QD score over the evaluations", WIDTH, 4.8, note)
     top, bottom = figure.subplots(2, 1, sharex=True)
-    top.step(_ends(evaluations), filled, where="post", color=LINE)
+    top.step(_ends(evaluations), filled, where="post", color=LINE_COLOUR)
     top.set_ylabel("filled cells [1]")
     scale = ShownValues("", "", total)
     if len(terms) == 1 and terms[0].aim != "hold":
         scale = _quantity(evaluations, terms[0].metric, total * terms[0].scale / terms[0].weight)
-    bottom.step(_ends(evaluations), scale.values, where="post", color=LINE)
+    bottom.step(_ends(evaluations), scale.values, where="post", color=LINE_COLOUR)
     bottom.set_ylabel(f"QD score [{scale.unit or 1}]")
     for ax in (top, bottom):
         ax.set_ylim(bottom=0)
@@ -222,7 +227,7 @@ def atlas(evaluations: Evaluations) -> Figure:
         ax.remove()
     for ax, pair in zip(axes, pairs, strict=False):
         _map(ax, evaluations, points, quantity, scale, pair, best)
-    bar = ScalarMappable(scale, COLOURS)
+    bar = ScalarMappable(scale, COLOUR_MAP)
     colour_bar(figure, axes[: len(pairs)], bar, quantity.label, shrink=0.9, extend=extend)
     return around(figure, title, note)
 
@@ -255,7 +260,7 @@ def _map(
     grid[places[0][order], places[1][order]] = z.values[points[order]]
     ax.set_facecolor("#fafafa")
     ax.pcolormesh(
-        edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS
+        edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOUR_MAP
     )
     star(ax, best_position[0], best_position[1], 190, 1.3, zorder=5)
     set_scales(ax, *edges)
@@ -283,7 +288,7 @@ def _bars(
         np.diff(edges.values)[cell],
         floor,
         align="edge",
-        color=BAND,
+        color=BAND_COLOUR,
         ec="white",
     )
     best_value = _quantity(evaluations, measure.metric, evaluations.scores.measures[best, 0])

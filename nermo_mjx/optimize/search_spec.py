@@ -30,7 +30,7 @@ from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, optional,
 from nermo_mjx.specs.model import Spec, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import (
-    MEASURED,
+    FILE_METRICS,
     ByParameter,
     Checked,
     Choice,
@@ -111,7 +111,7 @@ MOST_CELLS: Final = 1_000_000
 
 def searched() -> tuple[str, ...]:
     """Metrics that a search may name, custom ones among them, while its file is read."""
-    return tuple(name for name in objective_metrics(MEASURED.get()) if name != TRAJECTORY_ERROR)
+    return tuple(name for name in objective_metrics(FILE_METRICS.get()) if name != TRAJECTORY_ERROR)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.files import MOST_FILE, read_bytes
+from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
 from nermo_mjx.optimize.directory import BEST, other_spec, stored_spec, sweep_of
 from nermo_mjx.optimize.tuner import TuneState, initial_state
 from nermo_mjx.optimize.tuning_history import HISTORY, TuningHistory
@@ -219,8 +219,8 @@ def keep_recording(
     folder = directory.out.resolve()
     if tuning.recording is None or tuning.recording.parent == folder:
         return tuning
-    content = read_bytes(tuning.recording, MOST_FILE)
-    if content_of(folder / RECORDING, MOST_FILE) != content:
+    content = read_bytes(tuning.recording, MAX_FILE_BYTES)
+    if content_of(folder / RECORDING, MAX_FILE_BYTES) != content:
         directory.set_aside("another recording", [RECORDING], warn)
         directory.write(RECORDING, content)
     return dataclasses.replace(tuning, recording=folder / RECORDING)

@@ -43,7 +43,16 @@ from nermo_mjx.plotting.charts import (
 )
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
-from nermo_mjx.plotting.style import BAND, COLOURS, GRID, INK, LINE, MISSING, MUTED, SERIES
+from nermo_mjx.plotting.style import (
+    BAND_COLOUR,
+    COLOUR_MAP,
+    GRID,
+    INK,
+    LINE_COLOUR,
+    MISSING_COLOUR,
+    MUTED_INK,
+    SERIES,
+)
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.job import Progress, Watch
 from nermo_mjx.specs.reading import SpecError
@@ -139,7 +148,9 @@ class Traces:
 
 def corner(ax: Axes, text: str, y: float = 1.01, va: Literal["bottom", "top"] = "bottom") -> None:
     """A small note at the top right of a panel."""
-    ax.annotate(text, (1, y), xycoords="axes fraction", ha="right", va=va, fontsize=8, color=MUTED)
+    ax.annotate(
+        text, (1, y), xycoords="axes fraction", ha="right", va=va, fontsize=8, color=MUTED_INK
+    )
 
 
 def legend(ax: Axes, handles: Any = None, labels: Any = None, **more: Any) -> None:
@@ -208,7 +219,7 @@ def objective_figure(traces: Traces) -> Figure:
         _draw_starts(ax, traces, quantity.values)
         if term.aim == "hold":
             target = float(traces.in_shown_unit(metric, np.asarray(term.at)))
-            ax.axhline(target, color=MUTED, lw=1.0, ls="--", zorder=1)
+            ax.axhline(target, color=MUTED_INK, lw=1.0, ls="--", zorder=1)
         corner(ax, _AIMS[term.aim])
         ax.set_ylabel(quantity.label)
     star(axes[0], iteration, best, lw=0.9, zorder=6)
@@ -276,7 +287,7 @@ def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
         styles[best]["zorder"] = 4
         return styles if len(drawn_starts) > 1 else {best: styles[best] | {"label": None}}
     styles = {
-        start: {"color": BAND, "lw": 0.9, "alpha": 0.8, "zorder": 2, "label": None}
+        start: {"color": BAND_COLOUR, "lw": 0.9, "alpha": 0.8, "zorder": 2, "label": None}
         for start in drawn_starts
     }
     styles[drawn_starts[-1]]["label"] = "other starts"
@@ -288,7 +299,7 @@ def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
         "label": "start 0 (given)",
     }
     styles[best] |= {
-        "color": LINE,
+        "color": LINE_COLOUR,
         "lw": 1.8,
         "alpha": 1.0,
         "zorder": 4,
@@ -364,10 +375,10 @@ def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> 
         bounds = (low, high)
         for begin, end in ((first, low), (high, last)):
             if begin < end:
-                ax.axhspan(begin, end, color=MISSING, alpha=0.45, lw=0, zorder=0)
+                ax.axhspan(begin, end, color=MISSING_COLOUR, alpha=0.45, lw=0, zorder=0)
     for bound in bounds:
         if first <= bound <= last:
-            ax.axhline(bound, color=MUTED, lw=0.9, ls=(0, (4, 3)), zorder=1)
+            ax.axhline(bound, color=MUTED_INK, lw=0.9, ls=(0, (4, 3)), zorder=1)
 
 
 def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
@@ -386,7 +397,7 @@ def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
 
 
 #: Lower is better, and brighter.
-_COLOURS: Final = f"{COLOURS}_r"
+_COLOURS: Final = f"{COLOUR_MAP}_r"
 _LEVELS: Final = 18
 _LABEL: Final = "objective, lower is better [1]"
 #: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
@@ -409,7 +420,7 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     )
     figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
     ax = figure.subplots()
-    ax.set_facecolor("white" if landscape is None else MISSING)
+    ax.set_facecolor("white" if landscape is None else MISSING_COLOUR)
     ends = [traces.in_shown_unit(parameter.name, np.array(parameter.bounds)) for parameter in pair]
     if landscape is not None:
         _draw_landscape(figure, ax, traces, landscape)
@@ -459,7 +470,7 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     ax = figure.subplots()
     if landscape is not None:
         nodes = traces.in_shown_unit(parameter.name, landscape.axes[parameter.name])
-        ax.plot(nodes, landscape.value, color=MUTED, lw=1.4, zorder=1)
+        ax.plot(nodes, landscape.value, color=MUTED_INK, lw=1.4, zorder=1)
     positions = traces.in_shown_unit(parameter.name, traces.column(parameter.name))
     value = traces.column("objective")
     for start, style in start_styles(traces).items():
@@ -551,7 +562,7 @@ def _draw_path(
     for turn in copies:
         x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
         if thin:
-            ax.plot(x, y, color=MUTED, lw=0.8, zorder=4)
+            ax.plot(x, y, color=MUTED_INK, lw=0.8, zorder=4)
             ax.plot(x[:1], y[:1], ms=8, mfc="none", mec=INK, mew=1.2, **mark)
         else:
             ax.plot(

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field
 from scipy.stats import qmc
 
-from nermo_mjx.files import MOST_FILE, read_bytes
+from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
 from nermo_mjx.lazy import warn_former
 from nermo_mjx.optimize.objective import (
     AIMS,
@@ -38,7 +38,7 @@ from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named_section, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_file
 from nermo_mjx.specs.values import (
-    MEASURED_TEXT,
+    QUANTITY_SCHEMA,
     ByParameter,
     Choice,
     Ends,
@@ -157,7 +157,7 @@ class Tuned(Spec):
     elsewhere = ("name",)
     bounds: Ends = None  # type: ignore[assignment]  # none cannot be written in a file
     """by default its range"""
-    start: Annotated[float, Field(json_schema_extra=MEASURED_TEXT)] = None  # type: ignore[assignment]
+    start: Annotated[float, Field(json_schema_extra=QUANTITY_SCHEMA)] = None  # type: ignore[assignment]
     """value of the first start, by default the parameter's"""
     periodic: bool = False
     """whether it wraps around from one bound to the other"""
@@ -460,7 +460,7 @@ class Tuning(WalkSpec, Described):
             SpecError: the recording cannot be read.
         """
         try:
-            recorded = b"" if self.recording is None else read_bytes(self.recording, MOST_FILE)
+            recorded = b"" if self.recording is None else read_bytes(self.recording, MAX_FILE_BYTES)
         except OSError as error:
             raise SpecError(
                 f"recording is {self.recording}: cannot be read ({error.strerror or error})."

@@ -1,7 +1,7 @@
 """MuJoCo's C engine on all cores, with the jitted controller between ticks: CPU batches, and the reference engine.
 
 A batch is cut into blocks. Each core takes one block after the other through all ticks, so no core waits for another
-one, or for the controller, between ticks. The controller is always compiled for `LANES` worlds, and in that shape a
+one, or for the controller, between ticks. The controller is always compiled for `BLOCK_WORLDS` worlds, and in that shape a
 world's results depend neither on its position nor on its neighbours: they are bit-identical for any batch, order and
 number of cores.
 """
@@ -31,9 +31,9 @@ from nermo_mjx.shapes import Array
 
 #: Number of worlds in every call of the compiled loop, padded if necessary: XLA's rounding depends on the batch's
 #: shape.
-LANES: Final = 32
+BLOCK_WORLDS: Final = 32
 #: Minimum number of worlds for which a separate block pays off, including its call of the loop.
-LEAST: Final = 8
+MIN_BLOCK_WORLDS: Final = 8
 
 #: A number of processors, None for those that `thread_count` finds, or a pool of as many threads.
 Threads: TypeAlias = int | ThreadPoolExecutor | None
@@ -116,7 +116,7 @@ class CSession:
         self._blocks = []
         with jax.default_device(self._device):
             for span in self._spans:
-                lanes = np.pad(span, (0, LANES - len(span)), mode="edge")
+                lanes = np.pad(span, (0, BLOCK_WORLDS - len(span)), mode="edge")
                 part = jax.tree.map(lambda leaf, lanes=lanes: np.asarray(leaf)[lanes], params)
                 varied = {name: values[span] for name, values in fields.items()}
                 self._blocks.append(_Block(engine, part, qpos[span], varied, threads))
@@ -143,7 +143,7 @@ class CSession:
 
     @property
     def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
-        """Arguments of the next call of `loop.step`, for `LANES` worlds of whatever batch."""
+        """Arguments of the next call of `loop.step`, for `BLOCK_WORLDS` worlds of whatever batch."""
         return self._blocks[0].arguments
 
     @property
@@ -251,7 +251,7 @@ class CBodies:
 
 
 class _Block(CBodies):
-    """Some worlds of a batch: n in MuJoCo, and their loop in `LANES` lanes, of which the first n are used."""
+    """Some worlds of a batch: n in MuJoCo, and their loop in `BLOCK_WORLDS` lanes, of which the first n are used."""
 
     def __init__(
         self,
@@ -262,7 +262,7 @@ class _Block(CBodies):
         threads: int,
     ) -> None:
         super().__init__(engine, qpos, fields, threads)
-        lanes = np.pad(self.sensordata, ((0, LANES - self.worlds), (0, 0)), mode="edge")
+        lanes = np.pad(self.sensordata, ((0, BLOCK_WORLDS - self.worlds), (0, 0)), mode="edge")
         self.loop = engine.packed(params, lanes)
         self.params = self.loop.pack(params)
         self._state = self.loop.init(self.params, lanes)
@@ -308,9 +308,9 @@ class _Block(CBodies):
 
 def _spans(worlds: int, threads: int) -> list[np.ndarray]:
     """Worlds of each block: of equal size, and enough blocks to keep all threads busy to the end."""
-    fewest = math.ceil(worlds / LANES)
+    fewest = math.ceil(worlds / BLOCK_WORLDS)
     even = math.ceil(fewest / threads) * threads
-    return np.array_split(np.arange(worlds), min(even, max(fewest, worlds // LEAST)))
+    return np.array_split(np.arange(worlds), min(even, max(fewest, worlds // MIN_BLOCK_WORLDS)))
 
 
 # ---
@@ -388,7 +388,10 @@ def _observed(block: _Block) -> Any:
 def _restarted(
     block: _Block, ids: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]
 ) -> Any:
-    batch, lanes = block.batch, np.pad(np.arange(len(ids)), (0, LANES - len(ids)), mode="edge")
+    batch, lanes = (
+        block.batch,
+        np.pad(np.arange(len(ids)), (0, BLOCK_WORLDS - len(ids)), mode="edge"),
+    )
     batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
     block.models = vary(batch, block.engine.model, fields, block.models, ids)
     block.qpos[ids] = qpos

@@ -117,11 +117,11 @@ class Engine(Protocol):
 
 
 #: Environment variable with the default number of devices.
-VARIABLE: Final = "NERMO_MJX_DEVICES"
+DEVICES_VARIABLE: Final = "NERMO_MJX_DEVICES"
 #: World axis of an argument or a result: the first axis, the second, or none.
-FIRST: Final = PartitionSpec("worlds")
-SECOND: Final = PartitionSpec(None, "worlds")
-NOWHERE: Final = PartitionSpec()
+FIRST_AXIS: Final = PartitionSpec("worlds")
+SECOND_AXIS: Final = PartitionSpec(None, "worlds")
+NO_AXIS: Final = PartitionSpec()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,7 +147,9 @@ class Devices:
         """Arrays (n, ...) sharded over the devices, (padded(n), ...); the last world is repeated as padding."""
         if self.mesh is None:
             return jax.device_put(tree)
-        return jax.device_put(jax.tree.map(self._filled, tree), NamedSharding(self.mesh, FIRST))
+        return jax.device_put(
+            jax.tree.map(self._filled, tree), NamedSharding(self.mesh, FIRST_AXIS)
+        )
 
     def take(self, tree: Any, worlds: int) -> Any:
         """Arrays from `put` or a sharded function without the padding, on the host."""
@@ -162,7 +164,7 @@ class Devices:
 
         Args:
             function: of arrays, jittable.
-            arguments, results: `FIRST`, `SECOND` or `NOWHERE` for each argument, and for each part of the result.
+            arguments, results: `FIRST_AXIS`, `SECOND_AXIS` or `NO_AXIS` for each argument, and for each part of the result.
         """
         if self.mesh is None:
             return function
@@ -189,7 +191,7 @@ def choose_devices(requested: int | None = None) -> Devices:
     local = jax.local_devices()
     name, value = "devices", str(requested)
     if requested is None:
-        name, value = VARIABLE, os.environ.get(VARIABLE) or str(len(local))
+        name, value = DEVICES_VARIABLE, os.environ.get(DEVICES_VARIABLE) or str(len(local))
     if not value.isdecimal() or not 1 <= (count := int(value)) <= len(local):
         raise ParameterError(
             f"{name} is {value}: allowed is 1 to {len(local)}, as many as JAX finds here."
@@ -214,7 +216,7 @@ def batch_limit() -> int | None:
 
 #: Worlds that are observed at a time. The heights of the ground ahead of 32 worlds would exceed what XLA compiles to a
 #: single function (`runtime.EXTRA_OPTIONS`); and a block of few worlds is not observed in all of its lanes.
-_OBSERVED: Final = 8
+_OBSERVED_WORLDS: Final = 8
 
 
 class PackedLoop:
@@ -305,12 +307,12 @@ class PackedLoop:
             ]
 
         def observe(rounds: Any, *arguments: Array) -> Float[Array, "n o"]:
-            """The observations of the first `rounds` times `_OBSERVED` worlds."""
+            """The observations of the first `rounds` times `_OBSERVED_WORLDS` worlds."""
 
             def body(round_: Array, observations: Array) -> Array:
-                first_row = round_ * _OBSERVED
+                first_row = round_ * _OBSERVED_WORLDS
                 rows = [
-                    jax.lax.dynamic_slice_in_dim(argument, first_row, _OBSERVED)
+                    jax.lax.dynamic_slice_in_dim(argument, first_row, _OBSERVED_WORLDS)
                     for argument in arguments
                 ]
                 return jax.lax.dynamic_update_slice_in_dim(observations, some(*rows), first_row, 0)
@@ -327,7 +329,7 @@ class PackedLoop:
     def observe(self, worlds: int, params: Array, state: Array, sensordata: np.ndarray) -> Any:
         """Observations of the first worlds, leaves (worlds, ...)."""
         rows = np.asarray(
-            self._observe(np.int32(-(-worlds // _OBSERVED)), params, state, sensordata)
+            self._observe(np.int32(-(-worlds // _OBSERVED_WORLDS)), params, state, sensordata)
         )[:worlds]
         leaves, structure = jax.tree.flatten(self._seen)
         parts = np.split(rows, np.cumsum([leaf.size for leaf in leaves])[:-1], axis=1)

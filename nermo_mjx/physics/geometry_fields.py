@@ -24,7 +24,13 @@ from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.shapes import Array
 
 #: Fields that are linear in the geometry.
-_LINEAR: Final[tuple[str, ...]] = ("body_pos", "body_ipos", "site_pos", "geom_pos", "geom_size")
+_LINEAR_FIELDS: Final[tuple[str, ...]] = (
+    "body_pos",
+    "body_ipos",
+    "site_pos",
+    "geom_pos",
+    "geom_size",
+)
 
 
 class GeometryFields:
@@ -83,7 +89,7 @@ class GeometryFields:
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of the fields that differ between worlds; they depend on the parameters' names alone."""
-        field_names = [name for name in _LINEAR if name in self._linear]
+        field_names = [name for name in _LINEAR_FIELDS if name in self._linear]
         field_names += ["geom_rbound"] * ("geom_size" in field_names) + ["body_inertia"] * bool(
             len(self._bodies)
         )
@@ -123,7 +129,7 @@ class GeometryFields:
         }
         places = {
             name: fields.get(name, jnp.asarray(getattr(self.model, name), float))
-            for name in _LINEAR
+            for name in _LINEAR_FIELDS
         }
         world: dict[str, Array] = {
             name: fields.pop(name) for name in ("site_xpos", "geom_xpos") if name in fields
@@ -220,7 +226,7 @@ class _Read:
         data = mujoco.MjData(model)
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
-        linear = {name: getattr(model, name).copy() for name in _LINEAR}
+        linear = {name: getattr(model, name).copy() for name in _LINEAR_FIELDS}
         linear |= {"site_xpos": data.site_xpos.copy(), "geom_xpos": data.geom_xpos.copy()}
         turn = np.zeros((model.nbody, 9))
         for body in range(model.nbody):

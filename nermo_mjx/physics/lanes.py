@@ -15,7 +15,7 @@ from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.runtime import compiler_options
 
 #: Worlds per chunk; the last one is padded.
-LANES: Final = 256
+CHUNK_WORLDS: Final = 256
 
 
 class Lanes:
@@ -35,7 +35,7 @@ class Lanes:
         arguments = jax.tree.map(np.asarray, arguments)
         worlds = len(jax.tree.leaves(arguments)[0])
         pieces = []
-        for start in range(0, worlds, LANES):
-            ids = np.minimum(np.arange(start, start + LANES), worlds - 1)
+        for start in range(0, worlds, CHUNK_WORLDS):
+            ids = np.minimum(np.arange(start, start + CHUNK_WORLDS), worlds - 1)
             pieces.append(self._program(*jax.tree.map(lambda leaf, ids=ids: leaf[ids], arguments)))
         return jax.tree.map(lambda *parts: np.concatenate(parts)[:worlds], *pieces)

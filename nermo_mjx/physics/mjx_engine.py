@@ -28,12 +28,12 @@ from nermo_mjx.dynamics.coverage import not_simulated
 from nermo_mjx.dynamics.mjx_copy import make_data, put_model
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.precision import full_precision
-from nermo_mjx.dynamics.solver import ROUNDS
+from nermo_mjx.dynamics.solver import MAX_ROUNDS
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.engine import (
-    FIRST,
-    NOWHERE,
-    SECOND,
+    FIRST_AXIS,
+    NO_AXIS,
+    SECOND_AXIS,
     Loop,
     Trace,
     batch_limit,
@@ -180,7 +180,7 @@ class MjxEngine:
 
     def is_unsolved(self, data: mjx.Data) -> Truth:
         """Whether the constraint solver did not converge in the step that produced the data."""
-        unsolved: Truth = rows.inner(data).solver_niter > ROUNDS
+        unsolved: Truth = rows.inner(data).solver_niter > MAX_ROUNDS
         return unsolved
 
     @full_precision
@@ -295,7 +295,7 @@ class MjxEngine:
         )
 
     def _open_worlds(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
-        return self.devices.divide(jax.vmap(self.start), (FIRST,) * 4, FIRST)(
+        return self.devices.divide(jax.vmap(self.start), (FIRST_AXIS,) * 4, FIRST_AXIS)(
             params, qpos, qvel, sensordata
         )
 
@@ -304,9 +304,9 @@ class MjxEngine:
             tick = self._ticks(params, fields)
             return jax.lax.fori_loop(0, ticks, lambda _, c: tick(c)[0], carry)
 
-        return self.devices.divide(advance, (FIRST, FIRST, FIRST, NOWHERE), FIRST)(
-            params, fields, carry, ticks
-        )
+        return self.devices.divide(
+            advance, (FIRST_AXIS, FIRST_AXIS, FIRST_AXIS, NO_AXIS), FIRST_AXIS
+        )(params, fields, carry, ticks)
 
     def _record(
         self, params: Any, fields: dict[str, Array], carry: Carry, ticks: int
@@ -320,7 +320,9 @@ class MjxEngine:
 
             return jax.lax.scan(recorded, carry, None, length=ticks)
 
-        return self.devices.divide(record, (FIRST,) * 3, (FIRST, SECOND))(params, fields, carry)
+        return self.devices.divide(record, (FIRST_AXIS,) * 3, (FIRST_AXIS, SECOND_AXIS))(
+            params, fields, carry
+        )
 
 
 class MjxSession:
@@ -481,9 +483,9 @@ class WarpEngine(MjxEngine):
 
 #: Worlds of a batch that MuJoCo C walks beside Warp, for how many control ticks at most, and how far the torso may be
 #: from C's by then [m]. On `mjx`, in single precision too, 8,192 walks of six cycles went as far as C's within 0.2 mm.
-COMPANIONS: Final = 8
+COMPANION_WORLDS: Final = 8
 CHECKED_TICKS: Final = 100
-FARTHEST: Final = 0.005
+LARGEST_DEVIATION_METRES: Final = 0.005
 
 
 class WarpSession(MjxSession):
@@ -497,7 +499,7 @@ class WarpSession(MjxSession):
     ) -> None:
         super().__init__(engine, params, qpos, fields)
         self._chosen = checked_worlds = np.unique(
-            np.linspace(0, self.worlds - 1, COMPANIONS).round().astype(int)
+            np.linspace(0, self.worlds - 1, COMPANION_WORLDS).round().astype(int)
         )
         some_params, some_fields = jax.tree.map(
             lambda leaf: np.asarray(leaf)[checked_worlds], (params, fields)
@@ -537,12 +539,12 @@ class WarpSession(MjxSession):
             ) from None
         distance = np.abs(positions - right).max(axis=1)
         # A world that C itself loses is no oracle; a NaN of Warp alone is a difference.
-        wrong = np.isfinite(right).all(axis=1) & ~(distance <= FARTHEST)
+        wrong = np.isfinite(right).all(axis=1) & ~(distance <= LARGEST_DEVIATION_METRES)
         if wrong.any():
             raise ParameterError(
                 f"engine is 'warp': after {self._ticks} control ticks {wrong.sum()} of {len(wrong)} walks are not "
-                f"where MuJoCo C has them: one is {distance[wrong][0]:.3g} m away, allowed are {FARTHEST:g} m; take the "
-                "engine mjx."
+                f"where MuJoCo C has them: one is {distance[wrong][0]:.3g} m away, allowed are "
+                f"{LARGEST_DEVIATION_METRES:g} m; take the engine mjx."
             )
 
 

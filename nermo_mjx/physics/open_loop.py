@@ -32,25 +32,25 @@ from nermo_mjx.shapes import Array
 
 #: Half-widths of the differences, the first at which both sides agree: wide ones have little rounding, and narrow ones
 #: seldom cross the border of a contact. For accelerations, as a share of the largest.
-WIDTHS: Final = (1e-6, 1e-7, 1e-8)
+HALF_WIDTHS: Final = (1e-6, 1e-7, 1e-8)
 #: The same of differences of steps, which are exact to the solver's tolerance.
 STEP_WIDTH: Final = 1e-6
 #: The same of activations and controls, in which forces are smooth.
 ACTUATION_WIDTH: Final = 1e-6
 #: The forward and the backward difference of a smooth function are nearer than this, as a share of the larger. Then
 #: their mean is exact to its square.
-KINK: Final = 3e-3
+LARGEST_ASYMMETRY: Final = 3e-3
 #: Largest force that the inverse dynamics may leave over, as a share of the forces in it.
-RESIDUAL: Final = 1e-6
+LARGEST_RESIDUAL_SHARE: Final = 1e-6
 #: Tolerance and most iterations of the constraint solver: at MuJoCo's default of 1e-8 states are no smooth function.
-TOLERANCE: Final = 1e-12
-ITERATIONS: Final = 200
+SOLVER_TOLERANCE: Final = 1e-12
+SOLVER_ITERATIONS: Final = 200
 #: Joints with a quaternion.
-FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+FREE_JOINT_TYPE, BALL_JOINT_TYPE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 #: Activations whose next value follows from themselves and the control.
-_SIMPLE: Final = ("NONE", "INTEGRATOR", "FILTER", "FILTEREXACT", "MUSCLE")
-_FULL: Final = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_FIRST_ONLY: Final = (
+_SIMPLE_ACTIVATIONS: Final = ("NONE", "INTEGRATOR", "FILTER", "FILTEREXACT", "MUSCLE")
+_FULL_STATE: Final = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_SECOND_DERIVATIVE_MESSAGE: Final = (
     "A trajectory on MuJoCo C has first derivatives only: for others take nermo_mjx.dynamics.step."
 )
 
@@ -130,8 +130,8 @@ class Trajectory:
                 "The model has states of plugins or delays, which a trajectory does not contain."
             )
         self.model = copy.copy(model)
-        self.model.opt.tolerance = min(model.opt.tolerance, TOLERANCE)
-        self.model.opt.iterations = max(model.opt.iterations, ITERATIONS)
+        self.model.opt.tolerance = min(model.opt.tolerance, SOLVER_TOLERANCE)
+        self.model.opt.iterations = max(model.opt.iterations, SOLVER_ITERATIONS)
         self._inverse = copy.copy(self.model)
         self._inverse.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
         dynamics = {
@@ -141,7 +141,7 @@ class Trajectory:
             model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
             and not model.opt.noslip_iterations
         )
-        self._by_inverse = bool(invertible and dynamics <= set(_SIMPLE))
+        self._by_inverse = bool(invertible and dynamics <= set(_SIMPLE_ACTIVATIONS))
         self.threads, self._local = thread_count(threads), threading.local()
         self._simulated = self._differentiable()
 
@@ -222,7 +222,7 @@ class Trajectory:
                 steps = np.flatnonzero(kinks.any(axis=0))
                 step_names = ", ".join(map(str, steps[:10])) + (", ..." if len(steps) > 10 else "")
                 warnings.warn(
-                    f"The set of active contacts or limits changes within {WIDTHS[-1]:g} at {len(steps)} steps "
+                    f"The set of active contacts or limits changes within {HALF_WIDTHS[-1]:g} at {len(steps)} steps "
                     f"({step_names}): the derivative there is the mean of its two sides.",
                     stacklevel=2,
                 )
@@ -232,13 +232,13 @@ class Trajectory:
         @jax.custom_jvp
         def simulated(*arguments: Array) -> States:
             return first_order_callback(
-                values, shapes(arguments[-1].shape[0])[0], _FIRST_ONLY, *arguments
+                values, shapes(arguments[-1].shape[0])[0], _SECOND_DERIVATIVE_MESSAGE, *arguments
             )
 
         @simulated.defjvp
         def rule(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[States, States]:
             states, (a, b, turns) = first_order_callback(
-                slopes, shapes(primals[-1].shape[0]), _FIRST_ONLY, *primals
+                slopes, shapes(primals[-1].shape[0]), _SECOND_DERIVATIVE_MESSAGE, *primals
             )
             dqpos, dqvel, dact, dctrl = tangents
             # Of a quaternion only what turns it counts: its rows have the square 1/4.
@@ -342,7 +342,7 @@ class Trajectory:
     ) -> None:
         """The data in a state, as a rollout has it, with no warm start from another one."""
         mujoco.mj_resetData(model, data)
-        mujoco.mj_setState(model, data, np.concatenate([[0.0], state]), _FULL)
+        mujoco.mj_setState(model, data, np.concatenate([[0.0], state]), _FULL_STATE)
         data.ctrl[:] = control
 
     def _implicit(
@@ -361,7 +361,10 @@ class Trajectory:
             for state_vector in (data.qfrc_inverse, data.qfrc_constraint, data.qfrc_bias)
         )
         mujoco.mj_fwdActuation(m, data)
-        if np.abs(data.qfrc_inverse - data.qfrc_actuator).max(initial=0.0) > RESIDUAL * largest:
+        if (
+            np.abs(data.qfrc_inverse - data.qfrc_actuator).max(initial=0.0)
+            > LARGEST_RESIDUAL_SHARE * largest
+        ):
             return None
         sides, kink = self._inverse_changes(data, max(1.0, np.abs(acceleration).max(initial=0.0)))
         force_q, force_v, force_a = (0.5 * (up + down).T for up, down in zip(*sides, strict=True))
@@ -393,7 +396,7 @@ class Trajectory:
         """
         m, kink, sides = self._inverse, False, list[list[np.ndarray]]()
         # The force is linear in accelerations, but for changes of rows: beside large ones a small width only rounds.
-        for width in WIDTHS:
+        for width in HALF_WIDTHS:
             sides = [[np.zeros((m.nv, m.nv)) for _ in range(3)] for _ in "+-"]
             for side, by in zip((1.0, -1.0), sides, strict=True):
                 mujoco.mjd_inverseFD(
@@ -446,8 +449,8 @@ class Trajectory:
         m = self.model
         by_position, by_velocity = np.eye(m.nv), h * np.eye(m.nv)
         for kind, dof in zip(m.jnt_type.tolist(), m.jnt_dofadr.tolist(), strict=True):
-            if kind in (FREE, BALL):
-                first = dof + (3 if kind == FREE else 0)
+            if kind in (FREE_JOINT_TYPE, BALL_JOINT_TYPE):
+                first = dof + (3 if kind == FREE_JOINT_TYPE else 0)
                 turn = slice(first, first + 3)
                 by_turn, by_rate, unused = np.zeros(9), np.zeros(9), np.zeros(3)
                 mujoco.mjd_quatIntegrate(np.array(velocity[turn]), h, by_turn, by_rate, unused)
@@ -477,10 +480,10 @@ class Trajectory:
         for kind, address, dof in zip(
             m.jnt_type.tolist(), m.jnt_qposadr.tolist(), m.jnt_dofadr.tolist(), strict=True
         ):
-            plain = {FREE: 3, BALL: 0}.get(kind, 1)
+            plain = {FREE_JOINT_TYPE: 3, BALL_JOINT_TYPE: 0}.get(kind, 1)
             for i in range(plain):
                 matrix[..., address + i, dof + i] = 1.0
-            if kind in (FREE, BALL):
+            if kind in (FREE_JOINT_TYPE, BALL_JOINT_TYPE):
                 w, x, y, z = np.moveaxis(qpos[..., address + plain : address + plain + 4], -1, 0)
                 product = np.stack([-x, -y, -z, w, -z, y, z, w, -x, -y, x, w], axis=-1)
                 rows = slice(address + plain, address + plain + 4)
@@ -492,7 +495,7 @@ class Trajectory:
 def _apart(forward: np.ndarray, backward: np.ndarray) -> bool:
     """Whether the differences to both sides are not those of one smooth function."""
     largest = max(np.abs(forward).max(initial=0.0), np.abs(backward).max(initial=0.0))
-    return bool(np.abs(forward - backward).max(initial=0.0) > KINK * largest)
+    return bool(np.abs(forward - backward).max(initial=0.0) > LARGEST_ASYMMETRY * largest)
 
 
 def trajectory(model: mujoco.MjModel, threads: int | None = None) -> Trajectory:

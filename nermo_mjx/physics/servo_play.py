@@ -29,7 +29,7 @@ SERVO_PLAY: Final = "servo_play"
 #: Fields that servos with play need; the controls' range is wide, since it is the targets that are limited.
 PLAY_FIELDS: Final = (SERVO_PLAY, "actuator_ctrlrange")
 #: Bound of that range [rad].
-UNLIMITED: Final = 1e6
+UNLIMITED_RANGE_RAD: Final = 1e6
 
 T = TypeVar("T")
 

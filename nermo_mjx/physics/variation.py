@@ -18,7 +18,13 @@ from mujoco.batch import Batch
 from nermo_mjx.dynamics.constants import MassConstants, PlaceConstants
 from nermo_mjx.physics.geometry_fields import GeometryFields
 from nermo_mjx.physics.lanes import Lanes
-from nermo_mjx.physics.servo_play import PLAY_FIELDS, SERVO_PLAY, UNLIMITED, Play, without_play
+from nermo_mjx.physics.servo_play import (
+    PLAY_FIELDS,
+    SERVO_PLAY,
+    UNLIMITED_RANGE_RAD,
+    Play,
+    without_play,
+)
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot
 from nermo_mjx.robot.equipment import chain_of, contact_kinds, is_spine_joint, pair_of
 from nermo_mjx.robot.geometry import names_geometry
@@ -38,7 +44,7 @@ from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array
 
 #: Model fields that each group of body parameters affects, and those that single ones affect in addition.
-FIELDS: Final[dict[str, tuple[str, ...]]] = {
+AFFECTED_FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "servo": ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     "servo.back_emf": ("dof_damping",),
     "servo.knee_range": ("actuator_ctrlrange",),
@@ -71,11 +77,11 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
 #: Parameters that turn the mounts of the legs.
 TILTS: Final = ("build.front_tilt", "build.rear_tilt")
 #: Model fields that depend on the geometry, or on how the robot is built.
-_BUILT: Final = frozenset(
+_BUILD_FIELDS: Final = frozenset(
     ("body_pos", "body_quat", "body_ipos", "body_iquat", "site_pos", "tendon_range")
 )
 #: Fields that the constants below are derived from.
-_MASSES_AND_PLACES: Final = _BUILT - {"tendon_range"} | {"body_mass", "body_inertia"}
+_MASS_AND_POSE_FIELDS: Final = _BUILD_FIELDS - {"tendon_range"} | {"body_mass", "body_inertia"}
 #: Constants that MuJoCo derives from masses and positions (`mj_setConst`) and that MJX's step reads.
 DERIVED_FIELDS: Final = (
     "body_subtreemass",
@@ -193,7 +199,7 @@ class Variation:
                     p.ground.gravity, p.ground.slope, p.ground.direction, jnp
                 ),
                 SERVO_PLAY: Play.of(p.servo).packed,
-                "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED)
+                "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED_RANGE_RAD)
                 * jnp.array([-1.0, 1.0]),
                 **self._shaped(p.terrain, placed),
             }
@@ -370,8 +376,8 @@ class Variation:
 
 def _reached(named: Iterable[str]) -> list[str]:
     """Model fields that the named parameters affect."""
-    keys = {key for name in named for key in (name.split(".")[0], name)} & set(FIELDS)
-    return list(dict.fromkeys(field for key in sorted(keys) for field in FIELDS[key]))
+    keys = {key for name in named for key in (name.split(".")[0], name)} & set(AFFECTED_FIELDS)
+    return list(dict.fromkeys(field for key in sorted(keys) for field in AFFECTED_FIELDS[key]))
 
 
 def _lengths(named: Iterable[str]) -> tuple[str, ...]:
@@ -400,7 +406,7 @@ def _mount(model: mujoco.MjModel, limb: str) -> tuple[int, np.ndarray, np.ndarra
 
 def moves_constants(fields: Iterable[str]) -> bool:
     """Whether `DERIVED_FIELDS` depend on any of these model fields."""
-    return not _MASSES_AND_PLACES.isdisjoint(fields)
+    return not _MASS_AND_POSE_FIELDS.isdisjoint(fields)
 
 
 def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
@@ -415,7 +421,7 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
         else copy.copy(robot.model)
     )
     for name, field in variation.batch(parameters, 1, values).items():
-        if name in _BUILT or name in PLAY_FIELDS:
+        if name in _BUILD_FIELDS or name in PLAY_FIELDS:
             continue
         if name.startswith("geom_"):
             # Geoms have different ids than in the model that engines step; all other ids are the same.

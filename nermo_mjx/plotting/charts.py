@@ -35,17 +35,17 @@ from matplotlib.ticker import (
 
 from nermo_mjx.plotting.shown import ShownValues, cost, half_width, spoken, titled
 from nermo_mjx.plotting.style import (
-    BAND,
-    BEST,
-    COLOURS,
-    GAIN_COLOURS,
+    BAND_COLOUR,
+    BEST_COLOUR,
+    COLOUR_MAP,
+    GAIN_COLOUR_MAP,
     GRID,
     INK,
-    LINE,
-    MISSING,
-    MUTED,
+    LINE_COLOUR,
+    MISSING_COLOUR,
+    MUTED_INK,
     SERIES,
-    SMALL,
+    SMALL_POINTS,
 )
 
 #: Width of most figures [in].
@@ -55,8 +55,8 @@ WIDTH: Final = 7.2
 # Scales and grids.
 
 #: Share of outliers at an end that are excluded from the colours where they would take most of the scale.
-_TAIL: Final = 0.05
-_MOST: Final = 0.5
+_OUTLIER_SHARE: Final = 0.05
+_OUTLIER_SPAN: Final = 0.5
 
 
 def light(colour: str) -> str:
@@ -81,8 +81,11 @@ def colour_scale(values: np.ndarray) -> tuple[Normalize, str]:
     low, high = float(good.min()), float(good.max())
     if low == high:
         return Normalize(low - abs(low) * 0.01 - 1e-9, high + abs(high) * 0.01 + 1e-9), "neither"
-    first, last = np.quantile(good, [_TAIL, 1 - _TAIL]).tolist()
-    cut_low, cut_high = first - low > _MOST * (high - low), high - last > _MOST * (high - low)
+    first, last = np.quantile(good, [_OUTLIER_SHARE, 1 - _OUTLIER_SHARE]).tolist()
+    cut_low, cut_high = (
+        first - low > _OUTLIER_SPAN * (high - low),
+        high - last > _OUTLIER_SPAN * (high - low),
+    )
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}[
         cut_low, cut_high
     ]
@@ -113,27 +116,29 @@ def horizontal_grid(ax: Axes) -> None:
     ax.set_axisbelow(True)
     low, high = ax.get_ylim()
     if low < 0 < high:
-        ax.axhline(0, color=MUTED, lw=0.8, zorder=1)
+        ax.axhline(0, color=MUTED_INK, lw=0.8, zorder=1)
 
 
 def star(
     ax: Axes, x: Any, y: Any, size: float = 150, lw: float | None = None, zorder: float = 8
 ) -> None:
     """Draw a star at the best point."""
-    ax.scatter(x, y, s=size, marker="*", fc=BEST, ec="white", lw=lw, zorder=zorder, clip_on=False)
+    ax.scatter(
+        x, y, s=size, marker="*", fc=BEST_COLOUR, ec="white", lw=lw, zorder=zorder, clip_on=False
+    )
 
 
 # ---
 # The page: title above the axes, legend and note below, with as much space as they need.
 
 #: Inches around a page (half beside labels, which are drawn wider than laid out), between lines of text, and of a line.
-_EDGE: Final = 0.1
-_GAP: Final = 0.08
-_LINE: Final = 0.15
+_EDGE_INCHES: Final = 0.1
+_GAP_INCHES: Final = 0.08
+_LINE_INCHES: Final = 0.15
 #: Mean width of a character of the note, and of the title [inch].
-_CHARACTER: Final = 0.059
-_TITLE_CHARACTER: Final = 0.098
-_TITLE_LINE: Final = 0.21
+_CHARACTER_INCHES: Final = 0.059
+_TITLE_CHARACTER_INCHES: Final = 0.098
+_TITLE_LINE_INCHES: Final = 0.21
 
 
 class FigurePage:
@@ -176,10 +181,10 @@ def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()
     Lines of the title and the note that are too long for the page are broken; see `note_lines`.
     """
     width, height = figure.get_size_inches()
-    head = textwrap.wrap(title, int((width - 2 * _EDGE) / _TITLE_CHARACTER))
+    head = textwrap.wrap(title, int((width - 2 * _EDGE_INCHES) / _TITLE_CHARACTER_INCHES))
     figure.text(
-        _EDGE / width,
-        1 - _EDGE / height,
+        _EDGE_INCHES / width,
+        1 - _EDGE_INCHES / height,
         "\n".join(head),
         va="top",
         fontsize=11.5,
@@ -188,22 +193,22 @@ def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()
     )
     lines = note_lines(note, width)
     figure.text(
-        _EDGE / width,
-        _EDGE / height,
+        _EDGE_INCHES / width,
+        _EDGE_INCHES / height,
         "\n".join(lines),
         va="bottom",
-        fontsize=SMALL,
-        color=MUTED,
+        fontsize=SMALL_POINTS,
+        color=MUTED_INK,
         linespacing=1.2,
     )
-    below = _EDGE + _LINE * len(lines) + _GAP * bool(lines)
+    below = _EDGE_INCHES + _LINE_INCHES * len(lines) + _GAP_INCHES * bool(lines)
     if handles:
-        below += _legend(figure, handles, below) + _GAP
-    above = _EDGE + _TITLE_LINE * len(head) + 0.07
+        below += _legend(figure, handles, below) + _GAP_INCHES
+    above = _EDGE_INCHES + _TITLE_LINE_INCHES * len(head) + 0.07
     rect = (
-        0.5 * _EDGE / width,
+        0.5 * _EDGE_INCHES / width,
         below / height,
-        1 - 1.5 * _EDGE / width,
+        1 - 1.5 * _EDGE_INCHES / width,
         1 - (below + above) / height,
     )
     figure.get_layout_engine().set(rect=rect, hspace=0.05, wspace=0.05)  # type: ignore[union-attr, call-arg]
@@ -227,7 +232,7 @@ def note_lines(note: str, width: float) -> list[str]:
         hangs = "\t" in line
         wrapped += textwrap.wrap(
             line.replace("\t", "   "),
-            int((width - 2 * _EDGE) / _CHARACTER),
+            int((width - 2 * _EDGE_INCHES) / _CHARACTER_INCHES),
             subsequent_indent="      " if hangs else "",
             replace_whitespace=False,
         )
@@ -246,12 +251,12 @@ def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
             columnspacing=1.4,
             handlelength=1.7,
             loc="lower left",
-            bbox_to_anchor=(_EDGE / width, below / height),
+            bbox_to_anchor=(_EDGE_INCHES / width, below / height),
             borderaxespad=0,
             borderpad=0.2,
         )
         box = legend.get_window_extent(figure.canvas.get_renderer())  # type: ignore[attr-defined]
-        if box.width / figure.dpi <= width - 2 * _EDGE or columns == 1:
+        if box.width / figure.dpi <= width - 2 * _EDGE_INCHES or columns == 1:
             return box.height / figure.dpi
         legend.remove()
     raise AssertionError("one column is always taken")
@@ -261,10 +266,12 @@ def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
 # Many points in one panel: dots as long as they can be distinguished, their density beyond.
 
 #: Number of points in a panel above which dots would overlap.
-CROWD: Final = 5000
+CROWD_POINTS: Final = 5000
 _CELLS: Final = 44
 #: Lighter than lines drawn over it.
-_DENSITY: Final = LinearSegmentedColormap.from_list("density", [light(BAND), BAND, "#5aa5d6"])
+_DENSITY: Final = LinearSegmentedColormap.from_list(
+    "density", [light(BAND_COLOUR), BAND_COLOUR, "#5aa5d6"]
+)
 
 
 def thinned(
@@ -279,14 +286,20 @@ def thinned(
 
 def density_note(count: int) -> str:
     """The figure's note about this number of points."""
-    return "; darker: more runs" if count >= CROWD else ""
+    return "; darker: more runs" if count >= CROWD_POINTS else ""
 
 
 def cloud(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> None:
     """Draw points as dots of a size [pt^2], or many of them as hexagons, darker (logarithmically) for more points."""
-    if len(x.values) < CROWD:
+    if len(x.values) < CROWD_POINTS:
         ax.scatter(
-            x.values, y.values, s=size, color=BAND, lw=0, rasterized=len(x.values) > 2000, zorder=2
+            x.values,
+            y.values,
+            s=size,
+            color=BAND_COLOUR,
+            lw=0,
+            rasterized=len(x.values) > 2000,
+            zorder=2,
         )
         return
     ax.hexbin(
@@ -333,13 +346,13 @@ def heat_maps(
     ]
     values = np.concatenate([grid.ravel() for grid in grids])
     scale, extend = colour_scale(values)
-    marked, colours, fill, edge = grids, COLOURS, "none", "white"
+    marked, colours, fill, edge = grids, COLOUR_MAP, "none", "white"
     if gain is not None:
         filled = np.where(gain, z.values, np.nan)
         marked = [
             cell_means(x.values[mask], y.values[mask], filled[mask], xs, ys) for _, mask in panels
         ]
-        colours, fill, edge = GAIN_COLOURS, "white", INK
+        colours, fill, edge = GAIN_COLOUR_MAP, "white", INK
         scale, extend = _gain_scale(values)
     figure, axes = panelled(len(panels), 2.5 if len(panels) > 1 else 4.4)
     mesh = cell_edges(xs, x.log), cell_edges(ys, y.log)
@@ -387,7 +400,7 @@ def hatch(ax: Axes) -> None:
             1,
             1,
             transform=ax.transAxes,
-            fc=MISSING,
+            fc=MISSING_COLOUR,
             ec="white",
             hatch="////",
             lw=0,
@@ -431,9 +444,9 @@ def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
     """Mean over x, with a band of its 95 % interval where points share an x, and the best point as a star."""
     figure, (ax,) = panelled(1, 4.4)
     xs, mean, half = binned(x.values, z.values, np.unique(x.values))
-    ax.fill_between(xs, mean - half, mean + half, color=BAND, alpha=0.6, lw=0)
+    ax.fill_between(xs, mean - half, mean + half, color=BAND_COLOUR, alpha=0.6, lw=0)
     note += "band: 95 % interval of the mean; " if np.isfinite(half).any() else ""
-    ax.plot(xs, mean, "-o", color=LINE, ms=4, mec="white", mew=0.6)
+    ax.plot(xs, mean, "-o", color=LINE_COLOUR, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
         best_index = int(np.nanargmin(cost(z.side, mean)))
         ax.scatter(
@@ -441,7 +454,7 @@ def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
             mean[best_index],
             s=170,
             marker="*",
-            fc=BEST,
+            fc=BEST_COLOUR,
             ec="white",
             zorder=5,
             clip_on=False,
@@ -464,7 +477,7 @@ def scatters(
         ax.plot(
             centres,
             mean,
-            color=LINE,
+            color=LINE_COLOUR,
             lw=2,
             path_effects=[Stroke(linewidth=4, foreground="white"), Normal()],
         )
@@ -497,7 +510,7 @@ def pair_scatters(
             c=z.values[order],
             s=14,
             norm=scale,
-            cmap=COLOURS,
+            cmap=COLOUR_MAP,
             lw=0,
             rasterized=len(z.values) > 2000,
         )
@@ -507,13 +520,13 @@ def pair_scatters(
                 y.values[order[-1]],
                 s=170,
                 marker="*",
-                fc=BEST,
+                fc=BEST_COLOUR,
                 ec="white",
                 zorder=5,
             )
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
-    colour_bar(figure, axes, ScalarMappable(scale, COLOURS), z.label, extend=extend, **_BAR)
+    colour_bar(figure, axes, ScalarMappable(scale, COLOUR_MAP), z.label, extend=extend, **_BAR)
     best = f"star: {best_word(z)}, {z.shown(float(z.values[order[-1]]))}"
     return around(figure, title, note + best if star else note.removesuffix("; "))
 
@@ -586,13 +599,13 @@ def cell_edges(centres: np.ndarray, log: bool) -> np.ndarray:
 # Figures that compare the structures of a table: a line, a panel or a dot for each combination of them.
 
 #: Parameters with a figure of their own, and of which pairs are drawn.
-_MOST_ALONE: Final = 6
-_MOST_PAIRED: Final = 3
+_MAX_SINGLE_PARAMETERS: Final = 6
+_MAX_PAIRED_PARAMETERS: Final = 3
 #: Lines or panels of one figure; more structures are told by one of their names alone.
-MOST_GROUPS: Final = 12
+MAX_CHART_GROUPS: Final = 12
 _DASHES: Final = ("-", "--", ":", "-.")
 #: Maximum number of lines with bands of spread; more would cover each other.
-_MOST_BANDS: Final = 4
+_MAX_BANDS: Final = 4
 _BINS: Final = 9
 
 
@@ -621,7 +634,7 @@ def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
     while grouping:
         keys = list(zip(*(columns[name] for name in grouping), strict=True))
         places = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-        if len(places) <= MOST_GROUPS or len(grouping) == 1:
+        if len(places) <= MAX_CHART_GROUPS or len(grouping) == 1:
             averaged = [name for name in columns if name not in grouping]
             title = ", ".join(grouping) + (f"; mean over {', '.join(averaged)}" if averaged else "")
             pairs = ((key[:-1], key[-1]) if len(grouping) > 1 else (key, "") for key in places)
@@ -648,7 +661,7 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool)
     figure = blank(WIDTH, 1.3 + 0.3 * count)
     ax = figure.subplots()
     for group_index in range(count):
-        colour = BEST if group_index == best else SERIES[0]
+        colour = BEST_COLOUR if group_index == best else SERIES[0]
         if spread:
             ax.errorbar(
                 mean[group_index],
@@ -683,7 +696,7 @@ def lines(
     A structure that has no such parameter is a level line at its mean. With `spread`, where runs of a structure at one
     x are repeats, a band of the mean's 95 % interval.
     """
-    spread = spread and len(groups.names) <= _MOST_BANDS
+    spread = spread and len(groups.names) <= _MAX_BANDS
     figure, (ax,) = panelled(1, 4.6)
     handles, level = [], False
     for group_index, name in enumerate(groups.names):
@@ -726,13 +739,13 @@ def structure_figures(
     metric = z.name
     title = f"{titled(metric)} of each structure"
     yield f"{metric}-over-structures", dots(groups, z, title, remark, spread=not plotted)
-    for x in plotted[:_MOST_ALONE]:
+    for x in plotted[:_MAX_SINGLE_PARAMETERS]:
         title = f"{titled(metric)} over {x.spoken}, by structure"
         figure = lines(
             x, z, groups, title, remark, even=not grid, spread=grid and len(plotted) == 1
         )
         yield f"{metric}-over-{x.name}-by-structure", figure
-    for x, y in itertools.combinations(plotted[:_MOST_PAIRED] if grid else [], 2):
+    for x, y in itertools.combinations(plotted[:_MAX_PAIRED_PARAMETERS] if grid else [], 2):
         good = np.isfinite(x.values) & np.isfinite(y.values)
         across, up, value = (
             dataclasses.replace(shown, values=shown.values[good]) for shown in (x, y, z)
@@ -744,12 +757,12 @@ def structure_figures(
             note += f"mean over {', '.join(shown.spoken for shown in plotted if shown.name not in (x.name, y.name))}; "
         if lacking := len(groups.names) - len(present):
             note += f"{lacking} structures without one of them; "
-        if len(present) > MOST_GROUPS:
-            note += f"{len(present) - MOST_GROUPS} more structures not shown; "
+        if len(present) > MAX_CHART_GROUPS:
+            note += f"{len(present) - MAX_CHART_GROUPS} more structures not shown; "
         title = f"{titled(metric)} over {x.spoken} and {y.spoken}, by structure"
         panels = [
             (groups.names[group_index], group_indices == group_index)
-            for group_index in present[:MOST_GROUPS]
+            for group_index in present[:MAX_CHART_GROUPS]
         ]
         yield (
             f"{metric}-over-{x.name}-and-{y.name}-by-structure",
@@ -763,7 +776,7 @@ def structure_figures(
 #: The best points, which are always drawn, and thick.
 BEST_LINES: Final = 5
 #: An axis with no more values than this has a tick at each.
-_EACH: Final = 9
+_MAX_TICKS: Final = 9
 
 
 # Long because one figure is laid out from top to bottom.
@@ -781,7 +794,7 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     places = np.broadcast_to(np.arange(len(axes)), paths.shape)
     lines = np.stack([places, paths], axis=-1)
     best_count = min(BEST_LINES, len(lines))
-    colours = matplotlib.colormaps[COLOURS](scale(z.values))
+    colours = matplotlib.colormaps[COLOUR_MAP](scale(z.values))
     # The more lines there are, the more each lets those below through.
     colours[:, 3] = np.clip(90.0 / len(lines), 0.2, 0.8)
     background = LineCollection(
@@ -793,14 +806,14 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
         LineCollection(list(lines[-best_count:]), colors="white", linewidths=3.4, zorder=3)
     )
     ax.add_collection(
-        LineCollection(list(lines[-best_count:]), colors=BEST, linewidths=1.7, zorder=4)
+        LineCollection(list(lines[-best_count:]), colors=BEST_COLOUR, linewidths=1.7, zorder=4)
     )
     for position, axis_values in enumerate(
         axes
     ):  # a line with ticks: each value where there are few, else round ones
-        ax.plot([position, position], [0, 1], color=MUTED, lw=1.0, zorder=5)
+        ax.plot([position, position], [0, 1], color=MUTED_INK, lw=1.0, zorder=5)
         values = np.unique(axis_values.values[np.isfinite(axis_values.values)])
-        if not axis_values.names and len(values) > _EACH:
+        if not axis_values.names and len(values) > _MAX_TICKS:
             low, high = values[0], values[-1]
             locator = LogLocator(subs=(1.0, 2.0, 5.0)) if axis_values.log else MaxNLocator(5)
             ticks = locator.tick_values(low, high)
@@ -811,7 +824,9 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
             "bbox": {"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0}
         }
         for value, height in zip(values, _share(axis_values, values), strict=True):
-            ax.plot([position, position + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
+            ax.plot(
+                [position, position + 0.03], [height, height], color=MUTED_INK, lw=1.0, zorder=5
+            )
             text = (
                 axis_values.shown(value)
                 if axis_values.names
@@ -823,13 +838,19 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
                 "va": "center",
             }
             ax.annotate(
-                text, (position, height), fontsize=SMALL, color=INK, zorder=6, **text_options, **box
+                text,
+                (position, height),
+                fontsize=SMALL_POINTS,
+                color=INK,
+                zorder=6,
+                **text_options,
+                **box,
             )
     strip = np.linspace(0, 1, 256)[:, None]
     right = len(axes) - 1
     ax.imshow(
         strip,
-        cmap=COLOURS,
+        cmap=COLOUR_MAP,
         extent=(right - 0.022, right + 0.022, 0, 1),
         origin="lower",
         aspect="auto",
@@ -857,7 +878,7 @@ def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
 # Two metrics against each other: all points, the Pareto front, and its best points by name.
 
 #: Points of the front that are named.
-NAMED: Final = 5
+NAMED_POINTS: Final = 5
 
 
 def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -875,7 +896,7 @@ def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return order[better[: len(order)]]
 
 
-def named_points(x: np.ndarray, y: np.ndarray, limit: int = NAMED) -> np.ndarray:
+def named_points(x: np.ndarray, y: np.ndarray, limit: int = NAMED_POINTS) -> np.ndarray:
     """Places on a front (n,) of the points to name: both ends, and others at even distances along it."""
     if len(x) <= limit:
         return np.arange(len(x))
@@ -919,8 +940,10 @@ def trade_off(
         for values, side in zip((x.values[best], y.values[best]), sides, strict=True):
             turns = (np.minimum if side == "max" else np.maximum)(values[1:], values[:-1])
             steps.append(np.append(np.stack([values[:-1], turns], axis=1).ravel(), values[-1:]))
-        ax.plot(*steps, color=BEST, lw=1.4, zorder=3)
-    ax.scatter(x.values[best], y.values[best], s=26, color=BEST, ec="white", lw=0.6, zorder=4)
+        ax.plot(*steps, color=BEST_COLOUR, lw=1.4, zorder=3)
+    ax.scatter(
+        x.values[best], y.values[best], s=26, color=BEST_COLOUR, ec="white", lw=0.6, zorder=4
+    )
     set_scales(ax, x, y)
     ax.margins(0.06)
     # Labels are placed on the better direction of their points, where there is nothing else.

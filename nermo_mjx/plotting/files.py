@@ -15,7 +15,7 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
 
 FORMATS: Final = ("png", "svg")
-_DPI: Final = 200
+_FILE_DPI: Final = 200
 #: Figures by name; a generator makes each in turn, in the common style.
 Figures = Iterable[tuple[str, Figure]]
 
@@ -65,7 +65,7 @@ def _encode(figure: Figure, form: str) -> bytes:
     figure.savefig(
         stream,
         format=form,
-        dpi=_DPI,
+        dpi=_FILE_DPI,
         metadata={"Date": None} if form == "svg" else {"Software": None},
     )
     return stream.getvalue()

@@ -96,7 +96,7 @@ def shown(
 
 
 #: Of all intervals.
-LEVEL: Final = 0.95
+CONFIDENCE_LEVEL: Final = 0.95
 
 
 def half_width(std: np.ndarray | float, count: np.ndarray | int) -> np.ndarray:
@@ -108,7 +108,7 @@ def half_width(std: np.ndarray | float, count: np.ndarray | int) -> np.ndarray:
     from scipy.special import stdtrit
 
     freedom = np.where(np.asarray(count) > 1, np.asarray(count) - 1.0, np.nan)
-    return np.asarray(stdtrit(freedom, (1 + LEVEL) / 2) * std / np.sqrt(freedom + 1))
+    return np.asarray(stdtrit(freedom, (1 + CONFIDENCE_LEVEL) / 2) * std / np.sqrt(freedom + 1))
 
 
 def cost(side: str, values: np.ndarray) -> np.ndarray:

@@ -19,9 +19,9 @@ OKABE_ITO: Final = {
     "vermilion": "#d55e00",
     "purple": "#cc79a7",
 }
-INK, MUTED, GRID, SHADE, MISSING = "#222222", "#555555", "#e6e6e6", "#f1f1f1", "#d9d9d9"
+INK, MUTED_INK, GRID, SHADE, MISSING_COLOUR = "#222222", "#555555", "#e6e6e6", "#f1f1f1", "#d9d9d9"
 #: The main line, secondary lines, and the best value.
-LINE, BAND, BEST = OKABE_ITO["blue"], "#9cc9e6", OKABE_ITO["vermilion"]
+LINE_COLOUR, BAND_COLOUR, BEST_COLOUR = OKABE_ITO["blue"], "#9cc9e6", OKABE_ITO["vermilion"]
 #: Several things side by side, in this order; yellow is too pale for lines on white.
 SERIES: Final = tuple(
     OKABE_ITO[name] for name in ("blue", "orange", "green", "purple", "sky", "vermilion")
@@ -34,12 +34,12 @@ FOOT: Final = {
     "rear_right": OKABE_ITO["orange"],
 }
 #: The tail, next to the feet.
-TAIL: Final = OKABE_ITO["purple"]
+TAIL_COLOUR: Final = OKABE_ITO["purple"]
 #: Numbers from low to high, and gains and losses about 0.
-COLOURS: Final = "viridis"
-GAIN_COLOURS: Final = "RdBu"
+COLOUR_MAP: Final = "viridis"
+GAIN_COLOUR_MAP: Final = "RdBu"
 #: Sizes of type that are not those of `STYLE` [pt].
-SMALL: Final = 8.0
+SMALL_POINTS: Final = 8.0
 
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -55,11 +55,11 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 8.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.edgecolor": MUTED,
+    "axes.edgecolor": MUTED_INK,
     "axes.labelcolor": INK,
     "text.color": INK,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
+    "xtick.color": MUTED_INK,
+    "ytick.color": MUTED_INK,
     "axes.grid": False,
     "axes.prop_cycle": f"cycler(color={SERIES})",
     "axes.unicode_minus": True,

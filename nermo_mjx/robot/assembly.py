@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.robot.equipment import (
-    MOST_HINGES,
+    MAX_HINGES,
     TAIL_SEGMENTS,
     add_contacts,
     add_hinges,
@@ -55,9 +55,9 @@ TailName = Literal["rigid", "articulated"]
 ConeName = Literal["elliptic", "pyramidal"]
 FeetName = Literal["spheres", "capsules"]
 #: The torso's cameras that follow the robot without turning with it.
-FOLLOWING: Final = ("track_side", "track_top", "track_three_quarter")
+FOLLOWING_CAMERAS: Final = ("track_side", "track_top", "track_three_quarter")
 #: Field of view of the head's two cameras.
-EYES: Final = ("left_eye", "right_eye")
+EYE_CAMERAS: Final = ("left_eye", "right_eye")
 
 
 @with_attributes
@@ -93,7 +93,7 @@ class RobotConfig:
         "form of the soles; capsules: 7 mm wide, and front ankles touch, too; in as_published by default capsules",
     )
     hinges: int = static(
-        1, f"of each compliant joint of legs and spine, from 1 to {MOST_HINGES}; see `flexure`"
+        1, f"of each compliant joint of legs and spine, from 1 to {MAX_HINGES}; see `flexure`"
     )
 
     def __post_init__(self) -> None:
@@ -104,9 +104,9 @@ class RobotConfig:
             object.__setattr__(self, "timestep", PresetTimestep(self.preset.timestep))
         if not 1e-5 <= self.timestep <= 0.005:
             raise ParameterError(f"timestep is {self.timestep!r}: allowed is [1e-05, 0.005] s.")
-        if type(self.hinges) is not int or not 1 <= self.hinges <= MOST_HINGES:
+        if type(self.hinges) is not int or not 1 <= self.hinges <= MAX_HINGES:
             raise ParameterError(
-                f"hinges is {self.hinges!r}: allowed is a whole number from 1 to {MOST_HINGES}."
+                f"hinges is {self.hinges!r}: allowed is a whole number from 1 to {MAX_HINGES}."
             )
 
     @property
@@ -131,10 +131,15 @@ def assemble(
     robot = config.robot
     spec.modelname = f"{robot}_{scene_name(scene)}"
     _attach(
-        spec, geometry, spec.worldbody, "torso", robot, plain=("torso", "root", "imu", *FOLLOWING)
+        spec,
+        geometry,
+        spec.worldbody,
+        "torso",
+        robot,
+        plain=("torso", "root", "imu", *FOLLOWING_CAMERAS),
     )
     _attach(spec, geometry, spec.frame("torso_spine_mount"), "spine", robot, hinges=config.hinges)
-    eyes = ("head", "neck", "head_tilt", "eyes", *EYES)
+    eyes = ("head", "neck", "head_tilt", "eyes", *EYE_CAMERAS)
     _attach(spec, geometry, spec.frame("torso_neck_mount"), "head", robot, plain=eyes)
     _attach(spec, geometry, spec.frame("spine_end"), "hip", robot)
     for limb in LIMBS:

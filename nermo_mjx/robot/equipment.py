@@ -15,7 +15,7 @@ import numpy as np
 
 from nermo_mjx.robot.masses import ROBOT_MASSES, is_front, part_of
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import LEGS, LIMBS, SERVOS, SPINE, servo_range
+from nermo_mjx.robot.parameters import LEGS, LIMBS, SERVOS, SPINE_GEOMETRY, servo_range
 from nermo_mjx.robot.parts import load_part
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.scene import SceneGeoms
@@ -34,9 +34,9 @@ from nermo_mjx.robot.scene import SceneGeoms
 
 
 #: Most hinges of a chain: MuJoCo allows a body six degrees of freedom.
-MOST_HINGES: Final = 6
-_COMPLIANT: Final = re.compile(r"knee|ankle|(joint|vertical)_\d")
-_HINGE: Final = "_hinge_"
+MAX_HINGES: Final = 6
+_COMPLIANT_JOINT: Final = re.compile(r"knee|ankle|(joint|vertical)_\d")
+_HINGE_INFIX: Final = "_hinge_"
 
 
 def add_hinges(part: mujoco.MjSpec, hinges: int) -> None:
@@ -48,20 +48,20 @@ def add_hinges(part: mujoco.MjSpec, hinges: int) -> None:
     """
     if hinges == 1:
         return
-    for joint in [joint for joint in part.joints if _COMPLIANT.fullmatch(joint.name)]:
+    for joint in [joint for joint in part.joints if _COMPLIANT_JOINT.fullmatch(joint.name)]:
         body, name = joint.parent, joint.name
         for number in range(1, hinges + 1):
             hinge = joint if number == 1 else body.add_joint(type=joint.type, axis=joint.axis)
-            hinge.name = f"{name}{_HINGE}{number}"
+            hinge.name = f"{name}{_HINGE_INFIX}{number}"
 
 
 def place_hinges(spec: mujoco.MjSpec, hinges: int) -> None:
     """Put the hinges of every chain along its leaf, in the robot's zero pose."""
     for joint in spec.joints:
-        _, chained, number = joint.name.partition(_HINGE)
+        _, chained, number = joint.name.partition(_HINGE_INFIX)
         if chained:
             share = (int(number) - 0.5) / hinges - 0.5
-            joint.pos = share * SPINE.segment_length * _direction(joint, hinges)
+            joint.pos = share * SPINE_GEOMETRY.segment_length * _direction(joint, hinges)
 
 
 def chain_of(joint: str) -> str:
@@ -70,7 +70,7 @@ def chain_of(joint: str) -> str:
     >>> chain_of("front_left_knee_hinge_2"), chain_of("neck")
     ('front_left_knee', 'neck')
     """
-    return joint.partition(_HINGE)[0]
+    return joint.partition(_HINGE_INFIX)[0]
 
 
 def _direction(joint: Any, hinges: int) -> np.ndarray:
@@ -101,7 +101,7 @@ ARMATURE: Final = {
 TAIL_STIFFNESS: Final = 1.2
 TAIL_DAMPING: Final = 0.01
 #: Knee angle at which the torsion spring rests [rad].
-KNEE_REST: Final = {"front": np.radians(50.0), "rear": np.radians(75.0)}
+KNEE_REST_RAD: Final = {"front": np.radians(50.0), "rear": np.radians(75.0)}
 #: Tendons are massless and all but inextensible: their limit is stiff, with a time constant [s] of this or of two time
 #: steps, below which MuJoCo's solver would not hold.
 TENDON_TIME_CONSTANT: Final = 0.004
@@ -111,7 +111,7 @@ TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
 #: bend the spine by 14 % less at small angles.
 LEG_TENDON_ONSET: Final = (0.99, 0.0001, 0.5, 2.0)
 #: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
-TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")
+TRUNK_GEOMS: Final = ("torso_chest", "hip_pelvis", "head_skull")
 #: The group of the visual geoms.
 VISUAL_GROUP: Final = 2
 #: Parts of the tail that may touch the ground, with the site that measures the force (geom, site): the tip and, with
@@ -119,19 +119,19 @@ VISUAL_GROUP: Final = 2
 #: is bent sideways under a rolling body, the others may.
 TAIL_TIP: Final = ("tail_tip", "tail_touch")
 TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (16, 17, 18))
-#: Geoms with this suffix touch obstacles only. TRUNK and the soles alone would let a shoulder, a knee or the nose
+#: Geoms with this suffix touch obstacles only. TRUNK_GEOMS and the soles alone would let a shoulder, a knee or the nose
 #: penetrate a box: these spheres and capsules complete the robot's outline, except for its tail and 2 mm of the soft
 #: paws. A scene without obstacles is built without them, so they cost nothing there.
-BUMPER: Final = "_bumper"
+BUMPER_SUFFIX: Final = "_bumper"
 
 
 #: Geoms of the feet end so.
-FOOT: Final = ("_sole", "_ankle")
+FOOT_SUFFIXES: Final = ("_sole", "_ankle")
 #: Of the author's model: radius of the lower front legs, and the straight part of the soles' capsules [m], which lie
 #: across the robot.
 ANKLE_RADIUS: Final = 0.002
 SOLE_WIDTH: Final = 0.007
-ACROSS: Final = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+LATERAL_QUATERNION: Final = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 
 
 def set_masses(spec: mujoco.MjSpec, robot: str, parameters: ModelParameters) -> None:
@@ -176,7 +176,7 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1
             pair = joint.name.split("_")[0]
             side = 1.0 if "left" in joint.name else -1.0
             spring = getattr(stiffness, f"{pair}_knee") * (1.0 + side * parameters.build.asymmetry)
-            _compliant(joint, spring, damping.knee, ARMATURE["knee"], KNEE_REST[pair], hinges)
+            _compliant(joint, spring, damping.knee, ARMATURE["knee"], KNEE_REST_RAD[pair], hinges)
         elif kind == "ankle":
             _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"], hinges=hinges)
         elif kind == "hip":
@@ -191,11 +191,11 @@ def is_spine_joint(joint: str) -> bool:
 
 
 #: Kinds of compliant joints, in the order of `Sensors.joint_velocity`.
-COMPLIANT: Final = ("knee", "ankle", "spine", "tail")
+COMPLIANT_KINDS: Final = ("knee", "ankle", "spine", "tail")
 
 
 def compliant_kind(joint: str) -> str | None:
-    """Which of `COMPLIANT` a joint is by its name, or None.
+    """Which of `COMPLIANT_KINDS` a joint is by its name, or None.
 
     >>> compliant_kind("front_left_knee_hinge_2"), compliant_kind("spine_vertical_1"), compliant_kind("front_left_hip")
     ('knee', 'spine', None)
@@ -203,7 +203,7 @@ def compliant_kind(joint: str) -> str | None:
     if is_spine_joint(joint):
         return "spine"
     kind = "tail" if joint.startswith("tail_joint") else chain_of(joint).rpartition("_")[2]
-    return kind if kind in COMPLIANT else None
+    return kind if kind in COMPLIANT_KINDS else None
 
 
 def _compliant(
@@ -304,7 +304,7 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
         add(f"{limb}_foot_position", kind.mjSENS_FRAMEPOS, site, f"{limb}_foot")
     for limb in LIMBS:
         add(f"{limb}_foot_velocity", kind.mjSENS_FRAMELINVEL, site, f"{limb}_foot")
-    for compliant in COMPLIANT:
+    for compliant in COMPLIANT_KINDS:
         for joint in spec.joints:
             if compliant_kind(joint.name) == compliant:
                 add(f"{joint.name}_velocity", kind.mjSENS_JOINTVEL, objects.mjOBJ_JOINT, joint.name)
@@ -337,7 +337,7 @@ def add_contacts(
 
     Args:
         scene: its geoms that can touch the robot.
-        trunk_contacts: whether the spheres of `TRUNK` touch the ground, too. They always touch obstacles.
+        trunk_contacts: whether the spheres of `TRUNK_GEOMS` touch the ground, too. They always touch obstacles.
         capsules: whether soles are capsules instead of spheres, and the ankles of the front legs touch the ground, too.
     """
     contact = parameters.contact
@@ -352,20 +352,24 @@ def add_contacts(
                 sole.classname, name=f"{limb}_ankle", size=[ANKLE_RADIUS, 0, 0]
             )
             soft[ankle.name] = contact.friction
-        sole.type, sole.size[1], sole.quat = mujoco.mjtGeom.mjGEOM_CAPSULE, SOLE_WIDTH / 2, ACROSS
+        sole.type, sole.size[1], sole.quat = (
+            mujoco.mjtGeom.mjGEOM_CAPSULE,
+            SOLE_WIDTH / 2,
+            LATERAL_QUATERNION,
+        )
     soft |= {geom: contact.tail_friction for geom, _ in _tail_ground(spec)}
-    hard = dict.fromkeys(TRUNK if trunk_contacts else (), contact.trunk_friction)
+    hard = dict.fromkeys(TRUNK_GEOMS if trunk_contacts else (), contact.trunk_friction)
     for ground in scene.ground:
         for part, friction in (soft | hard).items():
             pair = _add_pair(spec, ground, part, friction)
             if part in soft:
                 pair.solref, pair.solimp = solref, solimp
-    bumpers = [geom for geom in spec.geoms if geom.name.endswith(BUMPER)]
+    bumpers = [geom for geom in spec.geoms if geom.name.endswith(BUMPER_SUFFIX)]
     if not scene.obstacles:
         for geom in bumpers:
             spec.delete(geom)
         return
-    outline = (*TRUNK, *(f"{limb}_sole" for limb in LIMBS), *(geom.name for geom in bumpers))
+    outline = (*TRUNK_GEOMS, *(f"{limb}_sole" for limb in LIMBS), *(geom.name for geom in bumpers))
     for obstacle, part in itertools.product(scene.obstacles, outline):
         _add_pair(spec, obstacle, part, contact.obstacle_friction)
 
@@ -387,7 +391,13 @@ def contact_kinds(model: mujoco.MjModel, scene: SceneGeoms) -> dict[str, np.ndar
             kinds["obstacle"].append(i)
         else:
             (part,) = names - set(scene.ground)
-            kinds["sole" if part.endswith(FOOT) else "trunk" if part in TRUNK else "tail"].append(i)
+            kinds[
+                "sole"
+                if part.endswith(FOOT_SUFFIXES)
+                else "trunk"
+                if part in TRUNK_GEOMS
+                else "tail"
+            ].append(i)
     return {kind: np.array(ids, int) for kind, ids in kinds.items()}
 
 
@@ -410,20 +420,23 @@ def contact_kinds(model: mujoco.MjModel, scene: SceneGeoms) -> dict[str, np.ndar
 
 
 #: Share of the bound that is allowed: closer to it a servo settles, but rings for longer than a control period.
-ALLOWED: Final = 0.9
+ALLOWED_SHARE: Final = 0.9
 #: Share of it that is allowed for kp: without damping, the rest of the body is enough to make a stiff servo ring.
-ALLOWED_STIFFNESS: Final = 0.75
+ALLOWED_STIFFNESS_SHARE: Final = 0.75
 
 
 def highest_kp(timestep: float, kv: float) -> float:
     """The highest proportional gain [N m/rad] at a time step [s], with a damping kv [N m s/rad]."""
     inertia = 4.0 * ARMATURE["servo"]
-    return min(ALLOWED_STIFFNESS * inertia, ALLOWED * inertia - 2.0 * timestep * kv) / timestep**2
+    return (
+        min(ALLOWED_STIFFNESS_SHARE * inertia, ALLOWED_SHARE * inertia - 2.0 * timestep * kv)
+        / timestep**2
+    )
 
 
 def highest_kv(timestep: float, kp: Any) -> Any:
     """The highest damping [N m s/rad] at a time step [s], with gains kp [N m/rad] of any shape."""
-    return (4.0 * ALLOWED * ARMATURE["servo"] - timestep**2 * kp) / (2.0 * timestep)
+    return (4.0 * ALLOWED_SHARE * ARMATURE["servo"] - timestep**2 * kp) / (2.0 * timestep)
 
 
 def check_servo(kp: Any, kv: Any, timestep: float) -> None:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.robot.parameters import (
-    BODY,
+    BODY_GEOMETRY,
     FOOT_RADIUS,
     FRONT_LEG,
     IDLER_RADIUS,
@@ -25,15 +25,17 @@ from nermo_mjx.robot.parameters import (
     REAR_LEG,
     ROUTINGS,
     SERVO_DEPTH,
-    SERVO_INSIDE,
-    SPINE,
-    TAIL,
+    SERVO_INSET,
+    SPINE_GEOMETRY,
+    TAIL_GEOMETRY,
     LegGeometry,
 )
 from nermo_mjx.robot.quantity import ParameterError, choice, group, parameter_tree, quantity
 
 #: Rows of the DH table that lead from one lateral joint to the next; each covers half a segment.
-SEGMENT_ROWS: Final = range(SPINE.lateral_joints[0] + 1, SPINE.lateral_joints[-1] + 1)
+SEGMENT_ROWS: Final = range(
+    SPINE_GEOMETRY.lateral_joints[0] + 1, SPINE_GEOMETRY.lateral_joints[-1] + 1
+)
 
 
 def _link(length: float, doc: str) -> Any:
@@ -68,18 +70,18 @@ class RearLeg:
 class Shoulder:
     """Axis of the left shoulder from the spine base; the right one mirrors x."""
 
-    x: Any = quantity(BODY.shoulder[0], "m", 0.03, 0.06, "to the left")
-    y: Any = quantity(BODY.shoulder[1], "m", -0.085, -0.04, "backward")
-    z: Any = quantity(BODY.shoulder[2], "m", -0.045, -0.02, "up")
+    x: Any = quantity(BODY_GEOMETRY.shoulder[0], "m", 0.03, 0.06, "to the left")
+    y: Any = quantity(BODY_GEOMETRY.shoulder[1], "m", -0.085, -0.04, "backward")
+    z: Any = quantity(BODY_GEOMETRY.shoulder[2], "m", -0.045, -0.02, "up")
 
 
 @parameter_tree
 class Hip:
     """Axis of the left hip from the spine end; the right one mirrors x."""
 
-    x: Any = quantity(BODY.hip[0], "m", 0.03, 0.06, "to the left")
-    y: Any = quantity(BODY.hip[1], "m", -0.005, 0.025, "backward")
-    z: Any = quantity(BODY.hip[2], "m", -0.022, 0.002, "up")
+    x: Any = quantity(BODY_GEOMETRY.hip[0], "m", 0.03, 0.06, "to the left")
+    y: Any = quantity(BODY_GEOMETRY.hip[1], "m", -0.005, 0.025, "backward")
+    z: Any = quantity(BODY_GEOMETRY.hip[2], "m", -0.022, 0.002, "up")
 
 
 @parameter_tree
@@ -94,14 +96,14 @@ class SpineLengths:
     """The spine's joints and its servo."""
 
     segment: Any = quantity(
-        2 * SPINE.dh[SEGMENT_ROWS[0]][1],
+        2 * SPINE_GEOMETRY.dh[SEGMENT_ROWS[0]][1],
         "m",
         0.01,
         0.022,
         "one lateral joint to the next; behind the third 2.2 mm more",
     )
     pulley_radius: Any = quantity(
-        SPINE.pulley_radius, "m", 0.004, 0.008, "of the spine servo's pulley"
+        SPINE_GEOMETRY.pulley_radius, "m", 0.004, 0.008, "of the spine servo's pulley"
     )
 
 
@@ -110,7 +112,7 @@ class TailLength:
     """The tail, which is stretched as a whole; its segments stay as wide as they are."""
 
     length: Any = quantity(
-        TAIL.length, "m", 0.05, 0.2, "first joint to the centre of the tip, backward"
+        TAIL_GEOMETRY.length, "m", 0.05, 0.2, "first joint to the centre of the tip, backward"
     )
 
 
@@ -154,7 +156,7 @@ def check_geometry(geometry: Geometry) -> None:
                 f"geometry.{pair}_leg.attachment is {tied:g} m: the tendon would be tied beyond the ankle; allowed is "
                 f"at most geometry.{pair}_leg.lower, {length:g} m."
             )
-    inside = SERVO_INSIDE + SERVO_DEPTH + PULLEY_RIM
+    inside = SERVO_INSET + SERVO_DEPTH + PULLEY_RIM
     lateral_offset, radius = _first(
         geometry.hip.x, geometry.spine.pulley_radius, lambda x, radius: x < inside + radius
     )
@@ -214,10 +216,10 @@ def leg_geometry(geometry: Geometry, pair: str, xp: Any = math) -> LegGeometry:
 
 def dh_table(geometry: Geometry) -> list[tuple[float, Any, float, float]]:
     """Rows (alpha_prev [rad], a_prev [m], theta [rad], d [m]) of Table 5.3, with the geometry's spine segment."""
-    longer = geometry.spine.segment / 2 - SPINE.dh[SEGMENT_ROWS[0]][1]
+    longer = geometry.spine.segment / 2 - SPINE_GEOMETRY.dh[SEGMENT_ROWS[0]][1]
     return [
         (alpha, a + longer if i in SEGMENT_ROWS else a, theta, d)
-        for i, (alpha, a, theta, d) in enumerate(SPINE.dh)
+        for i, (alpha, a, theta, d) in enumerate(SPINE_GEOMETRY.dh)
     ]
 
 
@@ -228,7 +230,7 @@ def dh_table(geometry: Geometry) -> list[tuple[float, Any, float, float]]:
 
 
 #: Lower limit of lengths in denominators [m].
-TINY: Final = 1e-4
+SMALLEST_LENGTH_METRES: Final = 1e-4
 
 
 def check_routing(routing: str) -> None:
@@ -262,19 +264,19 @@ def pull(leg: Any, q1: Any, knee_angle: Any, routing: str, xp: Any = jnp) -> Any
     check_routing(routing)
     if routing == "type3":
         squared = leg.l1**2 + leg.l2**2 + 2 * leg.l1 * leg.l2 * xp.cos(knee_angle)
-        return xp.sqrt(xp.maximum(squared, TINY**2))
+        return xp.sqrt(xp.maximum(squared, SMALLEST_LENGTH_METRES**2))
     hip = leg.knee_direction * q1
     y = leg.l1 * xp.sin(hip) + leg.l2 * xp.sin(hip + knee_angle)
     z = -leg.l1 * xp.cos(hip) - leg.l2 * xp.cos(hip + knee_angle)
     if routing == "type2":
         guide = xp.asarray(leg.guide)
         y, z = y - leg.knee_direction * guide[..., 0], z - guide[..., 1]
-        return xp.sqrt(xp.maximum(y**2 + z**2, TINY**2))
+        return xp.sqrt(xp.maximum(y**2 + z**2, SMALLEST_LENGTH_METRES**2))
     if routing == "type3_idler":
         y, down, radius = -y, -z, IDLER_RADIUS
     else:
         down, radius = leg.pulley_height - z, leg.pulley_radius
-    outside = y**2 + down**2 > radius**2 + TINY**2
+    outside = y**2 + down**2 > radius**2 + SMALLEST_LENGTH_METRES**2
     y, down = xp.where(outside, y, 0.0), xp.where(outside, down, radius + 1.0)
     tangent = xp.sqrt(y**2 + down**2 - radius**2)
     # theta_2 = atan(l_t/r_p) - th_s of the spiral model; th_s = pi/2 - atan2(y, down) puts its cut above the pulley.

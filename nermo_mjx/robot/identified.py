@@ -19,14 +19,14 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.files import MOST_JSON, FileError, read_bytes
+from nermo_mjx.files import MAX_JSON_BYTES, FileError, read_bytes
 from nermo_mjx.robot.quantity import ParameterError
 
 #: The ensemble that comes with the package.
-IDENTIFIED: Final = "identified"
-PATH: Final = Path(__file__).with_suffix(".csv")
+IDENTIFIED_ENSEMBLE: Final = "identified"
+ENSEMBLE_PATH: Final = Path(__file__).with_suffix(".csv")
 #: Columns that are not parameters.
-_ABOUT: Final = ("objective", "weight")
+_FIT_COLUMNS: Final = ("objective", "weight")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,15 +58,15 @@ class Ensemble:
 
 
 @functools.lru_cache
-def bodies(source: str = IDENTIFIED) -> Ensemble:
+def bodies(source: str = IDENTIFIED_ENSEMBLE) -> Ensemble:
     """The ensemble that comes with the package, or that of an identification's directory, read once.
 
     Raises:
         ParameterError: the directory has none, or a damaged one.
     """
-    path = PATH if source == IDENTIFIED else Path(source) / "ensemble.csv"
+    path = ENSEMBLE_PATH if source == IDENTIFIED_ENSEMBLE else Path(source) / "ensemble.csv"
     try:
-        return read_ensemble(read_bytes(path, MOST_JSON).decode().splitlines())
+        return read_ensemble(read_bytes(path, MAX_JSON_BYTES).decode().splitlines())
     except (OSError, FileError):
         raise ParameterError(
             f"{source} is no directory of an identification with bodies: {path} cannot be read."
@@ -117,5 +117,5 @@ def read_ensemble(lines: Iterable[str]) -> Ensemble:
     weights = columns["weight"] / columns["weight"].sum()
     weights.flags.writeable = False
     content = hashlib.sha256("\n".join(",".join(row) for row in rows).encode()).hexdigest()[:16]
-    values = {name: column for name, column in columns.items() if name not in _ABOUT}
+    values = {name: column for name, column in columns.items() if name not in _FIT_COLUMNS}
     return Ensemble(values, weights, columns["objective"], content)

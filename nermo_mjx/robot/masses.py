@@ -23,8 +23,8 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.robot.geometry import SEGMENT_ROWS, Geometry
-from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, SPINE, TAIL
-from nermo_mjx.robot.parts import PULLEY as SERVO_PLACE_41
+from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, SPINE_GEOMETRY, TAIL_GEOMETRY
+from nermo_mjx.robot.parts import SERVO_PULLEY as SERVO_PLACE_41
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ class RigidPart:
 
     Attributes:
         mass: [kg].
-        com: centre of mass in the part's frame [m] (see `PARTS`).
+        com: centre of mass in the part's frame [m] (see `RIGID_PARTS`).
         half_size: half the edges of the uniform box that has the part's inertia [m].
         site: a site of the body, the reference frame of `com`, if that is not the body's own frame.
     """
@@ -72,7 +72,7 @@ TAIL_PULLEY: Final = RigidPart(0.00050, (0.0, 0.0, 0.0), (0.004, 0.004, 0.001))
 #: Skeleton of the spine: the first two vertebrae are counted to the front, the third to the rear.
 VERTEBRA: Final = RigidPart(0.00100, (0.0070, 0.0, 0.0), (0.005, 0.007, 0.005))
 
-PULLEY: Final = RigidPart(0.00200, (0.0, 0.0, 0.0), (0.0010, 0.0056, 0.0056))
+LEG_PULLEY: Final = RigidPart(0.00200, (0.0, 0.0, 0.0), (0.0010, 0.0056, 0.0056))
 SPINE_PULLEY: Final = RigidPart(0.00200, (0.0, 0.0, 0.0), (0.0046, 0.0046, 0.0015))
 FRONT_UPPER: Final = RigidPart(0.00090, (0.0, 0.0, -0.0148), (0.002, 0.002, 0.0148))
 FRONT_LOWER: Final = RigidPart(0.00070, (0.0, 0.0, -0.0112), (0.002, 0.002, 0.0112))
@@ -82,17 +82,17 @@ REAR_LOWER: Final = RigidPart(0.00110, (0.0, 0.0, -0.0152), (0.002, 0.002, 0.015
 REAR_FOOT: Final = RigidPart(0.00060, (0.0, 0.0, -0.0110), (0.002, 0.002, 0.0103))
 
 #: Part of every moving body, keyed by the body's name without its side and number.
-PARTS: Final[dict[str, RigidPart]] = {
+RIGID_PARTS: Final[dict[str, RigidPart]] = {
     "torso": TORSO,
     "head": HEAD,
     "spine_vertebra": VERTEBRA,
     "spine_hip": HIP,
     "spine_pulley": SPINE_PULLEY,
-    "front_pulley": PULLEY,
+    "front_pulley": LEG_PULLEY,
     "front_upper": FRONT_UPPER,
     "front_lower": FRONT_LOWER,
     "front_foot": FRONT_FOOT,
-    "rear_pulley": PULLEY,
+    "rear_pulley": LEG_PULLEY,
     "rear_upper": REAR_UPPER,
     "rear_lower": REAR_LOWER,
     "rear_foot": REAR_FOOT,
@@ -101,7 +101,7 @@ PARTS: Final[dict[str, RigidPart]] = {
 }
 
 #: The axis along which a part is stretched, and how much longer it is than the published one.
-_STRETCHED: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
+_STRETCH_RATIOS: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
     "front_upper": (2, lambda geometry: geometry.front_leg.upper / FRONT_LEG.l1),
     "front_lower": (2, lambda geometry: geometry.front_leg.lower / FRONT_LEG.l3),
     "front_foot": (2, lambda geometry: geometry.front_leg.foot / FRONT_LEG.l4),
@@ -110,23 +110,26 @@ _STRETCHED: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
     "rear_foot": (2, lambda geometry: geometry.rear_leg.foot / REAR_LEG.l4),
     "spine_vertebra": (
         0,
-        lambda geometry: geometry.spine.segment / (2 * SPINE.dh[SEGMENT_ROWS[0]][1]),
+        lambda geometry: geometry.spine.segment / (2 * SPINE_GEOMETRY.dh[SEGMENT_ROWS[0]][1]),
     ),
-    "spine_link": (0, lambda geometry: geometry.spine.segment / (2 * SPINE.dh[SEGMENT_ROWS[0]][1])),
-    "tail_segment": (1, lambda geometry: geometry.tail.length / TAIL.length),
+    "spine_link": (
+        0,
+        lambda geometry: geometry.spine.segment / (2 * SPINE_GEOMETRY.dh[SEGMENT_ROWS[0]][1]),
+    ),
+    "tail_segment": (1, lambda geometry: geometry.tail.length / TAIL_GEOMETRY.length),
 }
 
 #: Nermo 4.1 weighs 5 g more (Table 4.1): the pulley of the vertical spine's servo, half a vertebra before the first
 #: lateral joint, and 2.5 g where that servo sits. Its vertebrae are each divided by a vertical joint, and its head, by
 #: its tilt, 1 : 2 into bracket and head as in the author's model. The position of the 5 g is not published.
-_SERVO_41: Final = 0.00250
-PARTS_41: Final[dict[str, RigidPart]] = PARTS | {
+_SERVO_41_KG: Final = 0.00250
+RIGID_PARTS_41: Final[dict[str, RigidPart]] = RIGID_PARTS | {
     "torso": RigidPart(
-        TORSO.mass + _SERVO_41,
+        TORSO.mass + _SERVO_41_KG,
         tuple(
             float(c)
             for c in np.average(
-                [TORSO.com, SERVO_PLACE_41], axis=0, weights=[TORSO.mass, _SERVO_41]
+                [TORSO.com, SERVO_PLACE_41], axis=0, weights=[TORSO.mass, _SERVO_41_KG]
             )
         ),  # type: ignore[arg-type]
         TORSO.half_size,
@@ -137,7 +140,7 @@ PARTS_41: Final[dict[str, RigidPart]] = PARTS | {
     "spine_link": RigidPart(VERTEBRA.mass / 2, (0.0035, 0.0, 0.0), (0.0025, 0.005, 0.007)),
     "spine_vertical_pulley": SPINE_PULLEY,
 }
-ROBOT_PARTS: Final = {"nermo_lite": PARTS, "nermo_41": PARTS_41}
+ROBOT_PARTS: Final = {"nermo_lite": RIGID_PARTS, "nermo_41": RIGID_PARTS_41}
 _REAR_MASS: Final = 0.1005
 #: Masses in front of and behind the spine [kg].
 ROBOT_MASSES: Final = {"nermo_lite": (0.1695, _REAR_MASS), "nermo_41": (0.1745, _REAR_MASS)}
@@ -172,9 +175,9 @@ def part_of(body: str, robot: str = "nermo_lite", geometry: Geometry | None = No
     """
     key = body.replace("left_", "").replace("right_", "").rstrip("_0123456789")
     part = ROBOT_PARTS[robot][key]
-    if geometry is None or key not in _STRETCHED:
+    if geometry is None or key not in _STRETCH_RATIOS:
         return part
-    axis, ratio = _STRETCHED[key]
+    axis, ratio = _STRETCH_RATIOS[key]
     return part.stretched(axis, float(ratio(geometry)))
 
 
@@ -213,7 +216,7 @@ class MassModel:
 
 
 #: Sites that are read by name, though neither a tendon nor a sensor refers to them.
-READ: Final = ("spine_end",)
+READ_SITES: Final = ("spine_end",)
 
 
 def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel:
@@ -238,7 +241,9 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
             model.sensor_refid[model.sensor_reftype == mujoco.mjtObj.mjOBJ_SITE],
         ]
     )
-    return reduced_model(spec, {model.site(i).name for i in sites.tolist() if i >= 0} | set(READ))
+    return reduced_model(
+        spec, {model.site(i).name for i in sites.tolist() if i >= 0} | set(READ_SITES)
+    )
 
 
 def reduced_model(spec: mujoco.MjSpec, sites: Collection[str]) -> mujoco.MjModel:

@@ -111,7 +111,7 @@ LEGS: Final = {"front": FRONT_LEG, "rear": REAR_LEG}
 #: author's model leads its tendon (`router_hip` of his leg_rl_assets/rl_t3_asset_exp.xml); otherwise not published.
 IDLER_RADIUS: Final = 0.002
 #: Distance of a leg servo's output from the plane of its leg, inward, and from there to the end of its case [m].
-SERVO_INSIDE: Final = 0.0038
+SERVO_INSET: Final = 0.0038
 SERVO_DEPTH: Final = 0.0190
 #: How much farther out a pulley's rim is than the middle of its tendon [m].
 PULLEY_RIM: Final = 0.0008
@@ -155,7 +155,7 @@ def _row(alpha_deg: float, a: float, theta_deg: float) -> tuple[float, float, fl
     return math.radians(alpha_deg), a, math.radians(theta_deg), 0.0
 
 
-SPINE: Final = SpineGeometry(
+SPINE_GEOMETRY: Final = SpineGeometry(
     dh=(
         _row(0, 0.0, 90.0),
         _row(90, 0.0016, -10.7),
@@ -188,7 +188,7 @@ class BodyGeometry:
     neck: tuple[float, float, float] = (0.0, -0.080, -0.013)
 
 
-BODY: Final = BodyGeometry()
+BODY_GEOMETRY: Final = BodyGeometry()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -244,7 +244,7 @@ class TailGeometry:
         return len(self.drops) * self.spacing + self.tip[0]
 
 
-TAIL: Final = TailGeometry()
+TAIL_GEOMETRY: Final = TailGeometry()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,7 +265,7 @@ class EyeGeometry:
     dome: float = 0.0025
 
 
-EYE: Final = EyeGeometry()
+EYE_GEOMETRY: Final = EyeGeometry()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -344,7 +344,7 @@ SERVOS: Final = (
 )
 
 #: The servos that a robot lacks, by its number of servos.
-_LACKING: Final = {
+_MISSING_SERVOS: Final = {
     10: ("tail", "spine_vertical", "head"),
     11: ("spine_vertical", "head"),
     12: ("tail",),
@@ -378,7 +378,7 @@ def servos_by_count(count: int) -> tuple[str, ...]:
     >>> servos_by_count(12)[8:]
     ('spine', 'neck', 'spine_vertical', 'head')
     """
-    return tuple(servo for servo in SERVOS if servo not in _LACKING.get(count, ()))[:count]
+    return tuple(servo for servo in SERVOS if servo not in _MISSING_SERVOS.get(count, ()))[:count]
 
 
 def servo_range(servo: str, routing: str = "type3") -> tuple[float, float]:
@@ -476,7 +476,7 @@ def _feet(name: str) -> tuple[str, ...]:
 
 
 #: Points of the ground that a policy or a critic sees, left of and ahead of the torso [m].
-SCANNED: Final = tuple(
+SCAN_POINTS: Final = tuple(
     (side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side in (0.04, 0.0, -0.04)
 )
 #: Every reading by its one name, in the model, recordings, saved signals, observations, metrics and messages. A log
@@ -509,7 +509,7 @@ READINGS: Final[dict[str, Reading]] = {
         _axes("projected_gravity"), "1", "direction of gravity in the IMU's frame"
     ),
     "height_scan": Reading(
-        tuple(f"height_scan_{1e3 * ahead:g}_{1e3 * side:g}" for side, ahead in SCANNED),
+        tuple(f"height_scan_{1e3 * ahead:g}_{1e3 * side:g}" for side, ahead in SCAN_POINTS),
         "m",
         "height of the ground, so many mm ahead and to the left of the torso, over that beneath it, at most 50 mm",
     ),

@@ -20,14 +20,14 @@ from jaxtyping import Float, Int
 from nermo_mjx.robot.geometry import Geometry, dh_table, lead_height, leg_geometry, tendon_limit
 from nermo_mjx.robot.meshes.shapes import Shape
 from nermo_mjx.robot.parameters import (
-    BODY,
-    EYE,
+    BODY_GEOMETRY,
+    EYE_GEOMETRY,
     IDLER_RADIUS,
     LEGS,
     ROUTINGS,
-    SERVO_INSIDE,
-    SPINE,
-    TAIL,
+    SERVO_INSET,
+    SPINE_GEOMETRY,
+    TAIL_GEOMETRY,
 )
 
 # ---
@@ -82,9 +82,9 @@ def load_file(name: str) -> mujoco.MjSpec:
 
 
 #: What a mirror at the y-z plane does to points and Euler angles, and to quaternions.
-_POINT: Final = np.array([-1.0, 1.0, 1.0])
-_EULER: Final = np.array([1.0, -1.0, -1.0])
-_QUATERNION: Final = np.array([1.0, 1.0, -1.0, -1.0])
+_POINT_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
+_EULER_MIRROR: Final = np.array([1.0, -1.0, -1.0])
+_QUATERNION_MIRROR: Final = np.array([1.0, 1.0, -1.0, -1.0])
 
 
 def mirror(spec: mujoco.MjSpec) -> None:
@@ -101,16 +101,16 @@ def mirror(spec: mujoco.MjSpec) -> None:
             raise ValueError(
                 f"joint {joint.name} has axis {joint.axis}: a mirrored limb needs hinges along x."
             )
-        joint.pos = joint.pos * _POINT
+        joint.pos = joint.pos * _POINT_MIRROR
     for element in (*spec.bodies[1:], *spec.geoms, *spec.sites, *spec.frames):
-        element.pos, element.quat = element.pos * _POINT, element.quat * _QUATERNION
+        element.pos, element.quat = element.pos * _POINT_MIRROR, element.quat * _QUATERNION_MIRROR
         if not np.isnan(element.alt.euler[0]):
-            element.alt.euler = element.alt.euler * _EULER
+            element.alt.euler = element.alt.euler * _EULER_MIRROR
     for mesh in spec.meshes:
-        mesh.scale = mesh.scale * _POINT
+        mesh.scale = mesh.scale * _POINT_MIRROR
     for geom in spec.geoms:
         if not np.isnan(geom.fromto[0]):
-            geom.fromto = geom.fromto * np.tile(_POINT, 2)
+            geom.fromto = geom.fromto * np.tile(_POINT_MIRROR, 2)
 
 
 def turn(element: Any, x: float, y: float, z: float) -> None:
@@ -126,26 +126,35 @@ def turn(element: Any, x: float, y: float, z: float) -> None:
 
 #: Half the width of the pulley [m], and the positions of the eyelets along a segment of the published length [m].
 _TAIL_PULLEY_WIDTH: Final = 0.0010
-_EYELET: Final = 0.5 * TAIL.spacing
+_EYELET: Final = 0.5 * TAIL_GEOMETRY.spacing
 #: The last segments, numbered from 1, whose ends may touch the ground besides the tip.
-_GROUNDED: Final = (16, 17, 18)
+_GROUND_SEGMENTS: Final = (16, 17, 18)
 
 
 def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     """Place the base, and append the segments; the whole chain is stretched to its length."""
-    stretch = float(geometry.tail.length) / TAIL.length
-    ends = [(TAIL.spacing, drop) for drop in TAIL.drops] + [TAIL.tip]
+    stretch = float(geometry.tail.length) / TAIL_GEOMETRY.length
+    ends = [(TAIL_GEOMETRY.spacing, drop) for drop in TAIL_GEOMETRY.drops] + [TAIL_GEOMETRY.tip]
     # The pulley and the first eyelets are in a frame that points along the first segment.
-    turn(spec.frame("base"), -round(math.atan2(TAIL.drops[0], TAIL.spacing), 6), 0.0, 0.0)
-    spec.geom("pulley").size = np.array([SPINE.pulley_radius, _TAIL_PULLEY_WIDTH, 0.0])
+    turn(
+        spec.frame("base"),
+        -round(math.atan2(TAIL_GEOMETRY.drops[0], TAIL_GEOMETRY.spacing), 6),
+        0.0,
+        0.0,
+    )
+    spec.geom("pulley").size = np.array([SPINE_GEOMETRY.pulley_radius, _TAIL_PULLEY_WIDTH, 0.0])
     sides = {"left": 1.0, "right": -1.0}
     for side, sign in sides.items():
-        for name, (x, y) in (("side", TAIL.side), ("rim", TAIL.tie), ("0", (TAIL.eyelet, 0.0100))):
+        for name, (x, y) in (
+            ("side", TAIL_GEOMETRY.side),
+            ("rim", TAIL_GEOMETRY.tie),
+            ("0", (TAIL_GEOMETRY.eyelet, 0.0100)),
+        ):
             spec.site(f"{side}_{name}").pos = np.array([sign * x, y, 0.0])
-    parent, position = spec.worldbody, np.array([0.0, *TAIL.first_joint])
+    parent, position = spec.worldbody, np.array([0.0, *TAIL_GEOMETRY.first_joint])
     for i, (along, drop) in enumerate(ends, 1):
         end = np.array([0.0, along * stretch, -drop * stretch])
-        width = round(TAIL.eyelet - TAIL.taper * (i - 1), 6)
+        width = round(TAIL_GEOMETRY.eyelet - TAIL_GEOMETRY.taper * (i - 1), 6)
         parent = parent.add_body(name=f"segment_{i}", pos=position)
         parent.add_joint(spec.find_default("tail"), name=f"joint_{i}")
         _draw(spec, parent, i, end, width)
@@ -156,10 +165,10 @@ def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
                 spec.find_default("marker"), name=name, pos=[sign * width, middle[1], middle[2]]
             )
             spec.tendon(side).wrap_site(name)
-        if i in _GROUNDED or i == len(ends):
+        if i in _GROUND_SEGMENTS or i == len(ends):
             last = i == len(ends)
             geom, site = ("tip", "touch") if last else (f"ground_{i}", f"touch_{i}")
-            radius = TAIL.tip_radius if last else width
+            radius = TAIL_GEOMETRY.tip_radius if last else width
             parent.add_geom(
                 spec.find_default("ground"), name=geom, pos=end, size=[radius, 0.0, 0.0]
             )
@@ -172,9 +181,11 @@ def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: float) -> None:
     """A bead as wide as its eyelets, reaching to the next joint, and a cord through the joint."""
     bead, name = spec.mesh("segment"), f"segment_{i}"
-    across = width / TAIL.eyelet
+    across = width / TAIL_GEOMETRY.eyelet
     # The last one ends at the tip, and is no shorter than the others.
-    long = math.hypot(end[1], end[2]) / TAIL.spacing if i <= len(TAIL.drops) else 1.0
+    long = (
+        math.hypot(end[1], end[2]) / TAIL_GEOMETRY.spacing if i <= len(TAIL_GEOMETRY.drops) else 1.0
+    )
     spec.add_mesh(
         name=name,
         uservert=bead.uservert,
@@ -189,7 +200,7 @@ def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: flo
 
 
 #: From the shoulder's or hip's axis to the end of the capsule about its servos, left, back and up [m].
-_SERVOS: Final = {"torso": (-0.0063, 0.0003, 0.0074), "hip": (-0.0063, 0.0021, 0.0059)}
+_SERVO_CAPSULE_ENDS: Final = {"torso": (-0.0063, 0.0003, 0.0074), "hip": (-0.0063, 0.0021, 0.0059)}
 #: Half the width of the spine's pulley [m].
 _PULLEY_WIDTH: Final = 0.0015
 #: Digits of the tendons' limits [m]; with more, walks would differ from recorded ones in their last bits.
@@ -208,37 +219,40 @@ def load_part(name: str, geometry: Geometry, robot: str = "nermo_lite") -> mujoc
         robot: that the part belongs to.
     """
     spec = load_file(f"{name}_41" if robot == "nermo_41" and name in ("spine", "head") else name)
-    if name in _PLACED:
-        _PLACED[name](spec, geometry)
+    if name in _PART_FUNCTIONS:
+        _PART_FUNCTIONS[name](spec, geometry)
     return spec
 
 
 def _torso(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     for name in ("neck_mount", "neck_servo"):
-        spec.frame(name).pos = np.array(BODY.neck)
+        spec.frame(name).pos = np.array(BODY_GEOMETRY.neck)
     _limbs(spec, "front", geometry)
 
 
 def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     """The cameras in front of the lenses; a camera's own axes are right, up and back."""
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
-        c = np.cos(EYE.outward)
-        s = side * np.sin(EYE.outward)
-        level = np.cos(EYE.up)
-        rise = np.sin(EYE.up)
+        c = np.cos(EYE_GEOMETRY.outward)
+        s = side * np.sin(EYE_GEOMETRY.outward)
+        level = np.cos(EYE_GEOMETRY.up)
+        rise = np.sin(EYE_GEOMETRY.up)
         ahead = np.array([s * level, -c * level, rise])
         up = np.array([-s * rise, c * rise, level])
         camera, quat = spec.camera(name), np.zeros(4)
         mujoco.mju_mat2Quat(quat, np.stack([np.cross(ahead, up), up, -ahead], axis=-1).ravel())
-        camera.pos, camera.quat = np.array(EYE.place) * [side, 1.0, 1.0] + EYE.dome * ahead, quat
+        camera.pos, camera.quat = (
+            np.array(EYE_GEOMETRY.place) * [side, 1.0, 1.0] + EYE_GEOMETRY.dome * ahead,
+            quat,
+        )
     if spec.joint("head_tilt") is not None:
         spec.body("head").pos = np.array(TILT_AXIS)
         spec.frame("shell").pos = np.array([0.0, -HEAD_FORWARD, 0.0]) - TILT_AXIS
 
 
 def _hip(spec: mujoco.MjSpec, geometry: Geometry) -> None:
-    spec.frame("spine_servo").pos = np.array(SPINE.pulley_position)
-    spec.frame("tail_mount").pos = np.array(TAIL.mount)
+    spec.frame("spine_servo").pos = np.array(SPINE_GEOMETRY.pulley_position)
+    spec.frame("tail_mount").pos = np.array(TAIL_GEOMETRY.mount)
     _limbs(spec, "rear", geometry)
 
 
@@ -252,11 +266,11 @@ def _limbs(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     for side, mirrored in (("left", (1.0, 1.0, 1.0)), ("right", (-1.0, 1.0, 1.0))):
         for name, inside, up in (
             (f"{pair}_{side}_mount", 0.0, 0.0),
-            (f"{side}_hip_servo", SERVO_INSIDE, 0.0),
-            (f"{side}_knee_servo", SERVO_INSIDE, height),
+            (f"{side}_hip_servo", SERVO_INSET, 0.0),
+            (f"{side}_knee_servo", SERVO_INSET, height),
         ):
             spec.frame(name).pos = mirrored * (axis + np.array((-inside, 0.0, up)))
-    end = axis + _SERVOS["torso" if pair == "front" else "hip"]
+    end = axis + _SERVO_CAPSULE_ENDS["torso" if pair == "front" else "hip"]
     spec.geom("bumper").fromto = np.concatenate([end * [-1.0, 1.0, 1.0], end])
 
 
@@ -311,19 +325,21 @@ def _spine(spec: mujoco.MjSpec, geometry: Geometry) -> None:
         frame.pos = np.array([float(a), 0.0, 0.0])
         # The table and the file are in degrees.
         turn(frame, *np.round(np.degrees([alpha, 0.0, theta]), 9))
-    half, lateral_offset = SPINE.segment_length / 2, SPINE.segment_offset
-    ratio = float(geometry.spine.pulley_radius) / SPINE.pulley_radius
+    half, lateral_offset = SPINE_GEOMETRY.segment_length / 2, SPINE_GEOMETRY.segment_offset
+    ratio = float(geometry.spine.pulley_radius) / SPINE_GEOMETRY.pulley_radius
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        for i in range(2 * len(SPINE.lateral_joints)):
+        for i in range(2 * len(SPINE_GEOMETRY.lateral_joints)):
             # In front of and behind each joint; in its frame x is back and -y left.
             spec.site(f"{side}_{i}").pos = np.array(
                 [half if i % 2 else -half, -sign * lateral_offset, 0.0]
             )
-        x, y = SPINE.tie
+        x, y = SPINE_GEOMETRY.tie
         spec.site(f"{side}_rim").pos = np.array([sign * x * ratio, y * ratio, 0.0])
-        x, y = SPINE.side
-        spec.site(f"{side}_side").pos = np.array([sign * x, y, 0.0]) + SPINE.pulley_position
-    spec.body("pulley").pos = np.array(SPINE.pulley_position)
+        x, y = SPINE_GEOMETRY.side
+        spec.site(f"{side}_side").pos = (
+            np.array([sign * x, y, 0.0]) + SPINE_GEOMETRY.pulley_position
+        )
+    spec.body("pulley").pos = np.array(SPINE_GEOMETRY.pulley_position)
     spec.geom("pulley").size = np.array([float(geometry.spine.pulley_radius), _PULLEY_WIDTH, 0.0])
     if spec.body("vertical_pulley") is not None:
         place_vertical_spine(spec, ratio)
@@ -342,7 +358,7 @@ def _limit_to_straight(spec: mujoco.MjSpec) -> None:
         tendon.range = np.array([0.0, round(length, _DIGITS["straight"])])
 
 
-_PLACED: Final[dict[str, Callable[[mujoco.MjSpec, Geometry], None]]] = {
+_PART_FUNCTIONS: Final[dict[str, Callable[[mujoco.MjSpec, Geometry], None]]] = {
     "torso": _torso,
     "head": _head,
     "hip": _hip,
@@ -373,13 +389,13 @@ def stance_height(geometry: Geometry) -> float:
 
 
 #: Pulley of the vertical spine's servo, from the spine base: centre [m] and pitch [rad].
-PULLEY: Final = (0.0, -0.0355, 0.0055)
-PULLEY_PITCH: Final = np.radians(6.0)
+SERVO_PULLEY: Final = (0.0, -0.0355, 0.0055)
+SERVO_PULLEY_PITCH: Final = np.radians(6.0)
 #: Where both tendons are tied, at its front and just outside the rim, and how far beside its centre they pass it [m].
-TIE: Final = 0.0065125
-SIDE: Final = 0.010
+TENDON_KNOT: Final = 0.0065125
+TENDON_SIDE: Final = 0.010
 #: Where both tendons leave the torso, from the spine base [m].
-GUIDE: Final = (0.0, -0.0200, 0.0070)
+TENDON_GUIDE: Final = (0.0, -0.0200, 0.0070)
 #: Axis of the head's tilt from the foot of the neck's axis [m].
 TILT_AXIS: Final = (0.0, -0.0106, 0.0144)
 #: How much further forward the head sits than Nermo-Lite's [m]. Its nose is then 53 mm in front of the tilt axis, as in
@@ -394,7 +410,7 @@ def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
         spec: of the spine.
         ratio: of the pulley's radius to the published one.
     """
-    half, lateral_offset = SPINE.segment_length / 2, SPINE.segment_offset
+    half, lateral_offset = SPINE_GEOMETRY.segment_length / 2, SPINE_GEOMETRY.segment_offset
     # A vertical joint's z is left, and a lateral one's z is up.
     for name, sign in (("above", 1.0), ("below", -1.0), ("left", 1.0), ("right", -1.0)):
         for site in spec.sites:
@@ -406,11 +422,13 @@ def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
                     [half if int(number) % 2 else -half, sign * lateral_offset, 0.0]
                 )
     for element in (spec.body("vertical_pulley"), spec.frame("vertical_servo")):
-        element.pos = np.array(PULLEY)
+        element.pos = np.array(SERVO_PULLEY)
     spec.body("vertical_pulley").quat = np.array(
-        [np.cos(PULLEY_PITCH / 2), np.sin(PULLEY_PITCH / 2), 0.0, 0.0]
+        [np.cos(SERVO_PULLEY_PITCH / 2), np.sin(SERVO_PULLEY_PITCH / 2), 0.0, 0.0]
     )
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        spec.site(f"vertical_{side}_side").pos = np.add(PULLEY, (sign * SIDE, 0.0, 0.0))
-    spec.site("vertical_guide").pos = np.array(GUIDE)
-    spec.site("vertical_rim").pos = np.array([0.0, -TIE * ratio, 0.0])
+        spec.site(f"vertical_{side}_side").pos = np.add(
+            SERVO_PULLEY, (sign * TENDON_SIDE, 0.0, 0.0)
+        )
+    spec.site("vertical_guide").pos = np.array(TENDON_GUIDE)
+    spec.site("vertical_rim").pos = np.array([0.0, -TENDON_KNOT * ratio, 0.0])

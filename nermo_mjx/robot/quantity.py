@@ -30,7 +30,7 @@ import numpy as np
 
 T = TypeVar("T")
 #: Units that a text may have in the place of a quantity's own, and how many of them are one of it.
-_UNITS: Final[Mapping[str, Mapping[str, float]]] = {
+_UNIT_FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
     "1": {"%": 1e2},
     "m": {"mm": 1e3, "cm": 1e2},
     "rad": {"deg": math.degrees(1.0)},
@@ -111,7 +111,9 @@ class Quantity:
     @property
     def _in_units(self) -> dict[str, float]:
         """Units that a text may have, and how many of them are one of this quantity's."""
-        return ({} if self.unit == "1" else {self.unit: 1.0}) | dict(_UNITS.get(self.unit, {}))
+        return ({} if self.unit == "1" else {self.unit: 1.0}) | dict(
+            _UNIT_FACTORS.get(self.unit, {})
+        )
 
     @property
     def pattern(self) -> str:
@@ -387,7 +389,7 @@ def with_attributes(cls: type[T]) -> type[T]:
 
 
 #: Least share of letters in common, in order, of names that are near.
-NEAR: Final = 0.6
+MIN_SIMILARITY: Final = 0.6
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str | None:
@@ -418,7 +420,7 @@ def nearest(name: str, allowed: Iterable[str]) -> str | None:
         key=lambda candidate: candidate[0],
         reverse=True,
     )
-    return ranked[0][1] if ranked and ranked[0][0][0] >= NEAR else None
+    return ranked[0][1] if ranked and ranked[0][0][0] >= MIN_SIMILARITY else None
 
 
 def _parts(name: str) -> list[str]:

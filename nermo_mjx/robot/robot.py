@@ -24,7 +24,7 @@ from nermo_mjx.robot.assembly import (
     assemble,
     default_parameters,
 )
-from nermo_mjx.robot.equipment import COMPLIANT, TAIL_DAMPING, chain_of, compliant_kind
+from nermo_mjx.robot.equipment import COMPLIANT_KINDS, TAIL_DAMPING, chain_of, compliant_kind
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import MassModel, is_front, physical_model, reduced_model
 from nermo_mjx.robot.meshes.body import redraw
@@ -105,7 +105,7 @@ class _Compiled:
     def compliant(self) -> tuple[str, ...]:
         """The kind of each joint of `Sensors.joint_velocity`."""
         kinds = [compliant_kind(self.model.joint(i).name) for i in range(self.model.njnt)]
-        return tuple(kind for kind in COMPLIANT for joint_kind in kinds if joint_kind == kind)
+        return tuple(kind for kind in COMPLIANT_KINDS for joint_kind in kinds if joint_kind == kind)
 
     @functools.cached_property
     def mass_model(self) -> MassModel:

@@ -33,7 +33,7 @@ Scene: TypeAlias = str | os.PathLike[str] | mujoco.MjSpec
 GROUND: Final = "ground"
 OBSTACLE: Final = "obstacle"
 #: A geom of this name is ground, whatever its class.
-FLOOR: Final = "floor"
+FLOOR_GEOM: Final = "floor"
 #: Allowed types of ground: every engine can collide a sphere with them, and `terrain.Terrain` knows their height.
 GROUND_TYPES: Final = (
     mujoco.mjtGeom.mjGEOM_PLANE,
@@ -42,9 +42,9 @@ GROUND_TYPES: Final = (
     mujoco.mjtGeom.mjGEOM_HFIELD,
 )
 #: The file of `mjcf/scenes/common` into which a terrain is put.
-_GROUNDS: Final = "scenes/common/terrain"
+_TERRAIN_FILE: Final = "scenes/common/terrain"
 #: Elements that move, act or measure: only the robot may have positions, controls and sensors.
-_FOREIGN: Final = {
+_ROBOT_ELEMENTS: Final = {
     "joints": "a joint",
     "actuators": "an actuator",
     "sensors": "a sensor",
@@ -57,9 +57,9 @@ _FOREIGN: Final = {
     "plugins": "a plugin",
 }
 #: Options that would change how the robot walks, and that it does not have.
-_WITHOUT: Final = ("density", "viscosity", "wind", "disableflags", "enableflags")
+_FIXED_OPTIONS: Final = ("density", "viscosity", "wind", "disableflags", "enableflags")
 #: MuJoCo's first write of a text that it has read differs slightly: a frame's quaternion is written out.
-_MOST_READ: Final = 4
+_MAX_READINGS: Final = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +119,7 @@ def read_mjcf(path: Path) -> mujoco.MjSpec:
     """
     with _refusals(repr(str(path))):
         _check_sizes(
-            ElementTree.fromstring(read_bytes(path, _MOST_FILE)), path.parent, repr(str(path))
+            ElementTree.fromstring(read_bytes(path, _MAX_MJCF_BYTES)), path.parent, repr(str(path))
         )
         return mujoco.MjSpec.from_file(str(path))
 
@@ -132,7 +132,7 @@ def scene_name(scene: str) -> str:
 def load_scene(scene: str) -> mujoco.MjSpec:
     """The editable specification of a scene from `resolve_scene`."""
     if scene in TERRAINS:
-        spec = load_file(_GROUNDS)
+        spec = load_file(_TERRAIN_FILE)
         add_terrain(spec, scene)
         spec.modelname = scene
         return spec
@@ -196,7 +196,7 @@ def _geoms(spec: mujoco.MjSpec, role: str) -> list[Any]:
     return [
         geom
         for geom in spec.geoms
-        if geom.classname.name in classes or (role == GROUND and geom.name == FLOOR)
+        if geom.classname.name in classes or (role == GROUND and geom.name == FLOOR_GEOM)
     ]
 
 
@@ -219,12 +219,12 @@ def _refusals(called: str) -> Iterator[None]:
 
 
 #: What MuJoCo may make of a scene: elements, and bytes of its textures, height fields and numbers.
-_MOST_ELEMENTS: Final = 100_000
-_MOST_BYTES: Final = 1 << 27
+_MAX_ELEMENTS: Final = 100_000
+_MAX_MODEL_BYTES: Final = 1 << 27
 #: Bytes of an MJCF file.
-_MOST_FILE: Final = 1 << 24
+_MAX_MJCF_BYTES: Final = 1 << 24
 #: Elements of which MuJoCo makes many that only the robot may have.
-_MAKERS: Final = ("composite", "flexcomp")
+_GENERATOR_ELEMENTS: Final = ("composite", "flexcomp")
 
 
 def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
@@ -238,7 +238,7 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
     while waiting:
         element, home, copies = waiting.pop()
         attributes = element.attrib
-        if element.tag in _MAKERS:
+        if element.tag in _GENERATOR_ELEMENTS:
             raise ParameterError(
                 f"scene is {called}: it has a {element.tag}: only the robot may move."
             )
@@ -249,7 +249,7 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
             if (
                 element.tag == "model" or path.resolve() not in included
             ):  # MuJoCo includes no file twice
-                content = read_bytes(path, _MOST_FILE)
+                content = read_bytes(path, _MAX_MJCF_BYTES)
                 size += len(content)
                 # As MuJoCo does: a model's files are named from its own folder, those of an included file from here.
                 inside = path.parent if element.tag == "model" else home
@@ -258,7 +258,7 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
         elif element.tag == "size":
             size += (
                 8
-                * _MOST_ELEMENTS
+                * _MAX_ELEMENTS
                 * sum(_number(attributes, name) for name in attributes if name.startswith("nuser_"))
             )
             size += 8 * (_number(attributes, "nkey") + _number(attributes, "nuserdata"))
@@ -276,8 +276,8 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
             size += 8 * _number(attributes, "size")
         elements += copies
         for count, limit, kind in (
-            (elements, _MOST_ELEMENTS, "elements"),
-            (size, _MOST_BYTES, "bytes"),
+            (elements, _MAX_ELEMENTS, "elements"),
+            (size, _MAX_MODEL_BYTES, "bytes"),
         ):
             if not count <= limit:
                 raise ParameterError(
@@ -305,7 +305,7 @@ def _from_text(text: str) -> str:
 def _text(spec: mujoco.MjSpec, called: str) -> str:
     """MJCF of a checked and prepared scene, which does not change when it is read and prepared again."""
     text = _prepared(spec, called)
-    for _ in range(_MOST_READ):
+    for _ in range(_MAX_READINGS):
         original, text = text, _prepared(mujoco.MjSpec.from_string(text), called)
         if text == original:
             break
@@ -318,7 +318,7 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
     def refuse(why: str) -> NoReturn:
         raise ParameterError(f"scene is {called}: it {why}.")
 
-    for kind, description in _FOREIGN.items():
+    for kind, description in _ROBOT_ELEMENTS.items():
         for element in getattr(spec, kind):
             refuse(
                 f"has {description}{f' {element.name!r}' if element.name else ''}, and only the robot may"
@@ -332,7 +332,7 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
         ground = _geoms(spec, GROUND)
     if not ground:
         refuse(
-            f"has no ground: give what the robot stands on the default class {GROUND!r}, or the name {FLOOR!r}"
+            f"has no ground: give what the robot stands on the default class {GROUND!r}, or the name {FLOOR_GEOM!r}"
         )
     _check_options(spec, called)
     spec.compiler.discardvisual = False
@@ -380,7 +380,7 @@ def _check_options(spec: mujoco.MjSpec, called: str) -> None:
         for name, value in options.items()
         if not np.array_equal(value, getattr(default, name))
     }
-    if wrong := [name for name in options if name in _WITHOUT]:
+    if wrong := [name for name in options if name in _FIXED_OPTIONS]:
         subject = "flags" if wrong[0].endswith("flags") else f"{wrong[0]} {options[wrong[0]]}"
         raise ParameterError(
             f"scene is {called}: its option has {subject}, without which the robot would walk: of a scene's options only "
@@ -431,9 +431,9 @@ def _check_files(spec: mujoco.MjSpec, called: str) -> None:
             size, head = os.fstat(file.fileno()).st_size, file.read(24)
         if head.startswith(b"\x89PNG"):
             size = 4 * int.from_bytes(head[16:20], "big") * int.from_bytes(head[20:24], "big")
-        if size > _MOST_BYTES:
+        if size > _MAX_MODEL_BYTES:
             raise ParameterError(
-                f"scene is {called}: {path} takes {size:,} bytes: allowed are {_MOST_BYTES:,}."
+                f"scene is {called}: {path} takes {size:,} bytes: allowed are {_MAX_MODEL_BYTES:,}."
             )
 
 
@@ -442,8 +442,8 @@ def _check_files(spec: mujoco.MjSpec, called: str) -> None:
 
 
 #: Cosine of the steepest plane that counts as ground.
-_STEEPEST: Final = 0.1
-_PARALLEL: Final = 1e-9
+_STEEPEST_COSINE: Final = 0.1
+_PARALLEL_TOLERANCE: Final = 1e-9
 
 
 class Terrain:
@@ -530,7 +530,7 @@ def _box_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array:
         offset = rotation[..., 0, i] * dx + rotation[..., 1, i] * dy
         slope = rotation[..., 2, i]
         half = size[..., i]
-        flat = jnp.abs(slope) < _PARALLEL
+        flat = jnp.abs(slope) < _PARALLEL_TOLERANCE
         safe, side = jnp.where(flat, 1.0, slope), jnp.where(slope < 0.0, -half, half)
         clearance = jnp.where(jnp.abs(offset) <= half, jnp.inf, -jnp.inf)
         top = jnp.minimum(top, jnp.where(flat, clearance, (side - offset) / safe))
@@ -545,7 +545,7 @@ def _capsule_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array
     along = dx * ax + dy * ay
     # Distance from the axis: |d|^2 - (d a)^2 <= r^2, with d = (dx, dy, h).
     a, c = 1.0 - az * az, dx * dx + dy * dy - along * along - radius * radius
-    steep = a < _PARALLEL
+    steep = a < _PARALLEL_TOLERANCE
     under = (along * az) ** 2 - a * c
     h = (along * az + jnp.sqrt(jnp.where(under > 0.0, under, 1.0))) / jnp.where(steep, 1.0, a)
     on_side = ~steep & (under > 0.0) & (jnp.abs(along + h * az) <= half)
@@ -589,7 +589,7 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
         return _Surface(solid, float(position[2] - up))
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
         normal = turn[:, 2]
-        if normal[2] < _STEEPEST:
+        if normal[2] < _STEEPEST_COSINE:
             raise ParameterError(
                 f"scene has the ground {name!r}, a plane that is too steep to stand on."
             )

@@ -19,10 +19,10 @@ import numpy as np
 from nermo_mjx.robot.quantity import parameter_tree, quantity
 
 #: Distance from the robot's start to the beginning of a terrain, and half the terrain's width [m].
-BEGIN: Final = 0.15
+TERRAIN_DISTANCE: Final = 0.15
 HALF_WIDTH: Final = 0.4
 #: Depth to which steps and ramps are buried [m], so that there is no gap beneath them.
-BURIED: Final = 0.1
+BURIAL_DEPTH: Final = 0.1
 #: Radius and half height of the poles of the slalom [m].
 POLE: Final = (0.01, 0.08)
 #: The field of rough ground: half lengths across and along the path [m], spacing of its points, and its centre.
@@ -96,14 +96,16 @@ def _level(xp: Any, count: int) -> Any:
 
 def _along(shape: TerrainShape, count: int) -> Any:
     """Distances from the start to the beginnings of this number of elements."""
-    return BEGIN + shape.shift + shape.spacing * np.arange(count)
+    return TERRAIN_DISTANCE + shape.shift + shape.spacing * np.arange(count)
 
 
 def _planks(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     y = -(_along(shape, 14) + 0.5 * shape.width)
-    pos = _stacked(xp, 0.0, y, shape.height - 0.5 * BURIED)
+    pos = _stacked(xp, 0.0, y, shape.height - 0.5 * BURIAL_DEPTH)
     return TerrainGeoms(
-        pos, _level(xp, 14), _stacked(xp, np.full(14, HALF_WIDTH), 0.5 * shape.width, 0.5 * BURIED)
+        pos,
+        _level(xp, 14),
+        _stacked(xp, np.full(14, HALF_WIDTH), 0.5 * shape.width, 0.5 * BURIAL_DEPTH),
     )
 
 
@@ -116,8 +118,8 @@ def _logs(shape: TerrainShape, xp: Any) -> TerrainGeoms:
 
 def _ramp(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     """A plane that rises from the floor, and the platform that it leads to."""
-    half, top, thick = 1.0, 1.0, 0.5 * BURIED
-    cosine, sine, begin = xp.cos(shape.slope), xp.sin(shape.slope), BEGIN + shape.shift
+    half, top, thick = 1.0, 1.0, 0.5 * BURIAL_DEPTH
+    cosine, sine, begin = xp.cos(shape.slope), xp.sin(shape.slope), TERRAIN_DISTANCE + shape.shift
     along, up = begin + half * cosine + thick * sine, half * sine - thick * cosine
     end = begin + 2.0 * half * cosine
     pos = xp.stack(
@@ -138,20 +140,20 @@ def _stairs(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     number, platform = np.arange(7), 1.0
     half = xp.where(number < 6, 0.5 * shape.spacing, 0.5 * platform)
     y = -(_along(shape, 7) + half)
-    pos = _stacked(xp, 0.0, y, shape.height * (number + 1) - BURIED)
-    return TerrainGeoms(pos, _level(xp, 7), _stacked(xp, HALF_WIDTH, half, BURIED))
+    pos = _stacked(xp, 0.0, y, shape.height * (number + 1) - BURIAL_DEPTH)
+    return TerrainGeoms(pos, _level(xp, 7), _stacked(xp, HALF_WIDTH, half, BURIAL_DEPTH))
 
 
 def _spiral(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     """Steps about the point (radius, 0), `spacing` apart along the path, which is the circle to the left."""
     number, width = np.arange(15), 0.3
-    angle = (BEGIN + shape.shift + shape.spacing * (number + 0.5)) / shape.radius
+    angle = (TERRAIN_DISTANCE + shape.shift + shape.spacing * (number + 0.5)) / shape.radius
     x, y = shape.radius * (1.0 - xp.cos(angle)), -shape.radius * xp.sin(angle)
-    pos = _stacked(xp, x, y, shape.height * (number + 1) - BURIED)
+    pos = _stacked(xp, x, y, shape.height * (number + 1) - BURIAL_DEPTH)
     quat = _stacked(xp, xp.cos(0.5 * angle), 0.0, 0.0, xp.sin(0.5 * angle))
     # As deep as the outer end requires; further in, steps overlap and the higher one counts.
     deep = 0.5 * shape.spacing * (1.0 + 0.5 * width / shape.radius)
-    return TerrainGeoms(pos, quat, _stacked(xp, np.full(15, 0.5 * width), deep, BURIED))
+    return TerrainGeoms(pos, quat, _stacked(xp, np.full(15, 0.5 * width), deep, BURIAL_DEPTH))
 
 
 def _rough(shape: TerrainShape, xp: Any) -> TerrainGeoms:
@@ -317,7 +319,7 @@ def add_terrain(spec: mujoco.MjSpec, scene: str) -> None:
     layout = kind.layout(shape, np)
     if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
         shares = field_shares()
-        size = [*FIELD_SIZE, max(float(shape.height), 1e-6), BURIED]
+        size = [*FIELD_SIZE, max(float(shape.height), 1e-6), BURIAL_DEPTH]
         spec.add_hfield(
             name=scene,
             nrow=shares.shape[0],

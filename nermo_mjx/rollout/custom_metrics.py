@@ -16,12 +16,12 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nermo_mjx.control.protocol import Source, function_place, user_code
-from nermo_mjx.files import MOST_JSON, json_of, read_bytes
+from nermo_mjx.files import MAX_JSON_BYTES, json_of, read_bytes
 from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, Sensors, load_robot
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.rollout.metric_table import SIDES, Metric
 from nermo_mjx.runtime import start_jax
-from nermo_mjx.trust import RUNS_CODE
+from nermo_mjx.trust import CODE_EXECUTION
 
 #: Reductions of a function's values.
 REDUCTIONS: Final = ("mean", "rms", "std", "min", "max", "peak", "range", "last", "integral")
@@ -140,7 +140,7 @@ def load_metrics(reference: str) -> tuple[OwnMetric, ...]:
     """
     source = source_of(reference)
     name = source.name
-    if not RUNS_CODE.get() and (declared := _read_only(source)) is not None:
+    if not CODE_EXECUTION.get() and (declared := _read_only(source)) is not None:
         return declared
     module = source.module()
     metrics_by_name = {
@@ -190,7 +190,7 @@ def _read_only(source: Source) -> tuple[OwnMetric, ...] | None:
     path = Path(source.place).with_name(KEPT)
     if not source.place.endswith(".py") or not path.exists():
         return None
-    several = json_of(read_bytes(path, MOST_JSON), dict[str, list[_Kept]], path).get(
+    several = json_of(read_bytes(path, MAX_JSON_BYTES), dict[str, list[_Kept]], path).get(
         _digest_of_file(source)
     )
     if several is None:

@@ -34,7 +34,14 @@ from nermo_mjx.control.protocol import (
     named_place,
     user_code,
 )
-from nermo_mjx.control.schedule import MODES, MOST, Schedule, Switch, check_schedule, schedule_of
+from nermo_mjx.control.schedule import (
+    MAX_SWITCHES,
+    MODE_CHOICES,
+    Schedule,
+    Switch,
+    check_schedule,
+    schedule_of,
+)
 from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
 from nermo_mjx.control.stepping import TrajectoryName
 from nermo_mjx.robot import GAIT_CODES, ParameterError, Robot, RobotConfig, load_robot
@@ -387,7 +394,7 @@ class Setup(RobotConfig):
             field: tuple(
                 dict.fromkeys(name for entry in entries for name in entry.modes.get(field, ()))
             )
-            for field in MODES
+            for field in MODE_CHOICES
         }
 
     @functools.cached_property
@@ -490,7 +497,7 @@ class Setup(RobotConfig):
             if repr(declarations[name].default) != repr(value)
         }
         declarations |= quantities_of_setup
-        for number in range(len(self.schedule) + 1, MOST + 1):
+        for number in range(len(self.schedule) + 1, MAX_SWITCHES + 1):
             for name in ("at", "blend"):
                 declarations.pop(f"schedule.{name}.{number}", None)
         return declarations | bounded_by_step(declarations, self.timestep)

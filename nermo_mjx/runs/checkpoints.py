@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from nermo_mjx.files import MOST_FILE, read_bytes
+from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, replace_file
 
@@ -104,7 +104,7 @@ class Checkpoints:
                 try:  # distinguish an unresponsive disk from a damaged file, which Orbax does not
                     for path in (self.folder / str(number)).rglob("*"):
                         if not path.is_dir():
-                            read_bytes(path, MOST_FILE)
+                            read_bytes(path, MAX_FILE_BYTES)
                 except OSError as error:
                     raise self._unreadable(number, error) from error
                 result = self._read(number, like)

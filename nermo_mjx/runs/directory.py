@@ -23,10 +23,17 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 from pydantic import BaseModel
 
-from nermo_mjx.files import MOST_FILE, MOST_JSON, FileError, UnfitFile, json_of, read_bytes
+from nermo_mjx.files import (
+    MAX_FILE_BYTES,
+    MAX_JSON_BYTES,
+    FileError,
+    UnfitFile,
+    json_of,
+    read_bytes,
+)
 from nermo_mjx.runs.code import CodeStamp, stored_stamp
 from nermo_mjx.runs.files import (
-    TEMPORARY,
+    TEMPORARY_SUFFIX,
     DirectoryError,
     WrongDirectory,
     clear_errors,
@@ -82,12 +89,9 @@ class RunDirectory:
                     "directory."
                 )
             if self.shard is None:
-                for leftover in (
-                    kind
-                    for folder in FOLDERS
-                    for kind in (self.out / folder).glob(f".*{TEMPORARY}*")
-                ):
-                    leftover.unlink(missing_ok=True)
+                for folder in FOLDERS:
+                    for leftover in (self.out / folder).glob(f".*{TEMPORARY_SUFFIX}*"):
+                        leftover.unlink(missing_ok=True)
             self._held = stack.pop_all()
         return self
 
@@ -229,7 +233,7 @@ def read_record(out: Path) -> dict[str, Any]:
         DirectoryError: it is damaged.
     """
     try:
-        record: dict[str, Any] = json_of(read_bytes(out / RUN, MOST_JSON), _Record, out / RUN)
+        record: dict[str, Any] = json_of(read_bytes(out / RUN, MAX_JSON_BYTES), _Record, out / RUN)
     except FileNotFoundError:
         return {}
     except OSError as error:
@@ -412,7 +416,7 @@ class Written:
             if path.is_dir():
                 return "a folder"
             try:
-                return digest(read_bytes(path, MOST_FILE)) if path.exists() else None
+                return digest(read_bytes(path, MAX_FILE_BYTES)) if path.exists() else None
             except UnfitFile:
                 return "not the program's own"
 

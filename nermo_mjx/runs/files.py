@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from nermo_mjx.files import (
-    MOST_ARRAYS,
-    MOST_JSON,
-    TEMPORARY,
+    MAX_ARRAY_BYTES,
+    MAX_JSON_BYTES,
+    TEMPORARY_SUFFIX,
     json_of,
     opened,
     read_bytes,
@@ -66,7 +66,7 @@ def create_file(path: Path, content: bytes) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.new-{secrets.token_hex(8)}{TEMPORARY}")
+    temporary = path.with_name(f".{path.name}.new-{secrets.token_hex(8)}{TEMPORARY_SUFFIX}")
     replace_file(temporary, content)
     try:
         os.link(temporary, path)
@@ -89,7 +89,7 @@ def parquet_bytes(table: pa.Table) -> bytes:
     return bytes(sink.getvalue().to_pybytes())
 
 
-def content_of(path: Path, limit: int = MOST_ARRAYS) -> bytes | None:
+def content_of(path: Path, limit: int = MAX_ARRAY_BYTES) -> bytes | None:
     """The content of a file of at most `most` bytes; None if it does not exist.
 
     Raises:
@@ -205,7 +205,7 @@ def _length(texts: pa.Array) -> int:
 def stored_json(path: Path, shape: Any = dict[str, Any]) -> Any:
     """What a JSON file of a directory says; None if it is absent or damaged, or has not its declared shape."""
     try:
-        return json_of(read_bytes(path, MOST_JSON), shape, path)
+        return json_of(read_bytes(path, MAX_JSON_BYTES), shape, path)
     except (OSError, FileError):
         return None
 

@@ -29,7 +29,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from nermo_mjx.files import MOST_FILE, read_bytes
+from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, digest
 from nermo_mjx.runs.files import (
@@ -435,7 +435,7 @@ def _move(source: Path, target: Path, is_selected: Callable[[str], bool]) -> int
 def _content(path: Path) -> tuple[bytes | None, str]:
     """The content of a file whose name has its digest, or what is wrong with it."""
     try:
-        content = read_bytes(path, MOST_FILE)
+        content = read_bytes(path, MAX_FILE_BYTES)
     except OSError as error:
         return None, f"cannot be read ({error.strerror})"
     match = _NAME.fullmatch(path.name)

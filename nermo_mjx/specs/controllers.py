@@ -9,19 +9,18 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.control.protocol import FORM as CONTROLLER_FORM
-from nermo_mjx.control.protocol import controller_digest, data_of
-from nermo_mjx.control.schedule import MOST, Schedule
-from nermo_mjx.files import MOST_ARRAYS, read_bytes
+from nermo_mjx.control.protocol import CONTROLLER_FORM, controller_digest, data_of
+from nermo_mjx.control.schedule import MAX_SWITCHES, Schedule
+from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
 from nermo_mjx.rollout.custom_metrics import FORM, KEPT, kept_metrics, metrics_digest, source_of
 from nermo_mjx.specs.reading import Document, describe
-from nermo_mjx.specs.values import MEASURED, NAMES
+from nermo_mjx.specs.values import FILE_METRICS, FILE_PARAMETERS
 
 #: The copies of the files of a controller and of metrics in a directory.
-KEPT_CONTROLLER: Final = "controller.py"
-KEPT_METRICS: Final = "metrics.py"
+CONTROLLER_COPY: Final = "controller.py"
+METRICS_COPY: Final = "metrics.py"
 
 
 def named_controller(doc: Document) -> str | None:
@@ -71,7 +70,7 @@ def known_names(doc: Document) -> Iterator[None]:
     """While it is read, a document may name the parameters of its controller, and no others, and its own metrics."""
     controller, measured = named_controller(doc), named_metrics(doc)
     schedule = doc.data.get("schedule")
-    switches = range(1, min(len(schedule), MOST) + 1) if isinstance(schedule, list) else ()
+    switches = range(1, min(len(schedule), MAX_SWITCHES) + 1) if isinstance(schedule, list) else ()
     if controller is None and not measured and not switches:
         yield
         return
@@ -80,19 +79,21 @@ def known_names(doc: Document) -> Iterator[None]:
     except ParameterError as error:
         field, _, message = str(error).partition(" ")
         doc.fail((field,), message)
-    parameters = dict(quantities(setup.world({}))) if controller is not None else NAMES.get()
+    parameters = (
+        dict(quantities(setup.world({}))) if controller is not None else FILE_PARAMETERS.get()
+    )
     times = {
         f"schedule.{name}": declaration
         for name, declaration in quantities(Schedule)
         if int(name.split(".")[1]) in switches
     }
-    names = NAMES.set({**parameters, **times})
-    metrics = MEASURED.set(all_metrics(setup))
+    names = FILE_PARAMETERS.set({**parameters, **times})
+    metrics = FILE_METRICS.set(all_metrics(setup))
     try:
         yield
     finally:
-        NAMES.reset(names)
-        MEASURED.reset(metrics)
+        FILE_PARAMETERS.reset(names)
+        FILE_METRICS.reset(metrics)
 
 
 def code_identity(setup: Setup) -> dict[str, str]:
@@ -155,12 +156,12 @@ def with_code_copied(setup: Setup, folder: Path, write: Callable[[str, bytes], A
     """
     if isinstance(setup.controller, str):
         setup = dataclasses.replace(
-            setup, controller=kept_code(setup.controller, KEPT_CONTROLLER, folder, write)
+            setup, controller=kept_code(setup.controller, CONTROLLER_COPY, folder, write)
         )
     references = written_metrics(setup)
     if references:
         write(KEPT, kept_metrics(references))
-    metrics = tuple(kept_code(reference, KEPT_METRICS, folder, write) for reference in references)
+    metrics = tuple(kept_code(reference, METRICS_COPY, folder, write) for reference in references)
     return dataclasses.replace(setup, metrics=metrics) if metrics else setup
 
 
@@ -173,9 +174,9 @@ def kept_code(reference: str, called: str, folder: Path, write: Callable[[str, b
         return reference
     if Path(source).parent == folder:
         return f"{source}:{name}" if name else source
-    content = read_bytes(Path(source), MOST_ARRAYS)
+    content = read_bytes(Path(source), MAX_ARRAY_BYTES)
     copy = (folder / called).with_suffix(Path(source).suffix)
-    if copy.exists() and read_bytes(copy, MOST_ARRAYS) != content:
+    if copy.exists() and read_bytes(copy, MAX_ARRAY_BYTES) != content:
         copy = copy.with_stem(f"{copy.stem}-{hashlib.sha256(content).hexdigest()[:8]}")
     if not copy.exists():
         write(copy.name, content)

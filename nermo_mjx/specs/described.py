@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
-from nermo_mjx.files import MOST_JSON, read_bytes
+from nermo_mjx.files import MAX_JSON_BYTES, read_bytes
 from nermo_mjx.robot.quantity import of_type
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
@@ -98,7 +98,7 @@ def write_described(
         former = read(path)
     if former == description:
         return
-    if former is None or former.to_yaml(folder).encode() != read_bytes(path, MOST_JSON):
+    if former is None or former.to_yaml(folder).encode() != read_bytes(path, MAX_JSON_BYTES):
         directory.set_aside("another", [name], warn)
     directory.write(name, description.to_yaml(folder).encode())
 

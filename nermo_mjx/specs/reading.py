@@ -22,16 +22,16 @@ from nermo_mjx.trust import FileError, shortened
 #: Keys (and list positions) from the top of a document to one of its fields.
 FieldPath = tuple["str | int", ...]
 #: Prefix of YAML's own tags, and the tags of plain values; all other tags are refused.
-_STANDARD: Final = "tag:yaml.org,2002:"
+_TAG_PREFIX: Final = "tag:yaml.org,2002:"
 _PLAIN_TAGS: Final = frozenset(
-    _STANDARD + name for name in ("map", "seq", "str", "int", "float", "bool", "null")
+    _TAG_PREFIX + name for name in ("map", "seq", "str", "int", "float", "bool", "null")
 )
-_MERGE: Final = f"{_STANDARD}merge"
+_MERGE_TAG: Final = f"{_TAG_PREFIX}merge"
 #: Values that a file's aliases may stand for, in all.
-_MOST_REPEATED: Final = 100_000
+_MAX_ALIAS_VALUES: Final = 100_000
 #: Bytes of a file, and lists, mappings, their ends, and plain values in it.
-_MOST_BYTES: Final = 1 << 23
-_MOST_VALUES: Final = 50_000
+_MAX_YAML_BYTES: Final = 1 << 23
+_MAX_YAML_VALUES: Final = 50_000
 
 
 class SpecError(ParameterError, FileError):
@@ -67,14 +67,14 @@ class Document:
 
 
 #: Brackets that may be open at once.
-_DEEPEST: Final = 200
+_MAX_BRACKETS: Final = 200
 
 
 def read_file(path: str | os.PathLike[str], kind: str = "sweep") -> Document:
     """Read a YAML file; raises a `SpecError` if it is not a YAML mapping. `what` names its kind."""
     source = os.fspath(of_type("path", path, (str, os.PathLike), "the path of a file"))
     try:
-        text = read_bytes(Path(path), _MOST_BYTES).decode()
+        text = read_bytes(Path(path), _MAX_YAML_BYTES).decode()
     except FileNotFoundError:
         raise SpecError(f"{source}: there is no such file.") from None
     except UnicodeDecodeError as error:
@@ -94,14 +94,14 @@ def read_text(text: str, source: str, kind: str = "sweep") -> Document:
         opened = 0
         for text_line in text.splitlines():  # the parser takes minutes to find out
             opened += sum(map(text_line.count, "[{")) - sum(map(text_line.count, "]}"))
-            if opened > _DEEPEST:
+            if opened > _MAX_BRACKETS:
                 raise RecursionError
         if (
-            len(text) > _MOST_VALUES
-            and len(list(itertools.islice(yaml.parse(text), _MOST_VALUES))) == _MOST_VALUES
+            len(text) > _MAX_YAML_VALUES
+            and len(list(itertools.islice(yaml.parse(text), _MAX_YAML_VALUES))) == _MAX_YAML_VALUES
         ):
             raise SpecError(
-                f"{source}: it holds more than {_MOST_VALUES:,} values: allowed are fewer; rows can stand in a table."
+                f"{source}: it holds more than {_MAX_YAML_VALUES:,} values: allowed are fewer; rows can stand in a table."
             )
         root = yaml.compose(text)
         reader = _NodeReader(source, kind, yaml)
@@ -180,10 +180,10 @@ class _NodeReader:
         """The plain value of a node, which belongs to the field at `path`."""
         self._repeated += id(node) in self._seen
         self._seen.add(id(node))
-        if self._repeated > _MOST_REPEATED:
+        if self._repeated > _MAX_ALIAS_VALUES:
             self._refuse(
                 node,
-                f"aliases stand for more than {_MOST_REPEATED:,} values: write out what is meant.",
+                f"aliases stand for more than {_MAX_ALIAS_VALUES:,} values: write out what is meant.",
             )
         if node.tag not in _PLAIN_TAGS:
             self._refuse(
@@ -215,7 +215,7 @@ class _NodeReader:
         merged: dict[str, tuple[Node, Node]] = {}
         bases = None
         for key, item in node.value:
-            if key.tag == _MERGE:
+            if key.tag == _MERGE_TAG:
                 if bases is not None:
                     self._refuse(
                         key, f"{self._subject((*path, '<<'))} stands twice; merge a list instead."
@@ -244,7 +244,7 @@ class _NodeReader:
 
     def _name(self, key: Node, path: FieldPath) -> str:
         """The name of a field of the mapping at `path`."""
-        if isinstance(key, ScalarNode) and key.tag == f"{_STANDARD}str":
+        if isinstance(key, ScalarNode) and key.tag == f"{_TAG_PREFIX}str":
             return str(key.value)
         plain = isinstance(key, ScalarNode) and key.tag in _PLAIN_TAGS
         description = describe(self.value(key, path)) if plain else _tagged(key)
@@ -268,7 +268,7 @@ class _NodeReader:
 
 def _tagged(node: Node) -> str:
     """A node in words, with its tag unless it is a list or mapping."""
-    tag = str(node.tag).replace(_STANDARD, "!!")
+    tag = str(node.tag).replace(_TAG_PREFIX, "!!")
     if isinstance(node, ScalarNode):
         return f"'{node.value}' with the tag {tag}"
     kind = "a list" if isinstance(node, SequenceNode) else "a mapping"

@@ -12,7 +12,7 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
-from nermo_mjx.control.protocol import NAMED, named_object
+from nermo_mjx.control.protocol import OBJECT_FORM, named_object
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, quantities
 from nermo_mjx.rollout.metric_table import METRICS, Metric
@@ -23,14 +23,16 @@ from nermo_mjx.specs.reading import Document, FieldPath, describe
 #: Every parameter, for a file without a setup; each setup has the same names.
 PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
 #: Parameters that the current file may name: a custom controller has others.
-NAMES: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar("NAMES", default=PARAMETERS)
+FILE_PARAMETERS: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar(
+    "FILE_PARAMETERS", default=PARAMETERS
+)
 #: Metrics of the current file's runs: with custom metrics there are more.
-MEASURED: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("MEASURED", default=METRICS)
+FILE_METRICS: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("FILE_METRICS", default=METRICS)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 #: A parameter's number to an editor: a text may have a unit.
-MEASURED_TEXT: Final[JsonSchema] = {"type": ["number", "string"], "pattern": r"^\s*[-+]?\.?[0-9]"}
-FiniteInUnits = Annotated[Finite, Field(json_schema_extra=MEASURED_TEXT)]
+QUANTITY_SCHEMA: Final[JsonSchema] = {"type": ["number", "string"], "pattern": r"^\s*[-+]?\.?[0-9]"}
+FiniteInUnits = Annotated[Finite, Field(json_schema_extra=QUANTITY_SCHEMA)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -114,14 +116,14 @@ class OwnOr(Choice):
             try:
                 named_object("it is", value)
             except ParameterError:
-                raise Refused(f"is {value!r}: expected {NAMED}.") from None
+                raise Refused(f"is {value!r}: expected {OBJECT_FORM}.") from None
             return value
         if not self.names or not isinstance(value, str):
-            raise Refused(f"is {describe(value)}: expected {NAMED}.")
+            raise Refused(f"is {describe(value)}: expected {OBJECT_FORM}.")
         return super().check(value)
 
     def schema(self, base: JsonSchema) -> JsonSchema:
-        reference = {"type": "string", "pattern": ":", "description": NAMED}
+        reference = {"type": "string", "pattern": ":", "description": OBJECT_FORM}
         return {"anyOf": [{"enum": list(self.names)}, reference]} if self.names else reference
 
 
@@ -133,11 +135,11 @@ class BodiesField(Checked):
 
     def check(self, value: Any) -> str:
         if isinstance(value, bool):
-            return identified.IDENTIFIED if value else ""
+            return identified.IDENTIFIED_ENSEMBLE if value else ""
         if not isinstance(value, str) or (
-            "/" not in value and value not in ("", identified.IDENTIFIED)
+            "/" not in value and value not in ("", identified.IDENTIFIED_ENSEMBLE)
         ):
-            suggestion = did_you_mean(str(value), (identified.IDENTIFIED,))
+            suggestion = did_you_mean(str(value), (identified.IDENTIFIED_ENSEMBLE,))
             raise Refused(
                 f"is {describe(value)}: allowed is identified, or DIR such as runs/mine{suggestion}"
             )
@@ -173,7 +175,7 @@ class Numbers(Checked):
 
     def schema(self, base: JsonSchema) -> JsonSchema:
         limits = {} if self.most is None else {"maxItems": self.most}
-        items = {"items": MEASURED_TEXT} if self.of_parameter else {}
+        items = {"items": QUANTITY_SCHEMA} if self.of_parameter else {}
         return {**base, **items, "minItems": self.least, **limits, "description": self.written}
 
 
@@ -248,7 +250,7 @@ def by_parameter(value: JsonSchema) -> JsonSchema:
         name: {**(value or number), "description": number["description"]}
         for name, number in numbers.items()
     }
-    patterns = {r"[*?\[]": value or MEASURED_TEXT}
+    patterns = {r"[*?\[]": value or QUANTITY_SCHEMA}
     return {"properties": names, "patternProperties": patterns, "additionalProperties": False}
 
 
@@ -293,7 +295,7 @@ def refuse_parameter(name: str, additional: Iterable[str] = ()) -> None:
         name: of the parameter.
         additional: names of what is allowed beside parameters.
     """
-    names = NAMES.get()
+    names = FILE_PARAMETERS.get()
     if name in names:
         return
     group = name.rpartition(".")[0]
@@ -309,5 +311,7 @@ def refuse_parameter(name: str, additional: Iterable[str] = ()) -> None:
         )
     mates += additional if "." not in name else ()
     listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
-    reason = "is a metric, and not a parameter" if name in MEASURED.get() else "is not a parameter"
+    reason = (
+        "is a metric, and not a parameter" if name in FILE_METRICS.get() else "is not a parameter"
+    )
     raise Refused(f"{reason}; {listed}{did_you_mean(name, [*additional, *names])}", name)

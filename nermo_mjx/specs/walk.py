@@ -19,16 +19,16 @@ from nermo_mjx.control.head_and_tail import (
     COUNTER_ROLL,
     COUNTER_YAW,
     GAZE,
-    HEADS,
+    HEAD_NAMES,
     SWING,
     TAIL_MOTIONS,
 )
 from nermo_mjx.control.parameters import STEERING, robot_choices
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
-from nermo_mjx.control.stepping import FREE
+from nermo_mjx.control.stepping import FREE_TRAJECTORY
 from nermo_mjx.robot import GAITS, identified
-from nermo_mjx.robot.equipment import MOST_HINGES
+from nermo_mjx.robot.equipment import MAX_HINGES
 from nermo_mjx.robot.parameters import ProfileChoice
 from nermo_mjx.robot.quantity import ParameterError, Quantity, allowed_names
 from nermo_mjx.robot.scene import resolve_scene, scenes
@@ -44,9 +44,9 @@ from nermo_mjx.specs.controllers import (
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import (
-    MEASURED_TEXT,
-    NAMES,
+    FILE_PARAMETERS,
     PARAMETERS,
+    QUANTITY_SCHEMA,
     ByParameter,
     Finite,
     FiniteInUnits,
@@ -64,7 +64,7 @@ from nermo_mjx.specs.values import (
 
 
 #: Parameters, and groups of them, that are only used with a certain choice of the setup.
-_NEEDS: Final = {
+_REQUIRED_CHOICES: Final = {
     "spine.amplitude": ("spine", "stride_extension"),
     "spine.phase": ("spine", "stride_extension"),
     **{f"spine.{name}": ("spine", "balance") for name in ("balance_share", "balance_lift")},
@@ -85,9 +85,9 @@ _NEEDS: Final = {
     "spine.sagittal_phase": ("spine", "sagittal_extension"),
     "spine.pitch_gain": ("spine", "pitch_balance"),
     "spine.pitch_damping": ("spine", "pitch_balance"),
-    "limb": ("trajectory", FREE),
-    "foot": ("trajectory", FREE),
-    "trim": ("trajectory", FREE),
+    "limb": ("trajectory", FREE_TRAJECTORY),
+    "foot": ("trajectory", FREE_TRAJECTORY),
+    "trim": ("trajectory", FREE_TRAJECTORY),
 }
 
 
@@ -100,7 +100,9 @@ def unread(setup: Setup, name: str) -> tuple[str, str] | None:
         if setup.controller is None
         else []
     )
-    choice, requirement = next((_NEEDS[group] for group in groups if group in _NEEDS), ("", ""))
+    choice, requirement = next(
+        (_REQUIRED_CHOICES[group] for group in groups if group in _REQUIRED_CHOICES), ("", "")
+    )
     acting = setup.modes.get(choice) or getattr(setup, choice, "").split("+")
     return (choice, requirement) if choice and requirement not in acting else None
 
@@ -142,7 +144,7 @@ def _in_a_file(name: str) -> tuple[Any, Any]:
         return str, Field(
             default_factory=lambda: field.default, description=declaration, json_schema_extra=extra
         )
-    kind = {"scene": SceneField, "hinges": Annotated[int, Whole(1, MOST_HINGES)]}.get(name, str)
+    kind = {"scene": SceneField, "hinges": Annotated[int, Whole(1, MAX_HINGES)]}.get(name, str)
     names: Any = {"json_schema_extra": {"enum": allowed}} if allowed else {}
     return kind, Field(default=field.default, description=declaration, **names)
 
@@ -153,8 +155,8 @@ SETUP_FIELDS: Final = tuple(
     for field in dataclasses.fields(Setup)
     if field.name not in ("pilot", "waypoints", "command", "metrics", "schedule")
 )
-_IN_FILES: Final[dict[str, Any]] = {name: _in_a_file(name) for name in SETUP_FIELDS}
-SetupFields: Any = create_model("SetupFields", __base__=Fields, **_IN_FILES)
+_FILE_FIELDS: Final[dict[str, Any]] = {name: _in_a_file(name) for name in SETUP_FIELDS}
+SetupFields: Any = create_model("SetupFields", __base__=Fields, **_FILE_FIELDS)
 
 
 class Straight(Fields):
@@ -186,7 +188,7 @@ class Waypoints(Fields):
         description="(x, y) of each [m]; a smooth curve goes through them",
         json_schema_extra={
             "minItems": 3,
-            "items": {"type": "array", "items": MEASURED_TEXT, "minItems": 2, "maxItems": 2},
+            "items": {"type": "array", "items": QUANTITY_SCHEMA, "minItems": 2, "maxItems": 2},
         },
     )
 
@@ -237,7 +239,7 @@ class SwitchFields(Fields):
     gait: str = optional("the next gait", enum=[*GAITS])
     steering: str = optional("what turns the robot from then on", enum=[*STEERING])
     spine: str = optional("modes of the spine from then on", enum=[*SPINES])
-    head: str = optional("what the head does from then on", enum=[*HEADS])
+    head: str = optional("what the head does from then on", enum=[*HEAD_NAMES])
     tail_motion: str = optional("what the tail does from then on", enum=[*TAIL_MOTIONS])
     set: dict[str, FiniteInUnits] = Field(
         {}, description="parameters of the controller from then on"
@@ -260,7 +262,7 @@ class WalkFields(SetupFields):
 
     @classmethod
     def refuse(cls, key: str) -> None:
-        if key in NAMES.get():
+        if key in FILE_PARAMETERS.get():
             raise Refused(f"is a parameter, not {cls.what}: put it under {cls.sources}.", key)
         super().refuse(key)
 
@@ -303,7 +305,7 @@ class RecordedSetup(SetupFields):
 
 
 #: Values of a pilot's option that files give as words.
-_SIDES: Final = {"left": 1.0, "right": -1.0}
+SIDE_SIGNS: Final = {"left": 1.0, "right": -1.0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -514,7 +516,7 @@ def pilot_options(value: Any, pilot: str, options: Any) -> dict[str, Any]:
         if isinstance(value, dict)
         else {}
     )
-    return values | {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
+    return values | {key: SIDE_SIGNS[side] for key, side in values.items() if isinstance(side, str)}
 
 
 # ---
@@ -522,9 +524,9 @@ def pilot_options(value: Any, pilot: str, options: Any) -> dict[str, Any]:
 
 
 #: Combinations of values tried in all.
-_MOST_TRIED: Final = 50_000
+_MAX_COMBINATIONS: Final = 50_000
 #: Parameters of the published robot that are checked together; those of a custom controller may be.
-_TOGETHER: Final = ("stride", "stance.*", "limb.*", "geometry.*", "servo.kp", "servo.kv")
+_COUPLED_PARAMETERS: Final = ("stride", "stance.*", "limb.*", "geometry.*", "servo.kp", "servo.kv")
 
 
 def check_reach(
@@ -583,13 +585,13 @@ def check_reach(
                 column = first if refusal({name: first}) else remainder
                 error = refusal({name: column}) or error
             refuse(error, name, column)
-    groups = _TOGETHER if setup.controller is None else ("*",)
+    groups = _COUPLED_PARAMETERS if setup.controller is None else ("*",)
     mesh = {
         name: column
         for name, column in values.items()
         if any(fnmatch.fnmatchcase(name, p) for p in groups)
     }
-    while math.prod(map(len, mesh.values())) > _MOST_TRIED:
+    while math.prod(map(len, mesh.values())) > _MAX_COMBINATIONS:
         longest = max(mesh, key=lambda name: len(mesh[name]))
         mesh[longest] = mesh[longest][
             np.linspace(0, len(mesh[longest]) - 1, len(mesh[longest]) // 2).astype(int)
@@ -640,7 +642,7 @@ def written_out(doc: Document) -> Document:
             continue
         origin: dict[str, str] = {}  # of each name, the key of the file that it has its value from
         for key in entries:
-            names = matches(key, NAMES.get()) if is_pattern(key) else [key]
+            names = matches(key, FILE_PARAMETERS.get()) if is_pattern(key) else [key]
             if not names:
                 doc.fail(
                     (section, key),
@@ -691,7 +693,7 @@ def in_numbers(doc: Document, additional: Mapping[str, Quantity] | None = None) 
     Raises:
         SpecError: a text has a unit that does not convert.
     """
-    declarations = {**NAMES.get(), **(additional or {})}
+    declarations = {**FILE_PARAMETERS.get(), **(additional or {})}
 
     def number(field_value: Any, path: FieldPath, name: str) -> Any:
         if isinstance(field_value, dict):
@@ -704,7 +706,7 @@ def in_numbers(doc: Document, additional: Mapping[str, Quantity] | None = None) 
         if not (
             name
             and isinstance(field_value, str)
-            and re.match(MEASURED_TEXT["pattern"], field_value)
+            and re.match(QUANTITY_SCHEMA["pattern"], field_value)
         ):
             return field_value
         if (converted := declarations[name].number(field_value)) is None:

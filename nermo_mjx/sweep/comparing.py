@@ -22,7 +22,7 @@ from scipy import stats
 from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, set_scales
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
-from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES
+from nermo_mjx.plotting.style import BEST_COLOUR, GRID, INK, LINE_COLOUR, MUTED_INK, SERIES
 from nermo_mjx.robot.parameters import GAIT_CODES
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, of_type
 from nermo_mjx.runs.files import DirectoryError
@@ -898,14 +898,20 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     # An outlier would leave the others no room.
     ends = np.abs([[row["relative_low"], row["relative_high"]] for row in drawn] or [[0.1, 0.1]])
     far = float(min(max(1.12 * np.nanmax(ends, initial=0.02), 0.02), _FAR))
-    ax.axvline(0, color=MUTED, lw=0.8)
+    ax.axvline(0, color=MUTED_INK, lw=0.8)
     for place, row in enumerate(drawn):
         low, middle, high = (
             float(row[name]) for name in ("relative_low", "relative", "relative_high")
         )
         closer = abs(row["other_mean"]) < abs(row["base_mean"])
         gains = {"high": middle > 0, "low": middle < 0, "zero": closer}.get(row["better"])
-        colour = MUTED if gains is None or not row["difference"] else LINE if gains else BEST
+        colour = (
+            MUTED_INK
+            if gains is None or not row["difference"]
+            else LINE_COLOUR
+            if gains
+            else BEST_COLOUR
+        )
         ax.plot(
             np.clip([low, high], -far, far),
             [place, place],
@@ -931,7 +937,7 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
             transform=ax.get_yaxis_transform(),
             va="center",
             fontsize=8,
-            color=INK if row["beyond_noise"] else MUTED,
+            color=INK if row["beyond_noise"] else MUTED_INK,
         )
     ax.set_yticks(range(len(drawn)), [titled(row["metric"]) for row in drawn])
     ax.set(
@@ -943,7 +949,11 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     ax.grid(axis="x", color=GRID, lw=0.8)
     left = len(rows) - len(drawn)
     more = f"\n{left} more metrics are in the table" if left else ""
-    handles = [_mark(LINE, "better"), _mark(BEST, "worse"), _mark(MUTED, "neither")]
+    handles = [
+        _mark(LINE_COLOUR, "better"),
+        _mark(BEST_COLOUR, "worse"),
+        _mark(MUTED_INK, "neither"),
+    ]
     return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{more}")
 
 
@@ -1025,7 +1035,7 @@ def _by_groups(
         words = [f"{spoken(name)} {_text(value)}" for name, value in zip(panels, part, strict=True)]
         ax.set_title(", ".join([*([titled(metric)] if len(metrics) > 1 else []), *words]))
         set_scales(ax, across)
-        ax.axhline(0, color=MUTED, lw=0.8, zorder=1)
+        ax.axhline(0, color=MUTED_INK, lw=0.8, zorder=1)
         horizontal_grid(ax)
         if len(metrics) > 1 or number % columns == 0:
             ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")

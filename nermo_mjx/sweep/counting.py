@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy import sparse, stats
 
-from nermo_mjx.plotting.shown import LEVEL, cost, half_width
+from nermo_mjx.plotting.shown import CONFIDENCE_LEVEL, cost, half_width
 
 if TYPE_CHECKING:
     import pandas as pd  # imported where it is used: it takes half a second
@@ -238,7 +238,8 @@ def two_stage(
         degrees = np.where(one, np.fmin(welch, most), several - 1.0)
         error, least = np.sqrt(np.where(one, within, across)), np.sqrt(within) / several
         half = np.maximum(
-            stats.t.ppf((1 + LEVEL) / 2, degrees) * error, stats.norm.ppf((1 + LEVEL) / 2) * least
+            stats.t.ppf((1 + CONFIDENCE_LEVEL) / 2, degrees) * error,
+            stats.norm.ppf((1 + CONFIDENCE_LEVEL) / 2) * least,
         )
         far = np.abs(estimate) / error, np.abs(estimate) / least
         p = 2 * np.where(

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.files import MOST_JSON, read_bytes
+from nermo_mjx.files import MAX_JSON_BYTES, read_bytes
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, clear_errors, content_of, create_file, to_json
@@ -139,7 +139,7 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
             create_file(path, sweep.to_yaml(folder).encode())
         # Even if it was just written: another shard may have been faster, and have chosen another size.
         try:
-            same = read_bytes(path, MOST_JSON) == sweep.to_yaml(folder).encode()
+            same = read_bytes(path, MAX_JSON_BYTES) == sweep.to_yaml(folder).encode()
             begun = sweep if same else Sweep.from_directory(out)
         except SpecError as error:
             raise DirectoryError(
@@ -180,7 +180,7 @@ def _extended(held: RunDirectory, begun: Sweep, sweep: Sweep, *, extend: bool) -
         )
     # Killed at any moment, the results are in one of two folders, and both sweeps find them there.
     (out / FORMER).mkdir(exist_ok=True)
-    held.write(f"{FORMER}/sweep-{begun.digest()}.yaml", read_bytes(path, MOST_JSON))
+    held.write(f"{FORMER}/sweep-{begun.digest()}.yaml", read_bytes(path, MAX_JSON_BYTES))
     retire(held, sweep.digest())
     for name in _MADE:
         held.move_aside(name, FORMER)

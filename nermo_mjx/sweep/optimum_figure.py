@@ -25,7 +25,15 @@ from nermo_mjx.plotting.charts import (
     signed,
 )
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
-from nermo_mjx.plotting.style import BEST, GAIN_COLOURS, GRID, INK, MISSING, MUTED, SERIES
+from nermo_mjx.plotting.style import (
+    BEST_COLOUR,
+    GAIN_COLOUR_MAP,
+    GRID,
+    INK,
+    MISSING_COLOUR,
+    MUTED_INK,
+    SERIES,
+)
 from nermo_mjx.sweep.optimum import FoundOptimum, OptimumAnswer
 from nermo_mjx.sweep.table import (
     meta,
@@ -39,7 +47,7 @@ _COLUMNS: Final = 3
 _STAR: Final[dict[str, Any]] = {
     "marker": "*",
     "ms": 14,
-    "color": BEST,
+    "color": BEST_COLOUR,
     "mec": "white",
     "lw": 0,
     "zorder": 4,
@@ -58,7 +66,7 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     # Symmetric about 0; losses far beyond the best gain are cut off, as they would leave the gains pale.
     far = max(known.max(initial=0.0), 0.3 * np.abs(known).max(initial=1e-9))
     colours = ScalarMappable(
-        Normalize(-far, far), GAIN_COLOURS if asked.side == "max" else f"{GAIN_COLOURS}_r"
+        Normalize(-far, far), GAIN_COLOUR_MAP if asked.side == "max" else f"{GAIN_COLOUR_MAP}_r"
     )
     columns = min(len(answers), _COLUMNS)
     lines = -(-len(answers) // columns)
@@ -141,7 +149,7 @@ def _draw_group(
             fc=np.where(inside, SERIES[0], "white"),
             zorder=3,
         )
-        ax.axhline(0, color=MUTED, lw=0.8)
+        ax.axhline(0, color=MUTED_INK, lw=0.8)
     ax.plot(x.values[here], (more[0].values if flat else gain)[here], **_STAR, clip_on=False)
     set_scales(ax, x, more[0] if flat else None)
     _, share, ends = found.numbers(answer, found.asked.metric)
@@ -183,7 +191,7 @@ def _draw_map(
     )
     columns, rows = cell_edges(xs, x.log), cell_edges(ys, y.log)
     scale: Any = look.norm
-    ax.set_facecolor(MISSING)
+    ax.set_facecolor(MISSING_COLOUR)
     ax.pcolormesh(columns, rows, np.ma.masked_invalid(cells.T), norm=scale, cmap=look.cmap)
     framed = np.pad(inside > 0, 1)
     upright, level = (
@@ -210,7 +218,7 @@ def _draw_costs(
     ]
     far = 115 * float(np.nanmax([*ends, 0.01]))
     for i, (ax, own) in enumerate(zip(axes, lines, strict=True)):
-        ax.axvline(0, color=MUTED, lw=0.8)
+        ax.axvline(0, color=MUTED_INK, lw=0.8)
         for place, line in enumerate(own):
             if not math.isfinite(line.get("relative", math.nan)):
                 continue

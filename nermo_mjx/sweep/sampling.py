@@ -12,7 +12,7 @@ from scipy import special
 from nermo_mjx.robot.quantity import Quantity, require
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
 from nermo_mjx.specs.reading import Document
-from nermo_mjx.specs.values import MEASURED_TEXT, Numbers, Whole, check_value
+from nermo_mjx.specs.values import QUANTITY_SCHEMA, Numbers, Whole, check_value
 
 # ---
 # How one parameter gets its values: an `Axis` is varied systematically, a `Draw` at random.
@@ -59,7 +59,7 @@ class Axis(_Values):
         "{linspace: [from, to, count]} or {logspace: [from, to, count]} or {values: [a, b, ...]}, with a sampler also "
         "{uniform: [low, high]} or {loguniform: [low, high]}; put a fixed value under 'set'"
     )
-    short: ClassVar = ({"type": "array", "items": MEASURED_TEXT, "minItems": 1},)
+    short: ClassVar = ({"type": "array", "items": QUANTITY_SCHEMA, "minItems": 1},)
     linspace: _Steps = optional("evenly spaced, both ends included")
     logspace: _Steps = optional("evenly in the logarithm; the ends are values, not exponents")
     values: Annotated[

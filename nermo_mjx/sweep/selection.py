@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from scipy import optimize, special, stats
 
-from nermo_mjx.plotting.shown import LEVEL
+from nermo_mjx.plotting.shown import CONFIDENCE_LEVEL
 from nermo_mjx.sweep.spec import SoughtOptimum
 
 #: Probability of losing the best point before the last look, of all of 1 - `LEVEL`.
@@ -53,7 +53,7 @@ def hsu_margin(points: int, freedom: int, level: float, skew: float = 0.0) -> fl
     return float(optimize.brentq(beyond, 0.0, 500.0, xtol=1e-4))
 
 
-def undistinguished(values: np.ndarray, level: float = LEVEL) -> np.ndarray:
+def undistinguished(values: np.ndarray, level: float = CONFIDENCE_LEVEL) -> np.ndarray:
     """Which points may be the best, (k,) bool: the best one is among them with this probability at least.
 
     >>> undistinguished(np.array([[1.0, 5.0, 5.1], [1.1, 5.2, 5.1], [0.9, 5.1, 5.0], [1.0, 5.0, 5.0]])).tolist()
@@ -151,7 +151,7 @@ def judged(values: np.ndarray, there: np.ndarray, asked: SoughtOptimum, repeats:
             return Judged(-1, alive, alive, len(block), spent, none, "lost")
         early, last, contenders = alive.copy(), alive.copy(), alive.copy()
         early[alive] = undistinguished(used, 1 - EARLY / 2**look)
-        last[alive] = undistinguished(used, LEVEL + (EARLY if asked.budget else 0.0))
+        last[alive] = undistinguished(used, CONFIDENCE_LEVEL + (EARLY if asked.budget else 0.0))
         price, few = int(early.sum()) * repeats, bool(asked.budget) and early.sum() <= asked.until
         best = int(np.flatnonzero(alive)[used.mean(axis=0).argmax()])
         if few or spent + price > asked.budget:

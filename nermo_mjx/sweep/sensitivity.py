@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from nermo_mjx.plotting.charts import FigurePage
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import spoken
-from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
+from nermo_mjx.plotting.style import BAND_COLOUR, GRID, INK, LINE_COLOUR, MUTED_INK, OKABE_ITO
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean, require
 from nermo_mjx.sweep.comparing import Source, opened_table
 from nermo_mjx.sweep.counting import Variants, counts
@@ -293,7 +293,7 @@ Line = Mapping[str, Any]
 _MOST_PARAMETERS: Final = 16
 _MOST_PAIRS: Final = 10
 _MOST_PANELS: Final = 6
-_COLOURS: Final = {"first": LINE, "total": BAND, "second": OKABE_ITO["purple"]}
+_COLOURS: Final = {"first": LINE_COLOUR, "total": BAND_COLOUR, "second": OKABE_ITO["purple"]}
 _WORDS: Final = {
     "first": "alone (first)",
     "total": "with all others (total)",
@@ -363,7 +363,7 @@ def _bars(ax: Axes, places: np.ndarray, lines: Sequence[Line], height: float) ->
 
 
 def _finish(ax: Axes, names: Sequence[str], title: str) -> None:
-    ax.axvline(0, color=MUTED, lw=0.8)
+    ax.axvline(0, color=MUTED_INK, lw=0.8)
     ax.set_yticks(range(len(names)), names)
     ax.set(ylim=(max(len(names), 1) - 0.4, -0.6), title=title, xlabel="Sobol index [1]")
     low, high = ax.get_xlim()

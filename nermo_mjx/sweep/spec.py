@@ -34,7 +34,7 @@ from nermo_mjx.specs.reading import (
     read_mapping,
     read_text,
 )
-from nermo_mjx.specs.values import NAMES, BodiesField, Positive, Whole, refuse_parameter
+from nermo_mjx.specs.values import FILE_PARAMETERS, BodiesField, Positive, Whole, refuse_parameter
 from nermo_mjx.specs.walk import (
     WalkFields,
     WalkSpec,
@@ -409,7 +409,7 @@ def check_base(
     doc: Document, path: FieldPath, name: str, base: Value, bases: Sequence[Value]
 ) -> None:
     """Fail where a base is no value of its column."""
-    about = NAMES.get().get(name)
+    about = FILE_PARAMETERS.get().get(name)
     number = None if about is None else about.number(str(base))
     close = number is not None and np.isclose(number, np.array(bases, float), 1e-9, 1e-12).any()
     if base not in bases and not close:

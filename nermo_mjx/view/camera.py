@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import ConvexHull, QhullError
 
 from nermo_mjx.recording import Recording
-from nermo_mjx.view.recorded import STANDING
+from nermo_mjx.view.recorded import STANCE_NEWTONS
 
 #: Azimuth and elevation of views [degrees]; azimuth 0 looks along +x: the robot, heading -y, walks to the right.
 CAMERAS: Final = {
@@ -25,7 +25,7 @@ CAMERAS: Final = {
 #: Both of the robot's eyes, side by side.
 STEREO: Final = "stereo"
 #: Standard deviation of the filter that removes the shaking of the steps from the camera's path [s].
-SMOOTHING: Final = 0.25
+SMOOTHING_SECONDS: Final = 0.25
 
 
 def root_body(model: mujoco.MjModel) -> int:
@@ -46,7 +46,7 @@ def put_pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray,
 
 def smooth_path(points: Float[np.ndarray, "F 3"], interval: float) -> Float[np.ndarray, "F 3"]:
     """The points [m], `interval` seconds apart, with x and y smoothed without lag, and z at its mean."""
-    sigma = SMOOTHING / interval
+    sigma = SMOOTHING_SECONDS / interval
     reach = int(np.ceil(3 * sigma))
     if reach == 0 or len(points) < 2:
         return points
@@ -86,7 +86,7 @@ def following_camera(name: str, radius: float, fovy: float, aspect: float) -> mu
     return camera
 
 
-_DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+_DIRECTIONAL_LIGHT = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 
 
 def put_sun_overhead(model: mujoco.MjModel) -> None:
@@ -94,7 +94,7 @@ def put_sun_overhead(model: mujoco.MjModel) -> None:
 
     A slanting sun speckles the floor at the edge of the shadow map; one overhead also shows where the feet stand.
     """
-    overhead = (model.light_type == _DIRECTIONAL) & (model.light_castshadow != 0)
+    overhead = (model.light_type == _DIRECTIONAL_LIGHT) & (model.light_castshadow != 0)
     model.light_dir[overhead] = (0.0, 0.0, -1.0)
     model.light_pos[overhead, :2] = 0.0
 
@@ -104,15 +104,15 @@ def move_sun_above(
 ) -> None:
     """Move the sun to a point in the world [m], after `mj_camlight`; otherwise the robot walks out of its shadow
     map."""
-    data.light_xpos[model.light_type == _DIRECTIONAL, :2] += point[:2]
+    data.light_xpos[model.light_type == _DIRECTIONAL_LIGHT, :2] += point[:2]
 
 
 #: Thickness of the lines, radius of the points, and their height above the ground [m].
-_LINE, _POINT, _ABOVE = 0.0006, 0.0024, 0.0008
+_LINE_METRES, _POINT_METRES, _HEIGHT_METRES = 0.0006, 0.0024, 0.0008
 #: Where the centre of mass is inside, and where it is not (Okabe and Ito); of the polygon.
-INSIDE: Final = (0.0, 0.62, 0.45, 1.0)
-OUTSIDE: Final = (0.84, 0.37, 0.0, 1.0)
-_EDGE: Final = (0.0, 0.45, 0.70, 1.0)
+INSIDE_COLOUR: Final = (0.0, 0.62, 0.45, 1.0)
+OUTSIDE_COLOUR: Final = (0.84, 0.37, 0.0, 1.0)
+_EDGE_COLOUR: Final = (0.0, 0.45, 0.70, 1.0)
 
 
 def support_polygon(
@@ -176,15 +176,15 @@ def draw_support(
     if tail is not None and "tail_force" in recording.sensors:
         points = np.concatenate([points, tail[None]])
         force = np.append(force, recording.sensors["tail_force"][sample])
-    corners = support_polygon(points[:, :2], force > STANDING)
-    colour = INSIDE if is_inside(corners, com[:2]) else OUTSIDE
-    corners = np.column_stack([corners, np.full(len(corners), _ABOVE)])
+    corners = support_polygon(points[:, :2], force > STANCE_NEWTONS)
+    colour = INSIDE_COLOUR if is_inside(corners, com[:2]) else OUTSIDE_COLOUR
+    corners = np.column_stack([corners, np.full(len(corners), _HEIGHT_METRES)])
     following = np.roll(corners, -1, axis=0) if len(corners) > 2 else corners[1:]
     for begin, end in zip(corners, following, strict=False):
-        add(_EDGE, _LINE, begin, end)
+        add(_EDGE_COLOUR, _LINE_METRES, begin, end)
     for corner in corners:
-        add(_EDGE, 0.6 * _POINT, corner)
-    below = np.array([com[0], com[1], _ABOVE])
-    add(colour, _LINE, below, com)
-    add(colour, _POINT, below)
-    add(colour, _POINT, com)
+        add(_EDGE_COLOUR, 0.6 * _POINT_METRES, corner)
+    below = np.array([com[0], com[1], _HEIGHT_METRES])
+    add(colour, _LINE_METRES, below, com)
+    add(colour, _POINT_METRES, below)
+    add(colour, _POINT_METRES, com)

@@ -93,7 +93,7 @@ def without_jumps(quaternion: np.ndarray) -> np.ndarray:
 
 
 #: Shapes that the page draws, by MuJoCo's names.
-KINDS: Final = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+SHAPES: Final = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 #: MuJoCo draws the groups below this one; the others contain collision geoms.
 HIDDEN_GROUP: Final = 3
 
@@ -110,7 +110,7 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
     geoms = []
     for i in range(model.ngeom):
         kind = mujoco.mjtGeom(model.geom_type[i]).name.removeprefix("mjGEOM_").lower()
-        if kind not in KINDS:
+        if kind not in SHAPES:
             continue
         geom: dict[str, Any] = {
             "kind": kind,
@@ -189,9 +189,9 @@ class Detail:
 
 
 #: 30 s at the recorders' 100 Hz.
-FULL: Final = Detail(3000)
+FULL_DETAIL: Final = Detail(3000)
 #: A quarter of the size, for pages with many recordings: the player interpolates between samples.
-COMPACT: Final = Detail(500, rate=34.0, length=1e-4, turn=5e-4, force=5e-3, curve=1e-3)
+COMPACT_DETAIL: Final = Detail(500, rate=34.0, length=1e-4, turn=5e-4, force=5e-3, curve=1e-3)
 
 
 class Models:
@@ -242,7 +242,7 @@ def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> d
 
 
 def clip_of(
-    recording: Recording, name: str, models: Models, packer: Packer, detail: Detail = FULL
+    recording: Recording, name: str, models: Models, packer: Packer, detail: Detail = FULL_DETAIL
 ) -> dict[str, Any]:
     """The header of one recording; errors as above."""
     robot = robot_of(recording)

@@ -42,17 +42,17 @@ from nermo_mjx.sweep.table import (
     meta,
     read_table,
 )
-from nermo_mjx.view.clip import COMPACT, Models, clip_of
+from nermo_mjx.view.clip import COMPACT_DETAIL, Models, clip_of
 from nermo_mjx.view.page import Packer, Page, document, template
 
 #: Roles of the columns that are shown, in this order; seeds and codes are not informative.
 ROLES: Final = ("varied", "randomized", "metric", "status", "index")
 #: Maximum number of rows in a page: 3 MB with 50 columns.
-MOST_ROWS: Final = 20_000
+MAX_PAGE_ROWS: Final = 20_000
 #: Number of best rows that are always kept.
-_BEST_KEPT: Final = 500
+_BEST_ROWS: Final = 500
 #: Maximum number of values of a parameter that forms an axis of cells.
-MOST_CELLS: Final = 64
+MAX_AXIS_CELLS: Final = 64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +134,7 @@ class ExplorerRuns:
 
 
 def runs_of(
-    path: Path, required_rows: Collection[int] = (), limit: int = MOST_ROWS
+    path: Path, required_rows: Collection[int] = (), limit: int = MAX_PAGE_ROWS
 ) -> ExplorerRuns:
     """The runs of a directory.
 
@@ -187,7 +187,7 @@ def runs_of(
     price = _column(leading, fields[leading], sides[leading], column(leading)).cost()
     places = np.arange(len(number))
     if len(number) > limit:
-        best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, limit // 2)]
+        best = np.argsort(price, kind="stable")[: min(_BEST_ROWS, limit // 2)]
         places = np.union1d(thinned(places, limit - len(best)), best)
         places = np.union1d(places, np.flatnonzero(np.isin(number, list(required_rows))))
     columns = {
@@ -278,12 +278,12 @@ def _column(
 
 
 #: Choices that are options of `nermo-mjx walk`, with the values that it takes.
-_OPTIONS: Final = (
+_WALK_OPTIONS: Final = (
     *("robot", "scene", "tail", "physics", "gait", "spine", "steering"),
     *("profile", "trajectory", "head", "tail_motion"),
 )
 #: Choices without an option: `walk` supports only their defaults.
-_NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone, "hinges": Setup.hinges}
+_FIXED_CHOICES: Final = {"routing": Setup.routing, "cone": Setup.cone, "hinges": Setup.hinges}
 #: Pilots that `walk` supports, and the parameters that their options set.
 _PILOTS: Final = {"straight": (), "arc": ("radius", "direction"), "open_loop": ("turn_rate",)}
 _TURNS: Final = {"left": 1.0, "right": -1.0}
@@ -326,8 +326,8 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
     step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))
     if (
         spec.get("controller") is not None
-        or not set(names) <= {*_OPTIONS, "pilot"}
-        or any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items())
+        or not set(names) <= {*_WALK_OPTIONS, "pilot"}
+        or any(spec.get(name, default) != default for name, default in _FIXED_CHOICES.items())
         # A custom scene is stored as MJCF, which cannot be an option's value.
         or any("<" in scene for scene in names.get("scene", {str(spec.get("scene", Setup.scene))}))
         or (
@@ -341,7 +341,7 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
         return None
     fixed = dict(spec.get("set") or {})
     words = ["nermo-mjx", "walk"]
-    for name in _OPTIONS:
+    for name in _WALK_OPTIONS:
         value = str(spec.get(name, getattr(Setup, name)))
         words += (
             [_option(name), value]
@@ -359,7 +359,7 @@ def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
         words += ["--set", f"{name}={value!r}"]
     return {
         "words": shlex.join(words),
-        "options": [[_option(name), name] for name in (*_OPTIONS, "pilot") if name in names],
+        "options": [[_option(name), name] for name in (*_WALK_OPTIONS, "pilot") if name in names],
         "set": [column.name for column in varied if not column.is_text],
     }
 
@@ -369,18 +369,18 @@ def _option(name: str) -> str:
 
 
 #: Default maximum number of recordings in a page: 4 MB at ten seconds each.
-MOST_RECORDINGS: Final = 50
+MAX_RECORDINGS: Final = 50
 #: Maximum number of distinct values of a column for which they are sent with all their digits.
-_LISTED: Final = 256
+_MAX_LISTED_VALUES: Final = 256
 #: Maximum number of distinct values for which each is a step of an axis, even without a grid.
-_FEW: Final = 12
-_LEVELS: Final = 32
+_MAX_AXIS_STEPS: Final = 12
+_COLOUR_LEVELS: Final = 32
 
 
 def explore(
     path: str | os.PathLike[str],
     *,
-    recordings: int = MOST_RECORDINGS,
+    recordings: int = MAX_RECORDINGS,
     height: int = 680,
     notify: Callable[[str], None] | None = None,
 ) -> Page:
@@ -457,7 +457,7 @@ def _clips(
     for row, path in files.items():
         packer = Packer(f"row-{row}")
         try:
-            clip = clip_of(Recording.load(path), f"row {row}", models, packer, COMPACT)
+            clip = clip_of(Recording.load(path), f"row {row}", models, packer, COMPACT_DETAIL)
         except (RecordingError, ParameterError) as error:
             notes.append(f"recordings/{path.name} is left out: {error}")
             continue
@@ -555,7 +555,7 @@ def start_of(runs: ExplorerRuns) -> dict[str, Any]:
     metrics = runs.of("metric")
     gain = f"{runs.leading}_gain"
     colour = runs.leading
-    gridded = [column for column in varied if runs.grid and len(column.distinct) <= MOST_CELLS]
+    gridded = [column for column in varied if runs.grid and len(column.distinct) <= MAX_AXIS_CELLS]
     cells = len(gridded) > 1
     if gain in runs.columns and cells:
         axes = sorted(gridded, key=lambda column: column.name not in runs.gain_over)[:2]
@@ -605,12 +605,12 @@ def _field(column: ExplorerColumn, grid: bool, packer: Packer) -> dict[str, Any]
     }
     values = column.distinct
     field["stepped"] = len(values) <= (
-        MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW
+        MAX_AXIS_CELLS if column.is_text or (grid and column.role == "varied") else _MAX_AXIS_STEPS
     )
     if column.is_text:
         codes = np.searchsorted(values.astype(str), column.values.astype(str))
         return field | {"texts": values.tolist(), "values": packer.plain(codes, "uint16")}
-    if len(values) <= _LISTED:
+    if len(values) <= _MAX_LISTED_VALUES:
         codes = np.where(
             np.isfinite(column.values), np.searchsorted(values, column.values), len(values)
         )
@@ -623,9 +623,9 @@ def _palette() -> dict[str, Any]:
     from matplotlib import colormaps  # importing it takes a second
     from matplotlib.colors import to_hex
 
-    names = {"scale": style.COLOURS, "gain": style.GAIN_COLOURS, "cyclic": "twilight"}
+    names = {"scale": style.COLOUR_MAP, "gain": style.GAIN_COLOUR_MAP, "cyclic": "twilight"}
     scales = {
-        key: [to_hex(c) for c in colormaps[name](np.linspace(0, 1, _LEVELS))]
+        key: [to_hex(c) for c in colormaps[name](np.linspace(0, 1, _COLOUR_LEVELS))]
         for key, name in names.items()
     }
-    return {**scales, "series": list(style.SERIES), "missing": style.MISSING}
+    return {**scales, "series": list(style.SERIES), "missing": style.MISSING_COLOUR}

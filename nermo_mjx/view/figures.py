@@ -16,18 +16,27 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from nermo_mjx.control.parameters import ControlParameters, published_values
-from nermo_mjx.control.stepping import FREE, FreeStepping, Stepping
+from nermo_mjx.control.stepping import FREE_TRAJECTORY, FreeStepping, Stepping
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.plotting.charts import FigurePage, horizontal_grid
 from nermo_mjx.plotting.shown import spoken
-from nermo_mjx.plotting.style import FOOT, GRID, INK, LINE, MISSING, MUTED, SERIES, TAIL
+from nermo_mjx.plotting.style import (
+    FOOT,
+    GRID,
+    INK,
+    LINE_COLOUR,
+    MISSING_COLOUR,
+    MUTED_INK,
+    SERIES,
+    TAIL_COLOUR,
+)
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import GAIT_CODES, GAITS, LIMBS, ParameterError, Robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.view.recorded import (
-    STANDING,
+    STANCE_NEWTONS,
     attitude_of,
     beside_log,
     own_geometry,
@@ -95,7 +104,7 @@ class RecordedGait:
         phase = (self.values.get("start.phase", 0.0) + self.recording.time / self.cycle) % 1.0
         names = {name for name, _ in quantities(ControlParameters)}
         values = {name: np.asarray(value) for name, value in self.values.items() if name in names}
-        free = self.recording.metadata.get("setup", {}).get("trajectory") == FREE
+        free = self.recording.metadata.get("setup", {}).get("trajectory") == FREE_TRAJECTORY
         stepping = FreeStepping() if free else Stepping()
         limbs = stepping.limbs(replace_quantities(ControlParameters(), values), jnp.asarray(phase))
         return np.asarray(limbs.stance)
@@ -104,7 +113,7 @@ class RecordedGait:
     def contact(self) -> np.ndarray | None:
         """Whether each foot bears a load, (T, 4); None without such a sensor."""
         force = self.recording.sensors.get("foot_force")
-        return None if force is None else np.asarray(force) > STANDING
+        return None if force is None else np.asarray(force) > STANCE_NEWTONS
 
     @cached_property
     def angles(self) -> np.ndarray | None:
@@ -142,14 +151,16 @@ def gait_diagram(walk: RecordedGait) -> Figure | None:
         ax.axhline(row + 0.5, color="white", lw=0)
     tail = walk.recording.sensors.get("tail_force")
     if tail is not None:
-        bears = np.asarray(tail)[part] > STANDING
-        ax.broken_barh(spans(bears, time), (len(names) - 0.18, 0.5), color=TAIL, lw=0, zorder=3)
+        bears = np.asarray(tail)[part] > STANCE_NEWTONS
+        ax.broken_barh(
+            spans(bears, time), (len(names) - 0.18, 0.5), color=TAIL_COLOUR, lw=0, zorder=3
+        )
         shares.append(f"{bears.mean():.2f}")
         names.append("tail")
     if walk.cycle is not None:
         first = np.ceil(time[0] / walk.cycle - 1e-6)
         for k in np.arange(first, time[-1] / walk.cycle + 1e-6):
-            ax.axvline(k * walk.cycle, color=MISSING, lw=0.9, zorder=1)
+            ax.axvline(k * walk.cycle, color=MISSING_COLOUR, lw=0.9, zorder=1)
         above = ax.secondary_xaxis(
             "top", functions=(lambda t: t / walk.cycle, lambda c: c * walk.cycle)
         )
@@ -165,15 +176,15 @@ def gait_diagram(walk: RecordedGait) -> Figure | None:
         axis.tick_params(axis="y", length=0, labelcolor=INK)
     ax.set(xlim=(time[0], time[-1]), ylim=(len(names) - 0.45, -0.6), xlabel="time [s]")
     ax.spines["left"].set_visible(False)
-    handles: list[Artist] = [Patch(fc=MUTED, label="measured, in the foot's colour")]
+    handles: list[Artist] = [Patch(fc=MUTED_INK, label="measured, in the foot's colour")]
     if planned is not None:
         handles.append(Patch(fc=INK, label="planned"))
-    note = f"{what}; measured: bears more than {STANDING:g} N; duty factor: share of the time on the ground"
+    note = f"{what}; measured: bears more than {STANCE_NEWTONS:g} N; duty factor: share of the time on the ground"
     return page.finish(handles, note + (", in brackets as planned" if planned is not None else ""))
 
 
 #: With more gait cycles, the grid of cycles would be a grey area.
-_MOST_CYCLES = 30
+_MAX_GRID_CYCLES = 30
 
 
 def orientation(walk: RecordedGait) -> Figure | None:
@@ -185,7 +196,7 @@ def orientation(walk: RecordedGait) -> Figure | None:
     for ax, name, values in zip(
         page.axes[:, 0], ("roll", "pitch", "yaw"), walk.angles.T, strict=True
     ):
-        ax.plot(time, values, color=LINE, lw=1.3, zorder=3)
+        ax.plot(time, values, color=LINE_COLOUR, lw=1.3, zorder=3)
         ax.set_ylabel(f"{name} [deg]")
         ax.margins(y=0.08)
         horizontal_grid(ax)
@@ -196,9 +207,9 @@ def orientation(walk: RecordedGait) -> Figure | None:
             ha="right",
             va="bottom",
             fontsize=8,
-            color=MUTED,
+            color=MUTED_INK,
         )
-        if walk.cycle is not None and time[-1] < _MOST_CYCLES * walk.cycle:
+        if walk.cycle is not None and time[-1] < _MAX_GRID_CYCLES * walk.cycle:
             for cycle in np.arange(walk.cycle, time[-1], walk.cycle):
                 ax.axvline(cycle, color=GRID, lw=0.8, zorder=0)
     page.axes[-1, 0].set(xlabel="time [s]", xlim=(time[0], time[-1]))
@@ -232,8 +243,8 @@ def ground_path(walk: RecordedGait) -> Figure | None:
     ax.plot(ahead, left, color=INK, lw=0.8, zorder=4)
     mean = _cycle_mean(walk, np.asarray(position)[:, :2])
     if len(mean) > 1:
-        ax.plot(*seen(mean), color=LINE, lw=2.0, zorder=5)
-        handles.append(Line2D([], [], color=LINE, lw=2.0, label="mean over a gait cycle"))
+        ax.plot(*seen(mean), color=LINE_COLOUR, lw=2.0, zorder=5)
+        handles.append(Line2D([], [], color=LINE_COLOUR, lw=2.0, label="mean over a gait cycle"))
     ax.scatter(ahead[0], left[0], s=50, fc="white", ec=INK, lw=1.4, zorder=6)
     if feet is not None and walk.contact is not None:
         put_down = walk.contact[1:] & ~walk.contact[:-1]
@@ -257,7 +268,7 @@ def ground_path(walk: RecordedGait) -> Figure | None:
                 )
             )
     ax.set_aspect("equal", adjustable="datalim")
-    ax.grid(color=MISSING, lw=0.6)
+    ax.grid(color=MISSING_COLOUR, lw=0.6)
     ax.set_axisbelow(True)
     ax.margins(0.06)
     ax.set(xlabel="ahead of the start [mm]", ylabel="to its left [mm]")
@@ -379,9 +390,9 @@ def commanded_feet(ctrl: np.ndarray, routing: str, geometry: Geometry) -> np.nda
     return np.asarray(forward_kinematics(four_legs(geometry), servo, routing).foot)
 
 
-_HIP, _KNEE, _OTHER = SERIES[0], SERIES[1], SERIES[2]
+_HIP_COLOUR, _KNEE_COLOUR, _OTHER_COLOUR = SERIES[0], SERIES[1], SERIES[2]
 #: A servo that moves less than this is left out, unless it is a leg's [deg].
-_STILL = 0.5
+_SMALLEST_MOTION_DEG = 0.5
 
 
 def servo_angles_figure(walk: RecordedGait) -> Figure | None:
@@ -399,13 +410,13 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
     others = [
         i
         for i in range(2 * len(LIMBS), len(names))
-        if np.ptp(aim[:, i]) > _STILL or np.ptp(angle[:, i]) > _STILL
+        if np.ptp(aim[:, i]) > _SMALLEST_MOTION_DEG or np.ptp(angle[:, i]) > _SMALLEST_MOTION_DEG
     ]
     rows = [
-        (f"{name_of(limb)} leg", [(i, _HIP), (i + len(LIMBS), _KNEE)])
+        (f"{name_of(limb)} leg", [(i, _HIP_COLOUR), (i + len(LIMBS), _KNEE_COLOUR)])
         for i, limb in enumerate(LIMBS)
     ]
-    rows += [(names[i].replace("_", " "), [(i, _OTHER)]) for i in others]
+    rows += [(names[i].replace("_", " "), [(i, _OTHER_COLOUR)]) for i in others]
     page = FigurePage(
         f"Servo angles{walk.title}", (7.4, 1.3 + 1.3 * len(rows)), len(rows), 1, sharex=True
     )
@@ -419,12 +430,12 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
     page.axes[-1, 0].set(xlabel="time [s]", xlim=(time[0], time[-1]))
     page.figure.supylabel("servo angle [deg]", fontsize=9.5)
     handles: list[Artist] = [
-        Line2D([], [], color=_HIP, lw=1.5, label="hip or shoulder, measured"),
-        Line2D([], [], color=_KNEE, lw=1.5, label="knee, measured"),
+        Line2D([], [], color=_HIP_COLOUR, lw=1.5, label="hip or shoulder, measured"),
+        Line2D([], [], color=_KNEE_COLOUR, lw=1.5, label="knee, measured"),
     ]
     if others:
         listing = ", ".join(names[i].replace("_", " ") for i in others)
-        handles.append(Line2D([], [], color=_OTHER, lw=1.5, label=f"{listing}, measured"))
+        handles.append(Line2D([], [], color=_OTHER_COLOUR, lw=1.5, label=f"{listing}, measured"))
     handles.append(Line2D([], [], color=INK, lw=0.9, ls=(0, (4, 2)), label="commanded"))
     return page.finish(
         handles,

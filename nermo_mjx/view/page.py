@@ -26,7 +26,7 @@ _LIBRARIES: Final = {
 
 
 #: The step that stands for NaN, and the largest one.
-MISSING, _LARGEST = -32768, 32767
+NAN_STEP, _LARGEST_STEP = -32768, 32767
 
 
 class Packer:
@@ -54,8 +54,10 @@ class Packer:
         """
         array = np.where(np.isfinite(values), values, np.nan).astype(float)
         low, high = (np.nanmin(array), np.nanmax(array)) if np.isfinite(array).any() else (0.0, 0.0)
-        zero, scale = (low + high) / 2, max((high - low) / (2 * _LARGEST), resolution) or 1.0
-        steps = np.where(np.isnan(array), MISSING, np.rint((array - zero) / scale)).astype(np.int16)
+        zero, scale = (low + high) / 2, max((high - low) / (2 * _LARGEST_STEP), resolution) or 1.0
+        steps = np.where(np.isnan(array), NAN_STEP, np.rint((array - zero) / scale)).astype(
+            np.int16
+        )
         columns = np.ascontiguousarray(steps.reshape(len(steps), -1).T)
         with np.errstate(over="ignore"):
             columns[:, 1:] = np.diff(columns, axis=1)  # wraps around, which the reader reverses

@@ -25,9 +25,9 @@ from nermo_mjx.view.camera import (
 from nermo_mjx.view.recorded import robot_of, shown_spec
 
 #: Frame rate of the viewer [Hz].
-_REFRESH: Final = 60.0
+_REFRESH_HZ: Final = 60.0
 #: Keyframes of one file; MuJoCo's viewer has a slider over them.
-MOST_KEYS: Final = 5000
+MAX_KEYS: Final = 5000
 
 
 def set_sample(data: mujoco.MjData, recording: Recording, sample: int) -> None:
@@ -98,7 +98,7 @@ def play(recording: Recording, *, speed: float = 1.0, viewer: Any = None) -> Non
                 mujoco.mj_forward(model, data)
                 move_sun_above(model, data, data.xpos[root])
             window.sync()
-            time.sleep(1.0 / _REFRESH)
+            time.sleep(1.0 / _REFRESH_HZ)
 
 
 def write_keyframes(
@@ -122,9 +122,9 @@ def write_keyframes(
         raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, inf).")
     robot = robot_of(recording)
     count = int(recording.duration * rate + 1e-6) + 1
-    if count > MOST_KEYS:
+    if count > MAX_KEYS:
         raise ParameterError(
-            f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}."
+            f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MAX_KEYS:,}."
         )
     times = recording.time[0] + np.arange(count) / rate
     samples = np.unique(np.abs(recording.time - times[:, None]).argmin(axis=1))

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.shown import titled
-from nermo_mjx.recording import BESIDE, Recording, RecordingError
+from nermo_mjx.recording import LOG_PREFIX, Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.model_parameters import Build
@@ -99,7 +99,7 @@ def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
 
 
 #: Number of points drawn between the two ends of a tendon's wrap.
-ARC: Final = 5
+ARC_POINTS: Final = 5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -258,7 +258,7 @@ def _arc(
     height_u, height_v = u @ axis, v @ axis
     u, v = u - height_u * axis, v - height_v * axis
     angle = np.arctan2(np.dot(axis, _cross(u, v)), u @ v)
-    share = np.linspace(0.0, 1.0, ARC + 2)[1:-1, None]
+    share = np.linspace(0.0, 1.0, ARC_POINTS + 2)[1:-1, None]
     turned = np.cos(share * angle) * u + np.sin(share * angle) * _cross(axis, u)
     return centre + turned + (height_u + share * (height_v - height_u)) * axis
 
@@ -297,7 +297,7 @@ def _contacts(
 
 
 #: A foot is in stance above this load [N]; the robot weighs 2.65 N. The metrics' smooth threshold is centred on it.
-STANDING: Final = 0.02
+STANCE_NEWTONS: Final = 0.02
 
 
 def stretches(flags: Bool[np.ndarray, " T"]) -> Int[np.ndarray, "n 2"]:
@@ -363,7 +363,8 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
         if "tail_force" in sensors:
             loads.append(("tail", "tail", sensors["tail_force"]))
         stance = tuple(
-            Curve(name, colour, (force > STANDING).astype(float)) for name, colour, force in loads
+            Curve(name, colour, (force > STANCE_NEWTONS).astype(float))
+            for name, colour, force in loads
         )
         plots.append(Plot("stance", "Feet and tail on the ground", "", stance, bars=True))
         plots.append(
@@ -418,7 +419,7 @@ def beside_log(recording: Recording) -> list[Plot]:
     difference, and the lag of measured behind simulated."""
     plots = []
     for name, channel_fields in (_part(recording, "log").get("channels") or {}).items():
-        if (values := recording.sensors.get(BESIDE + name)) is not None:
+        if (values := recording.sensors.get(LOG_PREFIX + name)) is not None:
             unit = str(channel_fields.get("unit", ""))
             value_pair, rms = (
                 in_shown_unit("", unit, values_row)

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from matplotlib import rc_context
 
-from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC
+from nermo_mjx.learn.directory import EVALUATION_FILE, POLICY_FILE, SPEC_FILE
 from nermo_mjx.learn.evaluation import POLICY, recorded, summary_of
 from nermo_mjx.learn.own import code_place
 from nermo_mjx.learn.plots import training_figures
@@ -22,11 +22,11 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import content_of, parquet_table
 from nermo_mjx.runtime import start_jax
-from nermo_mjx.trust import RUNS_CODE
+from nermo_mjx.trust import CODE_EXECUTION
 from nermo_mjx.view.clip import page_of
 from nermo_mjx.view.page import Page, web_file
 
-_HEADINGS: Final = (
+_TABLE_HEADINGS: Final = (
     "",
     "",
     "success [%]",
@@ -36,7 +36,7 @@ _HEADINGS: Final = (
     "cost, electrical",
 )
 #: Of a walk in the evaluation's summary: factor and digits.
-_NUMBERS: Final = {
+_NUMBER_FORMATS: Final = {
     "success": (100.0, 0),
     "speed": (1e3, 1),
     "distance": (1.0, 2),
@@ -57,10 +57,10 @@ def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Pa
         DirectoryError: no section of it is finished, or it cannot be read.
     """
     start_jax()
-    training, figures = Training.from_file(path / SPEC), training_figures(path)
+    training, figures = Training.from_file(path / SPEC_FILE), training_figures(path)
     name, parts, samples = html.escape(path.resolve().name), list[str](), 0
     code = code_place(training.task.observe)
-    if code and not RUNS_CODE.get():
+    if code and not CODE_EXECUTION.get():
         code_name = html.escape(Path(code).name)
         parts.append(
             f"<p>The policy observes functions of {code_name}, which a command that only reads does not run.</p>"
@@ -70,7 +70,7 @@ def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Pa
             page = page_of([recording], ["A"], 520)
             parts.append(f"<h2>The policy on {html.escape(scene)}</h2>{page._repr_html_()}")
             samples = max(samples, page.samples)
-    if (content := content_of(path / EVALUATION)) is not None:
+    if (content := content_of(path / EVALUATION_FILE)) is not None:
         judged = judged_in(training.evaluated()[0][0])
         conditions = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
         table = _table(summary_of(parquet_table(content)))
@@ -112,11 +112,12 @@ def image(title: str, svg: bytes) -> str:
 
 def _table(results: dict[str, Any]) -> str:
     """The evaluation: shares of successes, and medians."""
-    rows = ["".join(f"<th>{heading}</th>" for heading in _HEADINGS)]
+    rows = ["".join(f"<th>{heading}</th>" for heading in _TABLE_HEADINGS)]
     for scene, walkers in results.items():
         for walker, numbers in walkers.items():
             cells = [
-                f"{factor * numbers[key]:.{digits}f}" for key, (factor, digits) in _NUMBERS.items()
+                f"{factor * numbers[key]:.{digits}f}"
+                for key, (factor, digits) in _NUMBER_FORMATS.items()
             ]
             called = "policy" if walker == POLICY else "controller alone"
             rows.append(

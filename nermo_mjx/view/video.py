@@ -24,10 +24,10 @@ from jaxtyping import Float, Int, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from nermo_mjx.files import TEMPORARY
-from nermo_mjx.plotting.style import FOOT, INK, OKABE_ITO, TAIL
+from nermo_mjx.files import TEMPORARY_SUFFIX
+from nermo_mjx.plotting.style import FOOT, INK, OKABE_ITO, TAIL_COLOUR
 from nermo_mjx.recording import Recording, RecordingError
-from nermo_mjx.robot.assembly import EYES
+from nermo_mjx.robot.assembly import EYE_CAMERAS
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError, choice
 from nermo_mjx.view import offscreen
@@ -43,11 +43,11 @@ from nermo_mjx.view.camera import (
     root_body,
     smooth_path,
 )
-from nermo_mjx.view.recorded import STANDING, finite_count, spans
+from nermo_mjx.view.recorded import STANCE_NEWTONS, finite_count, spans
 
 #: Called with (frames done, frames in all).
 CountDone = Callable[[int, int], None]
-SUFFIXES: Final = (".mp4", ".gif", ".webp")
+VIDEO_SUFFIXES: Final = (".mp4", ".gif", ".webp")
 #: What ffmpeg is told; its quality of WebP is that of JPEG, which blurs text below 70.
 _CODECS: Final[dict[str, dict[str, Any]]] = {
     ".mp4": {"codec": "libx264", "quality": 8, "output_params": ["-movflags", "+faststart"]},
@@ -64,22 +64,24 @@ class VideoError(RuntimeError):
 
 
 #: Matplotlib's pixels per inch, and mean width of a character of a caption [pixels].
-DPI: Final = 100
-CHARACTER: Final = 6.6
+VIDEO_DPI: Final = 100
+CHARACTER_PIXELS: Final = 6.6
 #: Grey of the paper.
-PAPER: Final = 255
+PAPER_GREY: Final = 255
 
 
 def blank_strip(width: int, height: int) -> Figure:
     """A blank figure of the given size in pixels."""
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
+    figure = Figure(
+        figsize=(width / VIDEO_DPI, height / VIDEO_DPI), dpi=VIDEO_DPI, facecolor="white"
+    )
     FigureCanvasAgg(figure)
     return figure
 
 
 def write_text(figure: Figure, x: float, y: float, text: str, **style: Any) -> None:
     """Write a text whose upper left corner is at the given pixels from that of the figure."""
-    width, height = figure.get_size_inches() * DPI
+    width, height = figure.get_size_inches() * VIDEO_DPI
     figure.text(x / width, 1 - y / height, text, **({"va": "top", "color": INK} | style))
 
 
@@ -91,19 +93,19 @@ def pixels(figure: Figure) -> UInt8[np.ndarray, "height width 3"]:
 
 
 #: Time range shown in a frame [s]: the past, and, paler, the future.
-PAST: Final = 2.0
-AHEAD: Final = 0.75
+PAST_SECONDS: Final = 2.0
+FUTURE_SECONDS: Final = 0.75
 #: Width of the column with names and scales, and height of the time's scale [pixels].
-MARGIN, SCALE = 44, 15
-COLOURS: Final = FOOT | {"spine": OKABE_ITO["green"]}
+MARGIN_PIXELS, SCALE_PIXELS = 44, 15
+ROW_COLOURS: Final = FOOT | {"spine": OKABE_ITO["green"]}
 #: Names of the limbs in a narrow column.
-SHORT: Final = {limb: "".join(word[0] for word in limb.split("_")).upper() for limb in LIMBS}
+LIMB_LABELS: Final = {limb: "".join(word[0] for word in limb.split("_")).upper() for limb in LIMBS}
 #: Gap above each row [pixels].
-GAP: Final = 5
+ROW_GAP_PIXELS: Final = 5
 #: Half a label of the time's scale [pixels].
-_HALF_LABEL: Final = 12
+_HALF_LABEL_PIXELS: Final = 12
 #: Widest picture that is drawn at once [pixels].
-_WIDEST: Final = 4000
+_WIDEST_PIXELS: Final = 4000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,39 +132,41 @@ class Strip:
     def __init__(self, recording: Recording, panels: list[StripPanel], width: int) -> None:
         self.begin, self.end = float(recording.time[0]), float(recording.time[-1])
         self._width = width
-        self._rate = (width - MARGIN) / min(
-            PAST + AHEAD, max(self.end - self.begin, 1e-3)
+        self._rate = (width - MARGIN_PIXELS) / min(
+            PAST_SECONDS + FUTURE_SECONDS, max(self.end - self.begin, 1e-3)
         )  # pixels per second
-        self._rows, top = list[tuple[int, StripPanel]](), GAP
+        self._rows, top = list[tuple[int, StripPanel]](), ROW_GAP_PIXELS
         for panel in panels:
             self._rows.append((top, panel))
-            top += panel.height + GAP
-        self.height = top - GAP + SCALE
+            top += panel.height + ROW_GAP_PIXELS
+        self.height = top - ROW_GAP_PIXELS + SCALE_PIXELS
         self.height += self.height % 2
-        column = blank_strip(MARGIN, self.height)
+        column = blank_strip(MARGIN_PIXELS, self.height)
         for top, panel in self._rows:
             for value, text, colour in panel.notes:
                 share = (panel.high - value) / (panel.high - panel.low)
                 style = {"fontsize": 7.5, "ha": "right", "va": "center", "color": colour}
-                write_text(column, MARGIN - 4, top + share * panel.height, text, **style)
+                write_text(column, MARGIN_PIXELS - 4, top + share * panel.height, text, **style)
         self._column = pixels(column)
         self._run = np.concatenate(list(self._draw_run()), axis=1)
 
     def at(self, seconds: float) -> UInt8[np.ndarray, "height width 3"]:
         """The strip around a time since the recording began [s]."""
-        room = self._width - MARGIN
+        room = self._width - MARGIN_PIXELS
         column = round(self._rate * seconds)
-        first = int(np.clip(column - round(self._rate * PAST), 0, self._run.shape[1] - room))
+        first = int(
+            np.clip(column - round(self._rate * PAST_SECONDS), 0, self._run.shape[1] - room)
+        )
         window, now = self._run[:, first : first + room].copy(), min(column - first, room - 1)
-        window[:, now:] = PAPER - (PAPER - window[:, now:].astype(int)) * 2 // 5
-        window[: -SCALE + 3, now : now + 1] = 0x22
+        window[:, now:] = PAPER_GREY - (PAPER_GREY - window[:, now:].astype(int)) * 2 // 5
+        window[: -SCALE_PIXELS + 3, now : now + 1] = 0x22
         return np.concatenate([self._column, window], axis=1)
 
     def _draw_run(self) -> Iterator[UInt8[np.ndarray, "height part 3"]]:
         """The whole run, in parts."""
-        total = max(round(self._rate * (self.end - self.begin)), self._width - MARGIN)
-        for first in range(0, total, _WIDEST):
-            width = min(_WIDEST, total - first)
+        total = max(round(self._rate * (self.end - self.begin)), self._width - MARGIN_PIXELS)
+        for first in range(0, total, _WIDEST_PIXELS):
+            width = min(_WIDEST_PIXELS, total - first)
             since = self.begin + first / self._rate
             until = since + width / self._rate
             figure = blank_strip(width, self.height)
@@ -180,11 +184,13 @@ class Strip:
                 panel.draw(axes)
             for half in range(int(np.floor(2 * since)), int(np.ceil(2 * until)) + 1):
                 offset = (half / 2 - since) * self._rate
-                if _HALF_LABEL < first + offset < total - _HALF_LABEL:  # else it would be clipped
+                if (
+                    _HALF_LABEL_PIXELS < first + offset < total - _HALF_LABEL_PIXELS
+                ):  # else it would be clipped
                     write_text(
                         figure,
                         offset,
-                        self.height - SCALE + 1,
+                        self.height - SCALE_PIXELS + 1,
                         f"{half / 2:g} s",
                         fontsize=7.5,
                         ha="center",
@@ -195,11 +201,11 @@ class Strip:
 def gait_panels(recording: Recording) -> list[StripPanel]:
     """A bar for each foot in stance (a Hildebrand diagram), and for the tail while it is loaded."""
     force = np.asarray(recording.sensors["foot_force"])
-    rows = {SHORT[limb]: COLOURS[limb] for limb in LIMBS}
+    rows = {LIMB_LABELS[limb]: ROW_COLOURS[limb] for limb in LIMBS}
     if "tail_force" in recording.sensors:
         force = np.column_stack([force, recording.sensors["tail_force"]])
-        rows["tail"] = TAIL
-    standing, top = force > STANDING, len(rows) - 1
+        rows["tail"] = TAIL_COLOUR
+    standing, top = force > STANCE_NEWTONS, len(rows) - 1
 
     def draw(axes: Any) -> None:
         for row, colour in enumerate(rows.values()):
@@ -225,7 +231,7 @@ def servo_panels(recording: Recording) -> list[StripPanel]:
 
         def draw(axes: Any, name: str = name, columns: range = columns) -> None:
             for column in columns:
-                colour = COLOURS["spine" if name == "spine" else LIMBS[column % 4]]
+                colour = ROW_COLOURS["spine" if name == "spine" else LIMBS[column % 4]]
                 axes.plot(
                     recording.time, commanded[:, column], color=colour, linewidth=2.2, alpha=0.3
                 )
@@ -235,7 +241,7 @@ def servo_panels(recording: Recording) -> list[StripPanel]:
             (limit_angle, f"{limit_angle:.0f}°", INK)
             for limit_angle in (middle + half, middle - half)
         ]
-        notes = (ends[0], (middle, name, COLOURS.get(name, INK)), ends[1])
+        notes = (ends[0], (middle, name, ROW_COLOURS.get(name, INK)), ends[1])
         panels.append(StripPanel(46, middle - 1.15 * half, middle + 1.15 * half, draw, notes))
     return panels
 
@@ -290,7 +296,7 @@ def write_video(
     Raises:
         VideoError: it cannot be written.
     """
-    partial = path.with_name(f".{path.stem}.{os.getpid()}{TEMPORARY}{path.suffix.lower()}")
+    partial = path.with_name(f".{path.stem}.{os.getpid()}{TEMPORARY_SUFFIX}{path.suffix.lower()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.touch()  # fail on an unwritable path before ffmpeg starts, and before the first frame is drawn
@@ -374,13 +380,13 @@ SLICES: Final = 14
 STACKS: Final = 8
 
 #: Frames per second of a GIF: players show a frame of less than two hundredths of a second for ten.
-FASTEST_GIF: Final = 50
+MAX_GIF_RATE_HZ: Final = 50
 
 
 #: Height of a line of text, of the strip below the pictures, and of the gap between them [pixels].
-_LINE, _FOOTER, _GAP = 18, 40, 4
+_TEXT_LINE_PIXELS, _FOOTER_PIXELS, _IMAGE_GAP_PIXELS = 18, 40, 4
 #: Robots in one row of a video.
-MOST_BESIDE = 3
+MAX_ROW_ROBOTS = 3
 _BAR, _TRACK = (35, 100, 143), (226, 226, 226)
 
 
@@ -418,7 +424,7 @@ def render(
     """Render a recording, or several side by side, into a video; the suffix chooses `.mp4`, `.gif` or `.webp`.
 
     Side by side, each robot has its own camera, its captions above, and a bar for its distance since the beginning
-    below, on the same scale for all; the video is as long as the shortest recording. More than `MOST_BESIDE` stand in
+    below, on the same scale for all; the video is as long as the shortest recording. More than `MAX_ROW_ROBOTS` stand in
     pairs below one another.
 
     Args:
@@ -469,7 +475,7 @@ def render(
         return write_video(
             path, pictures, count, fps=fps, width=width, height=height, progress=progress
         )
-    beside = len(panes) if len(panes) <= MOST_BESIDE else 2
+    beside = len(panes) if len(panes) <= MAX_ROW_ROBOTS else 2
     headers = _header(panes, width)
     ways = _distances(panes, model, samples, speed / fps)
 
@@ -477,13 +483,13 @@ def render(
         for i, row in enumerate(zip(*(pictures for pictures, _ in drawn), strict=True)):
             footers = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
             panels = [np.concatenate(parts) for parts in zip(headers, row, footers, strict=True)]
-            panels += [np.full_like(panels[0], PAPER)] * (-len(panels) % beside)
+            panels += [np.full_like(panels[0], PAPER_GREY)] * (-len(panels) % beside)
             yield np.concatenate(
                 [_beside(panels[start : start + beside]) for start in range(0, len(panels), beside)]
             )
 
-    height = (height + len(headers[0]) + _FOOTER) * math.ceil(len(panes) / beside)
-    wide = beside * (width + _GAP) - _GAP
+    height = (height + len(headers[0]) + _FOOTER_PIXELS) * math.ceil(len(panes) / beside)
+    wide = beside * (width + _IMAGE_GAP_PIXELS) - _IMAGE_GAP_PIXELS
     return write_video(path, frames(), count, fps=fps, width=wide, height=height, progress=progress)
 
 
@@ -524,14 +530,14 @@ def check_video(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        allowed = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
+    if suffix not in VIDEO_SUFFIXES:
+        allowed = f"{', '.join(VIDEO_SUFFIXES[:-1])} or {VIDEO_SUFFIXES[-1]}"
         raise ParameterError(
             f"{path}: a video ends in {allowed}, not in {path.suffix or 'nothing'!r}."
         )
-    if suffix == ".gif" and fps > FASTEST_GIF:
+    if suffix == ".gif" and fps > MAX_GIF_RATE_HZ:
         raise ParameterError(
-            f"fps is {fps}: allowed is [1, {FASTEST_GIF}] in a GIF, which players show slowly past it."
+            f"fps is {fps}: allowed is [1, {MAX_GIF_RATE_HZ}] in a GIF, which players show slowly past it."
         )
     if not (1 <= fps <= 240 and speed > 0 and 16 <= width <= 7680 and 16 <= height <= 4320):
         raise ParameterError(
@@ -546,7 +552,7 @@ def check_video(
     camera_names = [
         *CAMERAS,
         *filter(None, model_cameras),
-        *([STEREO] if set(EYES) <= set(model_cameras) else []),
+        *([STEREO] if set(EYE_CAMERAS) <= set(model_cameras) else []),
     ]
     if camera not in camera_names:
         raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join(camera_names)}.")
@@ -604,7 +610,9 @@ def draw_frames(
         following = (
             following_camera(camera, radius, fovy, width / height) if camera in CAMERAS else None
         )
-        views: list[Any] = [following] if following else [*EYES] if camera == STEREO else [camera]
+        views: list[Any] = (
+            [following] if following else [*EYE_CAMERAS] if camera == STEREO else [camera]
+        )
         with _renderer(model, width // len(views), height) as renderer:
             for i, (sample, point) in enumerate(zip(samples, path, strict=True)):
                 put_pose(model, data, recording.qpos[sample])
@@ -674,18 +682,18 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer
 
 def _header(panes: Sequence[Pane], width: int) -> list[UInt8[np.ndarray, "height width 3"]]:
     """The captions above each picture, all with the height of the longest."""
-    character_limit = int(width / CHARACTER)
+    character_limit = int(width / CHARACTER_PIXELS)
     texts = [
         [part for line in pane.caption for part in textwrap.wrap(line, character_limit)]
         for pane in panes
     ]
-    height = _LINE * (1 + max(map(len, texts))) + 10
+    height = _TEXT_LINE_PIXELS * (1 + max(map(len, texts))) + 10
     strips = []
     for pane, lines in zip(panes, texts, strict=True):
         figure = blank_strip(width, height + height % 2)
         write_text(figure, 8, 4, pane.title, fontsize=10.5, fontweight="bold")
         for i, line in enumerate(lines, start=1):
-            write_text(figure, 8, 5 + i * _LINE, line, fontsize=8.5)
+            write_text(figure, 8, 5 + i * _TEXT_LINE_PIXELS, line, fontsize=8.5)
         strips.append(pixels(figure))
     return strips
 
@@ -697,7 +705,7 @@ def _footer(
     strips = []
     room = width - 16
     for i, way in enumerate(ways):
-        figure = blank_strip(width, _FOOTER)
+        figure = blank_strip(width, _FOOTER_PIXELS)
         slowed = {1.0: "", 0.5: ", half speed"}.get(speed, f", speed {speed:g}")
         clock = f"{seconds:.2f} s{slowed}"
         write_text(
@@ -712,6 +720,6 @@ def _footer(
 
 def _beside(pictures: list[np.ndarray]) -> UInt8[np.ndarray, "height width 3"]:
     """Pictures of one height in a row, a little apart."""
-    gap = np.full((len(pictures[0]), _GAP, 3), PAPER, np.uint8)
+    gap = np.full((len(pictures[0]), _IMAGE_GAP_PIXELS, 3), PAPER_GREY, np.uint8)
     parts = [part for picture in pictures for part in (gap, picture)][1:]
     return np.concatenate(parts, axis=1)

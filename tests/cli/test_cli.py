@@ -25,7 +25,7 @@ from fakes.experiment_fake import Fake, pretend
 
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main
-from nermo_mjx.progress import COMPILING, ProgressBar, duration
+from nermo_mjx.progress import COMPILATION_MESSAGE, ProgressBar, duration
 from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import plain_json
@@ -607,14 +607,14 @@ def test_progress_on_a_terminal_is_a_bar_and_quiet_is_nothing() -> None:
 
 
 def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nermo_mjx.progress.PATIENCE", 0.05)
+    monkeypatch.setattr("nermo_mjx.progress.STALL_SECONDS", 0.05)
     slow, quick = io.StringIO(), io.StringIO()
     for stream, moves in ((slow, False), (quick, True)):
         with ProgressBar("walk", compiles=True, stream=stream) as progress:
             progress.share(0.0)
             progress.share(0.1 * moves)
             time.sleep(0.3)
-    assert (slow.getvalue(), quick.getvalue()) == (f"walk: {COMPILING}\n", "")
+    assert (slow.getvalue(), quick.getvalue()) == (f"walk: {COMPILATION_MESSAGE}\n", "")
 
 
 def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:

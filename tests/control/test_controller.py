@@ -512,20 +512,20 @@ def test_the_observers_have_their_poles_where_their_bandwidth_says(
     with jax.enable_x64(True):
         course, sway = map(np.asarray, pilot.observer_gains(bandwidth, cycles))
     course, sway = course[:, harmonic_index], sway[harmonic_index]
-    plant = np.zeros((2 + 2 * len(pilot.HARMONICS),) * 2)
+    plant = np.zeros((2 + 2 * len(pilot.SWAY_HARMONICS),) * 2)
     plant[:2, :2] = [[1.0, 1.0], [0.0, 1.0]]
     output = np.zeros(len(plant))
     output[0] = 1.0
-    for index, harmonic in zip(range(2, len(plant), 2), pilot.HARMONICS, strict=True):
+    for index, harmonic in zip(range(2, len(plant), 2), pilot.SWAY_HARMONICS, strict=True):
         angle = 2 * np.pi * harmonic * cycles
         cosine, sine = np.cos(angle), np.sin(angle)
         plant[index : index + 2, index : index + 2] = [[cosine, -sine], [sine, cosine]]
         output[index] = 1.0
     left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), output @ plant)
-    angles = 2 * np.pi * cycles * np.asarray(pilot.HARMONICS)
+    angles = 2 * np.pi * cycles * np.asarray(pilot.SWAY_HARMONICS)
     fast, slow = (
         np.exp(-bandwidth * cycles),
-        np.exp(-pilot.SLOW[harmonic_index] * bandwidth * cycles),
+        np.exp(-pilot.DECAY_RATE_RATIOS[harmonic_index] * bandwidth * cycles),
     )
     expected = np.poly(
         [fast, slow, *(fast * np.exp(1j * angles)), *(fast * np.exp(-1j * angles))]

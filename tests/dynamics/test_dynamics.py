@@ -226,7 +226,7 @@ def test_the_differences_choose_their_width_and_the_gradient_has_no_say() -> Non
         differences=np.array([[1.1, 2.0], [1.001, 2.0], [1.0, 2.0], [0.9, 2.0], [0.1, 2.0]]),
         end=np.zeros(1),
     )
-    assert checking.WIDTHS[result.chosen] == 1e-5
+    assert checking.DIFFERENCE_WIDTHS[result.chosen] == 1e-5
     assert result.spread == pytest.approx(1e-3 / np.hypot(1.0, 2.0))
     assert not np.isfinite(
         checking.distance(result.group, np.array([np.nan, 0.0]), result.differences[0])

@@ -152,10 +152,10 @@ def test_solutions_are_those_of_c(kind: str, real: type) -> None:
     """
     layout, problem, warm, right = problems(kind, 30 if kind == "ends" else WORLDS)
     solution, rounds = solve(layout, problem, warm, real)
-    converged = rounds <= solver.ROUNDS
+    converged = rounds <= solver.MAX_ROUNDS
     assert len(right) > 2000
     assert np.mean(converged) >= (0.995 if kind == "ends" else 1.0)
-    assert np.mean(rounds <= solver.FIXED) >= (0.97 if kind == "ends" else 0.999)
+    assert np.mean(rounds <= solver.ACCELERATOR_ROUNDS) >= (0.97 if kind == "ends" else 0.999)
     assert error(solution, right, problem)[converged].max() < (1e-7 if real is np.float64 else 2e-6)
 
 
@@ -197,7 +197,7 @@ def test_a_small_step_out_of_a_contact_is_not_the_last() -> None:
 def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """With two rounds, what counts as converged is solved; and what is far from the solution is counted as not."""
     layout, problem, warm, right = problems("elliptic")
-    monkeypatch.setattr(solver, "ROUNDS", 2)
+    monkeypatch.setattr(solver, "MAX_ROUNDS", 2)
     solution, rounds = solve(layout, problem, warm, np.float64)
     wrong = error(solution, right, problem)
     assert set(rounds) == {2, 3}
@@ -226,5 +226,8 @@ def test_accelerators_know_the_length_of_every_loop() -> None:
     layout, problem, warm, _ = problems("elliptic")
     world = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float32), (problem, warm))
     program = str(jax.make_jaxpr(lambda *arguments: solver.minimum(layout, *arguments))(*world))
-    on_cpu, elsewhere = program.count("while["), program.count(f"length={solver.FIXED}")
+    on_cpu, elsewhere = (
+        program.count("while["),
+        program.count(f"length={solver.ACCELERATOR_ROUNDS}"),
+    )
     assert (on_cpu, elsewhere) == (1, 1)

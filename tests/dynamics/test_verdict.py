@@ -85,7 +85,7 @@ def test_light_links_in_stiff_contacts_move_as_in_c(double: bool) -> None:
 @pytest.mark.release
 def test_a_solve_that_is_stopped_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """With five rounds, what is wrong has not converged, and its residual is large."""
-    monkeypatch.setattr(solver, "ROUNDS", 5)
+    monkeypatch.setattr(solver, "MAX_ROUNDS", 5)
     errors, verdict = _compared(True)
     assert (errors > 1e-3).sum() >= 3
     assert not verdict.converged[errors > 1e-6].any()

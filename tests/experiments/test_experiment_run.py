@@ -22,7 +22,7 @@ from nermo_mjx.experiments.report import published_text, rounded
 from nermo_mjx.experiments.run import EXPERIMENTS, Directory, run_experiment, run_experiments, shoot
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import Interrupted, JobFailed, OtherCode, Watch, codes_of
-from nermo_mjx.runs.files import TEMPORARY, WrongDirectory
+from nermo_mjx.runs.files import TEMPORARY_SUFFIX, WrongDirectory
 from nermo_mjx.runs.workers import WorkersLost
 from nermo_mjx.sweep import read_table
 from nermo_mjx.view import RecordingError, VideoError
@@ -369,15 +369,15 @@ def test_only_the_programs_own_files_are_replaced_or_removed(fakes, tmp_path, mo
         path.parent.mkdir(exist_ok=True)
         path.write_text("a user's")
     for folder in ("", "turning/results", "plots", "turning/recordings", "videos"):
-        (tmp_path / folder / f".turning.17{TEMPORARY}{'.mp4' * (folder == 'videos')}").write_text(
-            "half"
-        )
+        (
+            tmp_path / folder / f".turning.17{TEMPORARY_SUFFIX}{'.mp4' * (folder == 'videos')}"
+        ).write_text("half")
     picture, walk = tmp_path / "plots" / "turning-speed.png", tmp_path / WALK
     picture.write_text("painted over")
     walk.write_text("another walk")
     ran(tmp_path, again=True, watch=Watch(warn=said.append))
     assert [path.read_text() for path in mine] == ["a user's"] * 3
-    assert not [*tmp_path.rglob(f"*{TEMPORARY}*"), *tmp_path.rglob("*old*")]
+    assert not [*tmp_path.rglob(f"*{TEMPORARY_SUFFIX}*"), *tmp_path.rglob("*old*")]
     assert said == [
         "turning: Files in the way were not as this program wrote them: moved aside in "
         f"{tmp_path}, to {WALK}.aside-1 and 1 more."

@@ -17,7 +17,7 @@ from nermo_mjx.experiments.published import published_lines
 from nermo_mjx.experiments.stands import Stand
 from nermo_mjx.kinematics import leg as kinematics
 from nermo_mjx.robot import ModelParameters, ParameterError, assemble_leg
-from nermo_mjx.robot.equipment import KNEE_REST
+from nermo_mjx.robot.equipment import KNEE_REST_RAD
 from nermo_mjx.robot.parameters import LEGS, ROUTINGS
 from nermo_mjx.robot.quantity import replace_quantities
 
@@ -83,7 +83,9 @@ def test_force_is_that_of_virtual_work(pair, routing):
         .held(f"{limb}_foot", (0.0, 0.0, -1.0), 20.0)
     )
     jacobian, knee, angle = slopes(pair, routing)
-    spring = float(getattr(ModelParameters().stiffness, f"{pair}_knee")) * (angle - KNEE_REST[pair])
+    spring = float(getattr(ModelParameters().stiffness, f"{pair}_knee")) * (
+        angle - KNEE_REST_RAD[pair]
+    )
     rise, limit = jacobian[1], float(ModelParameters().servo.torque_limit)
     # The knee's servo drives it in the sense in which the foot rises, and the hip's servo carries the rest.
     knee_servo = (limit - spring * knee[1] * np.sign(rise[1])) / abs(rise[1])

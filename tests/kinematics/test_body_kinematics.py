@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from nermo_mjx.kinematics import body
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import MassModel
-from nermo_mjx.robot.parameters import BODY, LIMBS, SPINE
+from nermo_mjx.robot.parameters import BODY_GEOMETRY, LIMBS, SPINE_GEOMETRY
 
 #: The published robot.
 ROBOT = Geometry()
@@ -38,15 +38,15 @@ balance_angle = jax.jit(body.balance_angle)
 @functools.cache
 def mujoco_body() -> mujoco.MjModel:
     """The spine's DH chain with a mass and two shoulders before it, a mass and two hips behind it."""
-    (sx, sy, sz), (hx, hy, hz) = BODY.shoulder, BODY.hip
+    (sx, sy, sz), (hx, hy, hz) = BODY_GEOMETRY.shoulder, BODY_GEOMETRY.hip
 
     def point_mass(com, mass):
         return f'<inertial pos="{com[0]} {com[1]} {com[2]}" mass="{mass}" diaginertia="1e-6 1e-6 1e-6"/>'
 
     chain = "".join(
         f'<body pos="{a} 0 {d}" euler="{alpha} 0 {theta}">{point_mass((0, 0, 0), 1e-12)}'
-        + ('<joint axis="0 0 -1"/>' if row in SPINE.lateral_joints else "")
-        for row, (alpha, a, theta, d) in enumerate(SPINE.dh)
+        + ('<joint axis="0 0 -1"/>' if row in SPINE_GEOMETRY.lateral_joints else "")
+        for row, (alpha, a, theta, d) in enumerate(SPINE_GEOMETRY.dh)
     )
     return mujoco.MjModel.from_xml_string(f"""
     <mujoco><compiler angle="radian" boundmass="0"/><worldbody><body name="front">
@@ -55,7 +55,7 @@ def mujoco_body() -> mujoco.MjModel:
       {chain}<body name="rear">
         {point_mass(REAR_COM, MASSES.rear_mass)}
         <site name="hip_left" pos="{hx} {hy} {hz}"/><site name="hip_right" pos="{-hx} {hy} {hz}"/>
-      </body>{"</body>" * len(SPINE.dh)}
+      </body>{"</body>" * len(SPINE_GEOMETRY.dh)}
     </body></worldbody></mujoco>""")
 
 

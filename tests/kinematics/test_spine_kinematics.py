@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from nermo_mjx.kinematics import spine
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 from nermo_mjx.robot.quantity import replace_quantities
 
 #: The published robot.
@@ -34,7 +34,7 @@ def mujoco_chain(longer: float = 0.0) -> mujoco.MjModel:
             lateral joint and the last, two rows a segment.
     """
     head, tail = "", ""
-    for row, (alpha, a, theta, d) in enumerate(SPINE.dh):
+    for row, (alpha, a, theta, d) in enumerate(SPINE_GEOMETRY.dh):
         a = a + longer / 2 if 3 <= row <= 8 else a
         head += f'<body name="{row}" pos="{a} 0 {d}" euler="{alpha} 0 {theta}"><joint axis="0 0 1"/><geom size=".001"/>'
         tail += "</body>"
@@ -55,8 +55,8 @@ def test_the_chain_is_where_mujoco_puts_it():
     for i in range(20):
         model = mujoco_chain(lengths[i] - 0.014)
         data = mujoco.MjData(model)
-        data.qpos[list(SPINE.lateral_joints)] = -theta[i]
-        data.qpos[list(SPINE.vertical_joints)] = vertical[i]
+        data.qpos[list(SPINE_GEOMETRY.lateral_joints)] = -theta[i]
+        data.qpos[list(SPINE_GEOMETRY.vertical_joints)] = vertical[i]
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(ours[i, :3, 3], data.site("end").xpos, atol=1e-12)
         np.testing.assert_allclose(ours[i, :3, :3], data.site("end").xmat.reshape(3, 3), atol=1e-12)
@@ -128,9 +128,9 @@ def test_vertical_angles_lift_the_hip():
 def test_servo_law_is_the_published_one():
     """For positive angles joint_angle is (5.26)-(5.29) as printed, and servo_angle inverts it for both signs."""
     servo = np.linspace(0.0, 1.5, 16)
-    half, offset = SPINE.segment_length / 2, SPINE.segment_offset
+    half, offset = SPINE_GEOMETRY.segment_length / 2, SPINE_GEOMETRY.segment_offset
     radius2, alpha = half**2 + offset**2, math.atan(offset / half)
-    segment = SPINE.segment_length + SPINE.pulley_radius * servo / 4
+    segment = SPINE_GEOMETRY.segment_length + SPINE_GEOMETRY.pulley_radius * servo / 4
     published = 2 * alpha - math.pi + np.arccos(1 - segment**2 / (2 * radius2))
     angles = np.concatenate([-servo, servo])
     with jax.enable_x64(True):
@@ -142,10 +142,10 @@ def test_servo_law_is_the_published_one():
 
 def test_servo_range_bends_the_joints_by_their_limit():
     """0.4 rad of servo give about 0.1 rad a joint, and the antagonist's own tendon would say so within 1.5 %."""
-    angle = float(joint_angle(SPINE.max_servo_angle, ROBOT))
-    assert angle == pytest.approx(SPINE.max_joint_angle, rel=0.05)
+    angle = float(joint_angle(SPINE_GEOMETRY.max_servo_angle, ROBOT))
+    assert angle == pytest.approx(SPINE_GEOMETRY.max_joint_angle, rel=0.05)
     radius, alpha = math.hypot(0.0015, 0.00625), math.atan(0.00625 / 0.0015)
-    shortened = 0.003 - SPINE.pulley_radius * SPINE.max_servo_angle / 4
+    shortened = 0.003 - SPINE_GEOMETRY.pulley_radius * SPINE_GEOMETRY.max_servo_angle / 4
     inner = math.pi - 2 * alpha - math.acos(1 - shortened**2 / (2 * radius**2))
     assert angle == pytest.approx(inner, rel=0.015)
 

@@ -15,7 +15,7 @@ from fakes.learn_toy import PointMass
 
 from nermo_mjx.learn.algorithms import PPO
 from nermo_mjx.learn.experience import (
-    RESET,
+    RESET_KEY,
     Actor,
     EpisodeScores,
     Experience,
@@ -33,7 +33,7 @@ def trained(algorithm, environment, iterations, seed=0):
     """What was learned, and the numbers of each iteration."""
     iterate, learned = algorithm.iteration(environment), algorithm.begin(environment, seed)
     state, scores, rows = (
-        environment.reset(learned.random(RESET)),
+        environment.reset(learned.random(RESET_KEY)),
         EpisodeScores.none(environment.worlds),
         [],
     )

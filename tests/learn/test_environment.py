@@ -27,7 +27,7 @@ from nermo_mjx.learn import (
     Term,
 )
 from nermo_mjx.learn.acting import Acted, Acting
-from nermo_mjx.learn.observing import SENSED, Observer, Sensing, Told
+from nermo_mjx.learn.observing import SENSED_READINGS, Observer, Sensing, Told
 from nermo_mjx.learn.task import Episodes, chosen_terms
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import Geometry
@@ -216,7 +216,9 @@ def test_a_policy_sees_the_servos_currents():
     """By the data sheet: 8 mA at rest, 0.8 A at the stall torque of 0.157 N m, whichever way it acts."""
     observer = Observer(("motor_current",), (), (), False, False, delayed=0, noisy=False, dt=0.01)
     torque = jnp.zeros(10).at[:3].set(jnp.asarray([0.157, -0.157, 0.0785]))
-    currents = observer.readings(sensors(servo_torque=torque)) * SENSED["motor_current"].scale
+    currents = (
+        observer.readings(sensors(servo_torque=torque)) * SENSED_READINGS["motor_current"].scale
+    )
     np.testing.assert_allclose(
         currents, [0.8, 0.8, 0.404, *[0.008] * (len(currents) - 3)], rtol=1e-5
     )

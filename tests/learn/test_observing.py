@@ -15,7 +15,7 @@ from test_environment import sensors
 from nermo_mjx import ParameterError, Run, Setup, Simulator
 from nermo_mjx.learn import PPO, Environment, Policy, Sensed, Task, load_policy
 from nermo_mjx.learn import policy as policies
-from nermo_mjx.learn.observing import SCANNED, SENSED, height_scan
+from nermo_mjx.learn.observing import SCAN_POINTS, SENSED_READINGS, height_scan
 from nermo_mjx.live.wire import needed_sensors
 from nermo_mjx.rollout.loop import ClosedLoop, LoopState
 
@@ -75,7 +75,8 @@ def test_heights_are_those_that_rays_meet_on_a_grid_that_turns_with_the_torso(sc
         nose = -turn.reshape(3, 3)[:2, 1] / np.linalg.norm(turn.reshape(3, 3)[:2, 1])
         left_direction = np.array([-nose[1], nose[0]])
         met = fallen_rays(
-            robot, np.array([[x, y], *([x, y] + a * left_direction + b * nose for a, b in SCANNED)])
+            robot,
+            np.array([[x, y], *([x, y] + a * left_direction + b * nose for a, b in SCAN_POINTS)]),
         )
         heights = height_scan(sensor_readings, robot.terrain.height)
         np.testing.assert_allclose(heights, np.clip(met[1:] - met[0], -0.05, 0.05), atol=2e-6)
@@ -125,12 +126,12 @@ def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
     assert [observation.astype(np.float32).tobytes() for observation in walks] == [
         observation.tobytes() for observation in trainings
     ]
-    heights = np.stack(trainings)[:, : len(SCANNED)]
+    heights = np.stack(trainings)[:, : len(SCAN_POINTS)]
     assert np.ptp(heights, axis=0).max() > 0.5
     flat = observed_by(
         monkeypatch, ClosedLoop(Setup(physics="fast").load(), policy), loop_params, readings[-1:]
     )
-    assert np.abs(np.stack(flat)[:, : len(SCANNED)]).max() < 0.6, "no more than noise"
+    assert np.abs(np.stack(flat)[:, : len(SCAN_POINTS)]).max() < 0.6, "no more than noise"
 
 
 @pytest.mark.release
@@ -214,4 +215,4 @@ def test_a_diverged_world_observes_no_nan(trained):
     info = environment.loop.observe(params, state, data)
     assert np.isfinite(info.observation).all()
     assert np.isfinite(info.privileged).all()
-    assert SENSED["height_scan"].scale == 0.01
+    assert SENSED_READINGS["height_scan"].scale == 0.01

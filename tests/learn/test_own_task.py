@@ -27,7 +27,7 @@ from nermo_mjx.learn import (
     load_policy,
     run_training,
 )
-from nermo_mjx.learn.evaluation import UNSEEN, Draws, PolicyEvaluator, unseen_bodies
+from nermo_mjx.learn.evaluation import EVALUATION_OFFSET, Draws, PolicyEvaluator, unseen_bodies
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
 from nermo_mjx.specs.reading import SpecError
@@ -331,7 +331,9 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
         for terminations in ([], ["my.py:always"])
     )
     for spec, share in ((training, 1.0), (ending, 0.0)):
-        table = PolicyEvaluator(spec, "c")(None, draws=Draws(2, UNSEEN), walkers=("alone",))
+        table = PolicyEvaluator(spec, "c")(
+            None, draws=Draws(2, EVALUATION_OFFSET), walkers=("alone",)
+        )
         assert table["success"].to_pylist() == [bool(share)] * 2
 
 
@@ -363,7 +365,7 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(
     result = run_training(new_directory / "training.yaml", new_directory)
     assert result.iterations_run == 2
     assert bits(result) == bits(training_result)
-    speeds = unseen_bodies(result.training, result.training.task, Draws(50, UNSEEN))[
+    speeds = unseen_bodies(result.training, result.training.task, Draws(50, EVALUATION_OFFSET))[
         "command.speed"
     ]
     assert 0.15 < speeds.max() <= 0.2, "as at the end of the curriculum"

@@ -14,8 +14,8 @@ from command import call, json_of
 
 from nermo_mjx import ParameterError, Run, Simulator
 from nermo_mjx.learn import PPO, Policy, Training, run_training
-from nermo_mjx.learn.directory import HISTORY, training_status
-from nermo_mjx.learn.evaluation import UNSEEN, Draws, played_task, unseen_bodies
+from nermo_mjx.learn.directory import HISTORY_FILE, training_status
+from nermo_mjx.learn.evaluation import EVALUATION_OFFSET, Draws, played_task, unseen_bodies
 from nermo_mjx.learn.policy import RandomPolicy
 from nermo_mjx.view import Page
 
@@ -46,7 +46,9 @@ def way(recording) -> float:
 def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     world_values = {
         name: float(column[0])
-        for name, column in unseen_bodies(training, training.task, Draws(1, UNSEEN)).items()
+        for name, column in unseen_bodies(
+            training, training.task, Draws(1, EVALUATION_OFFSET)
+        ).items()
     }
     slow, fast = (
         played_task(training, "zero", seconds=4.0, values={"command.speed": speed})
@@ -150,7 +152,7 @@ def test_a_page_follows_a_training_until_it_has_ended(at_work, tmp_path, monkeyp
 
     def slept(seconds):
         if len(pages) < 2:
-            (at_work / HISTORY).touch()  # a checkpoint
+            (at_work / HISTORY_FILE).touch()  # a checkpoint
 
     monkeypatch.setattr("time.sleep", slept)
     page = tmp_path / "page.html"

@@ -39,7 +39,7 @@ from nermo_mjx.learn import (
 from nermo_mjx.learn.directory import TrainingDirectory, training_status
 from nermo_mjx.learn.environment import Mixture, divided
 from nermo_mjx.learn.evaluation import (
-    UNSEEN,
+    EVALUATION_OFFSET,
     Draws,
     PolicyEvaluator,
     recorded,
@@ -48,7 +48,7 @@ from nermo_mjx.learn.evaluation import (
 )
 from nermo_mjx.learn.experience import collector
 from nermo_mjx.learn.policy import export
-from nermo_mjx.learn.run import _KEY, BestPolicy, successes
+from nermo_mjx.learn.run import _VALIDATION_OFFSET, BestPolicy, successes
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
@@ -469,7 +469,9 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     fields = {"run": {"duration": 0.3}, "validation": 4, "evaluate": {"bodies": 4}}
     plain = PolicyEvaluator(Training.from_dict(fields))
     speeds = (
-        plain(policy[0], draws=Draws(4, _KEY), walkers=("policy",)).to_pandas().sort_values("speed")
+        plain(policy[0], draws=Draws(4, _VALIDATION_OFFSET), walkers=("policy",))
+        .to_pandas()
+        .sort_values("speed")
     )
     assert successes(plain, policy[0]) == {"flat": 1.0}
     limit = float(speeds.speed.iloc[1:3].mean())
@@ -482,7 +484,9 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     assert successes(evaluator, policy[0]) == {"flat": 0.5}
 
 
-@pytest.mark.parametrize("key", [UNSEEN, _KEY], ids=["evaluation", "validation"])
+@pytest.mark.parametrize(
+    "key", [EVALUATION_OFFSET, _VALIDATION_OFFSET], ids=["evaluation", "validation"]
+)
 @pytest.mark.parametrize("identified", [True, False])
 def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool) -> None:
     """So that trainings with other counts are paired, and a page shows a walk of the evaluation."""
@@ -497,7 +501,9 @@ def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool)
         for name, column in smaller_walks.items():
             np.testing.assert_array_equal(column, many_walks[name][:count], err_msg=name)
     assert one_walk.keys() == many_walks.keys() >= randomize.keys()
-    other_key = unseen_bodies(training, training.task, Draws(200, UNSEEN + _KEY - key))
+    other_key = unseen_bodies(
+        training, training.task, Draws(200, EVALUATION_OFFSET + _VALIDATION_OFFSET - key)
+    )
     for name, (low, high) in randomize.items():
         fractions = (many_walks[name] - low) / (high - low)
         assert fractions.min() >= 0.0

@@ -30,7 +30,7 @@ from websockets.sync.client import connect
 from nermo_mjx.control.controller import published_controller
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.live.driving import Driving, difference, replayed
-from nermo_mjx.live.server import CONNECTIONS, REPLACED, LiveDrive, free
+from nermo_mjx.live.server import MAX_CONNECTIONS, REPLACEMENT_CODE, LiveDrive, free
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import values_of
@@ -293,7 +293,7 @@ def paused(drive: LiveDrive) -> bool:
 def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
     with socket(drive) as second:
         said(second, speed=0.5)
-        assert closed(page) == REPLACED
+        assert closed(page) == REPLACEMENT_CODE
         assert not drive.paused
     assert paused(drive)
     with socket(drive) as third:
@@ -449,9 +449,9 @@ def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(
 
 def test_connections_that_do_not_get_in_make_room_for_those_that_do(drive, page):
     port = int(drive.address.split(":")[2].split("/")[0])
-    idle = [sockets.create_connection(("127.0.0.1", port), 5) for _ in range(CONNECTIONS + 5)]
+    idle = [sockets.create_connection(("127.0.0.1", port), 5) for _ in range(MAX_CONNECTIONS + 5)]
     assert status(drive.address) == 200
-    assert len(drive._connections) <= CONNECTIONS
+    assert len(drive._connections) <= MAX_CONNECTIONS
     said(page, speed=1.0)
     with socket(drive) as second:
         said(second, condition=lambda state: not state["paused"], pause=False)

@@ -26,12 +26,12 @@ from fakes.wires import CHANNELS, Together, until
 
 from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import read_channels, read_log
-from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
+from nermo_mjx.hardware.live import ANSWER_SECONDS, ROS_TYPE, TOPIC, NotSentError, SendError, linked
 from nermo_mjx.hardware.signals import findings_of
 from nermo_mjx.live.driving import Journal, replayed
 from nermo_mjx.live.server import LiveDrive
 from nermo_mjx.live.wire import (
-    APPROACH,
+    APPROACH_RAD_PER_SECOND,
     SENSORS_TOPIC,
     Driven,
     LinkLog,
@@ -43,7 +43,7 @@ from nermo_mjx.live.wire import (
 )
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import ParameterError, load_robot
-from nermo_mjx.trust import TELL
+from nermo_mjx.trust import MESSAGE_HANDLER
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
 
@@ -225,9 +225,9 @@ def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(drivi
     start_pose = link_pair.measured.pose.copy()
     link_pair.walk(2.0)
     steps = np.abs(np.diff([np.zeros(12), *link_pair.commands], axis=0))[1:]
-    begins = int(np.argmax(steps.max(axis=1) > APPROACH * driving.dt + 1e-5))
+    begins = int(np.argmax(steps.max(axis=1) > APPROACH_RAD_PER_SECOND * driving.dt + 1e-5))
     assert begins > 20, "the poses at phases 0 and 1/2 are that far apart"
-    assert steps[:begins].max() <= APPROACH * driving.dt + 1e-5
+    assert steps[:begins].max() <= APPROACH_RAD_PER_SECOND * driving.dt + 1e-5
     assert np.abs(link_pair.commands[0][[0, 2, 4, 6]] - start_pose[:4]).max() < 1e-4
     assert driving.driven.walked == pytest.approx(
         (len(link_pair.commands) - begins) * driving.dt, abs=0.05
@@ -258,7 +258,7 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> Non
         "no jump: where it was, slowly to where it held"
     )
     link_pair.silent = True
-    link_pair.walk(PATIENCE + 0.5)
+    link_pair.walk(ANSWER_SECONDS + 0.5)
     assert driving.driven.ended == "no message of the robot for 5 s"
 
 
@@ -284,14 +284,17 @@ def test_after_a_pause_the_robot_is_approached_from_where_it_is(
     command_count = len(link_pair.commands)
     driving.step()
     assert len(link_pair.commands) == command_count + 1
-    assert np.abs(driving.pose - link_pair.measured.pose).max() <= APPROACH * driving.dt + 1e-6
+    assert (
+        np.abs(driving.pose - link_pair.measured.pose).max()
+        <= APPROACH_RAD_PER_SECOND * driving.dt + 1e-6
+    )
 
 
 @pytest.mark.release
 def test_a_robot_that_is_silent_during_a_pause_ends_the_drive(driving) -> None:
     link_pair = Together(driving)
     link_pair.walk(0.5)
-    link_pair.clock.now += PATIENCE + 0.1
+    link_pair.clock.now += ANSWER_SECONDS + 0.1
     with pytest.raises(SendError, match="no message of the robot for 5 s"):
         driving.watch()
 
@@ -307,7 +310,7 @@ def test_a_page_that_is_closed_ends_the_drive_of_a_robot(driving, monkeypatch) -
     drive._began = drive.paused = True
     assert drive.away == 0.0
     driving.watch()
-    drive._gone = [time.perf_counter() - PATIENCE - 0.1]
+    drive._gone = [time.perf_counter() - ANSWER_SECONDS - 0.1]
     monkeypatch.setattr(time, "sleep", lambda _: None)
     with pytest.raises(SendError, match="no message for 5 s"):
         drive.run(1.0)
@@ -404,7 +407,7 @@ def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
     driven = driving.run(None, wait)
     assert driven.ended == "a:1: the MQTT broker is gone"
     assert driven.unsent == pytest.approx(
-        (PATIENCE - link_pair.measured.watchdog) / driving.dt, rel=0.02
+        (ANSWER_SECONDS - link_pair.measured.watchdog) / driving.dt, rel=0.02
     )
 
 
@@ -630,15 +633,15 @@ def test_a_robot_that_says_nothing_is_told_at_the_start(
         yield lambda message: None
 
     monkeypatch.setattr("nermo_mjx.live.wire.linked", linked)
-    monkeypatch.setattr("nermo_mjx.live.wire.QUIET", 0.05)
+    monkeypatch.setattr("nermo_mjx.live.wire.SILENCE_SECONDS", 0.05)
     monkeypatch.setattr(driving, "needed", set())
     monkeypatch.setattr(driving, "_log", tmp_path / "robot.csv")
-    token = TELL.set(messages.append)
+    token = MESSAGE_HANDLER.set(messages.append)
     try:
         with driving.reach():
             driving.run(0.3)
     finally:
-        TELL.reset(token)
+        MESSAGE_HANDLER.reset(token)
     assert messages[0] == "connected: waiting for the robot's messages on sensors_mouse."
     assert messages[1].startswith(
         "the robot tells accelerometer, "

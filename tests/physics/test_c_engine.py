@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nermo_mjx.physics import c_engine
-from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine, _Block, _observed, _restarted
-from nermo_mjx.physics.lanes import LANES as PIECE
+from nermo_mjx.physics.c_engine import BLOCK_WORLDS, CBodies, CEngine, _Block, _observed, _restarted
+from nermo_mjx.physics.lanes import CHUNK_WORLDS as PIECE
 from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.rollout import Run, RunResult, Simulator
 from nermo_mjx.rollout.path_metrics import begins_in_run, ticks_until
@@ -74,8 +74,8 @@ def test_the_number_of_lanes_changes_no_bit(
     """The other tests simulate 8 lanes, and users 32."""
     selection = some(walks, np.arange(3))
     expected = simulator(spine="stride_extension").run(selection, RUN).metrics
-    assert c_engine.LANES == 8
-    monkeypatch.setattr(c_engine, "LANES", 32)
+    assert c_engine.BLOCK_WORLDS == 8
+    monkeypatch.setattr(c_engine, "BLOCK_WORLDS", 32)
     same(Simulator(Setup(spine="stride_extension"), "c").run(selection, RUN).metrics, expected)
 
 
@@ -360,12 +360,12 @@ def test_a_world_that_is_reset_observes_its_new_start_and_leaves_the_others_alon
         CEngine.__new__(CEngine),
         _Block.__new__(_Block),
         Passing(),
-        np.zeros((LANES, 1)),
+        np.zeros((BLOCK_WORLDS, 1)),
     )
     engine.model, engine.loop = model, loop
     CBodies.__init__(block, engine, np.full((4, 1), 0.5), {}, 1)
     block.loop, block.params, block._state = loop, lanes.copy(), lanes.copy()
-    block._sensordata = np.zeros((LANES, loop.steps_per_tick, 2))
+    block._sensordata = np.zeros((BLOCK_WORLDS, loop.steps_per_tick, 2))
     for _ in range(20):
         block.move(block._sensordata[:4])
     former_observations = _observed(block).copy()

@@ -17,7 +17,7 @@ from jaxlib import xla_client
 
 from nermo_mjx.physics import engine
 from nermo_mjx.physics.c_engine import CEngine
-from nermo_mjx.physics.engine import FIRST, NOWHERE, SECOND, choose_devices
+from nermo_mjx.physics.engine import FIRST_AXIS, NO_AXIS, SECOND_AXIS, choose_devices
 from nermo_mjx.robot import ParameterError
 
 
@@ -25,7 +25,7 @@ def test_one_device_divides_nothing():
     """Where there is one device, a function stays as it is and arrays keep their length."""
     devices = choose_devices(1)
     assert (devices.mesh, devices.count, devices.padded(5)) == (None, 1, 5)
-    assert devices.divide(len, (FIRST, SECOND), NOWHERE) is len
+    assert devices.divide(len, (FIRST_AXIS, SECOND_AXIS), NO_AXIS) is len
     assert devices.put([np.ones((5, 2))])[0].shape == (5, 2)
 
 

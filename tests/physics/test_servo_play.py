@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.control.parameters import AS_BUILT, AS_BUILT_BODY, body_values
+from nermo_mjx.control.parameters import BUILT_BODY, BUILT_PROFILE, body_values
 from nermo_mjx.physics.servo_play import Play, played
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import load_robot
@@ -150,9 +150,9 @@ def test_the_profile_as_built_is_its_values_named(simulator):
     run = Run(duration=1.0, warmup=0.0)
     built = simulator(profile="as_built", spine="stride_extension")
     explicit_metrics = simulator(spine="stride_extension")(
-        {**AS_BUILT, **body_values("as_built")}, run
+        {**BUILT_PROFILE, **body_values("as_built")}, run
     )
-    metrics = built({"build.spine_slack": [AS_BUILT_BODY["build.spine_slack"], 0.0]}, run)
+    metrics = built({"build.spine_slack": [BUILT_BODY["build.spine_slack"], 0.0]}, run)
     for name in ("speed", "roll_std", "servo_work"):
         assert metrics[name][0] == pytest.approx(explicit_metrics[name][0], rel=1e-5)
     assert metrics["speed"][1] != pytest.approx(metrics["speed"][0], rel=1e-3)

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from scipy import stats
 
-from nermo_mjx.plotting.charts import CROWD, front, named_points, scatters
+from nermo_mjx.plotting.charts import CROWD_POINTS, front, named_points, scatters
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import ShownValues, spoken
 from nermo_mjx.plotting.style import STYLE
@@ -252,7 +252,7 @@ def test_a_column_that_is_none_is_refused_with_the_nearest() -> None:
         chosen_figure(Results(fallen), "speed", "slip")
 
 
-@pytest.mark.parametrize(("count", "crowd"), [(CROWD - 1, False), (CROWD, True)])
+@pytest.mark.parametrize(("count", "crowd"), [(CROWD_POINTS - 1, False), (CROWD_POINTS, True)])
 def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(
     count: int, crowd: bool
 ) -> None:

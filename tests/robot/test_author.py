@@ -19,7 +19,7 @@ import pytest
 from test_controller import walk
 
 from nermo_mjx.control import control_parameters, published_controller
-from nermo_mjx.control.parameters import AS_PUBLISHED, AS_PUBLISHED_BODY, published_values
+from nermo_mjx.control.parameters import PUBLISHED_BODY, PUBLISHED_PROFILE, published_values
 from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.kinematics.spine import joint_angle
@@ -93,11 +93,12 @@ def test_the_servos_are_commanded_as_by_the_authors_controller(case):
         ours = commanded(*case, gain, time + shift / 100.0)
         return float(np.degrees(np.sqrt(np.mean((ours - his)[:, :8] ** 2))))
 
-    ours = commanded(*case, AS_PUBLISHED["tracking.foot_gain"], time)
+    ours = commanded(*case, PUBLISHED_PROFILE["tracking.foot_gain"], time)
     np.testing.assert_allclose(ours[:, 8], his[:, 8], atol=2e-3)
-    assert rms(AS_PUBLISHED["tracking.foot_gain"], 0.0) < 1.0
+    assert rms(PUBLISHED_PROFILE["tracking.foot_gain"], 0.0) < 1.0
     assert (
-        abs(shifts[np.argmin([rms(AS_PUBLISHED["tracking.foot_gain"], s) for s in shifts])]) <= 0.5
+        abs(shifts[np.argmin([rms(PUBLISHED_PROFILE["tracking.foot_gain"], s) for s in shifts])])
+        <= 0.5
     )
     assert shifts[np.argmin([rms(0.11, s) for s in shifts])] >= 1.0
 
@@ -107,7 +108,7 @@ def test_his_offset_compensation_takes_the_feet():
     """His function's offsets at 0.4 rad, of the left and the right foot, with the neutral feet of his tests [m]."""
     stance = {
         name.split(".")[1]: value
-        for name, value in AS_PUBLISHED.items()
+        for name, value in PUBLISHED_PROFILE.items()
         if name.startswith("stance.")
     }
     feet = np.array(
@@ -127,7 +128,7 @@ def test_his_offset_compensation_takes_the_feet():
 def body(built: bool = True) -> tuple[mujoco.MjModel, list[int]]:
     """The robot of `as_published` and the servos in his order; if not `built`, with legs and tendons as drawn."""
     robot = Setup(profile="as_published").load()
-    values = AS_PUBLISHED_BODY
+    values = PUBLISHED_BODY
     if not built:
         values = {
             name: value
@@ -142,7 +143,7 @@ def body(built: bool = True) -> tuple[mujoco.MjModel, list[int]]:
 def neutral(spine: float = 0.0) -> np.ndarray:
     """Servo angles that ask for the neutral feet of his tests."""
     feet = np.array(
-        [AS_PUBLISHED[f"stance.{pair}_{axis}"] for pair in ("front", "rear") for axis in "yz"]
+        [PUBLISHED_PROFILE[f"stance.{pair}_{axis}"] for pair in ("front", "rear") for axis in "yz"]
     )
     with jax.enable_x64(True):
         servo = inverse_kinematics(
@@ -362,7 +363,7 @@ def test_the_profile_is_what_his_repository_held():
         1.0,
     )
     assert values["tracking.foot_gain"] == pytest.approx(0.1258, abs=1e-4)
-    assert AS_PUBLISHED_BODY["servo.torque_limit"] * AS_PUBLISHED_BODY[
+    assert PUBLISHED_BODY["servo.torque_limit"] * PUBLISHED_BODY[
         "servo.spine_torque"
     ] == pytest.approx(0.157)
     assert (FRONT_LEG.neutral_foot, REAR_LEG.neutral_foot) == ((-0.005, -0.045), (0.0, -0.05))

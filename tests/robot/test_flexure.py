@@ -14,12 +14,12 @@ from nermo_mjx.dynamics import put_data, put_model, step
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, assemble_leg, assemble_spine, load_robot
-from nermo_mjx.robot.equipment import MOST_HINGES, chain_of
+from nermo_mjx.robot.equipment import MAX_HINGES, chain_of
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 from nermo_mjx.rollout import Run, Setup
 
-CHAINS = (1, 2, 4, MOST_HINGES)
+CHAINS = (1, 2, 4, MAX_HINGES)
 #: Finite elements of Table A.1: angle under 0.125 N m [rad], and the stiffness that the joint has here [N m/rad].
 TORQUE, LEAVES = (
     0.125,
@@ -86,7 +86,7 @@ def test_a_chain_approaches_the_arc_of_a_leaf():
     The tangents at both ends of the arc meet L tan(b/2) / b from either. From that point, where a single hinge would
     be, the middle of the unbent half is L / 2 away: the next vertebra moves outward by the difference, on either side.
     """
-    bend, length = 0.4, SPINE.segment_length
+    bend, length = 0.4, SPINE_GEOMETRY.segment_length
     outward = length * (np.tan(bend / 2) / bend - 0.5)
     # By so much do the far link's points move, along both tangents, against those behind one hinge.
     expected = outward * np.array([1 + np.cos(bend), np.sin(bend)])
@@ -107,7 +107,7 @@ def test_a_chain_approaches_the_arc_of_a_leaf():
         missed.append(np.linalg.norm(np.abs(shift[:2]) - expected))
     # Second order: the error of n hinges falls as 1 / n^2.
     assert missed[0] < 0.3 * np.linalg.norm(expected)
-    assert missed[0] / missed[-1] == pytest.approx((MOST_HINGES / CHAINS[1]) ** 2, rel=0.05)
+    assert missed[0] / missed[-1] == pytest.approx((MAX_HINGES / CHAINS[1]) ** 2, rel=0.05)
 
 
 def test_the_standing_robot_is_the_same_with_chains():

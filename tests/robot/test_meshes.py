@@ -16,7 +16,7 @@ from mujoco import mjx
 from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes.body import grooved_pulley, lower, upper
-from nermo_mjx.robot.meshes.shapes import MM, TENDON
+from nermo_mjx.robot.meshes.shapes import MM, TENDON_RADIUS
 from nermo_mjx.robot.parameters import FRONT_LEG
 from nermo_mjx.robot.parts import load_part, mjcf_directory, read_obj
 
@@ -100,12 +100,16 @@ def test_the_tendon_lies_in_the_pulleys_groove():
     radius, outer = np.hypot(y, z), np.abs(x) < 0.6
     floor = radius[outer & (radius > 5.0)].max()
     assert (
-        MM * FRONT_LEG.pulley_radius - TENDON - 0.2 < floor < MM * FRONT_LEG.pulley_radius - TENDON
+        MM * FRONT_LEG.pulley_radius - TENDON_RADIUS - 0.2
+        < floor
+        < MM * FRONT_LEG.pulley_radius - TENDON_RADIUS
     )
-    assert radius.max() > MM * FRONT_LEG.pulley_radius + TENDON
+    assert radius.max() > MM * FRONT_LEG.pulley_radius + TENDON_RADIUS
     model = load_robot().model
     for limb in LIMBS:
-        assert MM * model.tendon_width[model.tendon(f"{limb}_tendon").id] == pytest.approx(TENDON)
+        assert MM * model.tendon_width[model.tendon(f"{limb}_tendon").id] == pytest.approx(
+            TENDON_RADIUS
+        )
 
 
 def test_each_bead_of_the_tail_is_as_wide_as_its_eyelets_and_reaches_to_the_next():

@@ -13,7 +13,7 @@ import pytest
 
 from nermo_mjx.control.parameters import published_values
 from nermo_mjx.robot import LIMBS, Robot, load_robot
-from nermo_mjx.robot.equipment import TRUNK
+from nermo_mjx.robot.equipment import TRUNK_GEOMS
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.setup import all_parameters
@@ -142,7 +142,9 @@ def test_only_the_soles_touch_the_ground_in_fast(scene):
         geom_pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
         return {frozenset(model.geom(int(geom)).name for geom in pair) for pair in geom_pairs}
 
-    assert pairs("reference") - pairs("fast") == {frozenset(("floor", part)) for part in TRUNK}
+    assert pairs("reference") - pairs("fast") == {
+        frozenset(("floor", part)) for part in TRUNK_GEOMS
+    }
     assert pairs("fast") < pairs("reference")
 
 
@@ -164,7 +166,7 @@ def test_a_given_time_step_wins_over_the_presets():
     assert Setup(physics="fast").timestep == pytest.approx(0.01 / 3)
     assert Setup(physics="fast", timestep=0.001).load().model.opt.timestep == 0.001
     assert Setup(physics="fast", timestep=0.001).load().model.npair == len(LIMBS) + 1
-    assert Setup(timestep=0.0025).load().model.npair == len(LIMBS) + 1 + len(TRUNK)
+    assert Setup(timestep=0.0025).load().model.npair == len(LIMBS) + 1 + len(TRUNK_GEOMS)
 
 
 def test_another_preset_brings_its_time_step_unless_one_was_given():

@@ -27,10 +27,17 @@ from nermo_mjx.robot import (
     assemble,
     load_robot,
 )
-from nermo_mjx.robot.equipment import TRUNK, servo_joint
+from nermo_mjx.robot.equipment import TRUNK_GEOMS, servo_joint
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.masses import PARTS, ROBOT_MASSES, TORSO, RigidPart, part_of, physical_model
-from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
+from nermo_mjx.robot.masses import (
+    RIGID_PARTS,
+    ROBOT_MASSES,
+    TORSO,
+    RigidPart,
+    part_of,
+    physical_model,
+)
+from nermo_mjx.robot.parameters import BODY_GEOMETRY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 
 #: The published robot.
@@ -142,7 +149,7 @@ def test_compiled_masses_are_those_of_the_parts():
     data, part_keys = at_rest(model), set()
     for name in (model.body(i).name for i in range(1, model.nbody)):
         part, compiled = part_of(name), model.body(name)
-        part_keys.add(next(key for key, value in PARTS.items() if value is part))
+        part_keys.add(next(key for key, value in RIGID_PARTS.items() if value is part))
         assert compiled.mass[0] == pytest.approx(part.mass, rel=1e-12), name
         frame = data.body(name).xmat if part.site is None else data.site("spine_end").xmat
         axes = frame.reshape(3, 3).T @ data.body(name).ximat.reshape(3, 3)
@@ -152,8 +159,10 @@ def test_compiled_masses_are_those_of_the_parts():
         )
         if part.site is None:
             np.testing.assert_allclose(compiled.ipos, part.com, atol=1e-12, err_msg=name)
-    front_pulley = {name for name in PARTS if PARTS[name] is PARTS["front_pulley"]}
-    assert part_keys | front_pulley == set(PARTS)
+    front_pulley = {
+        name for name in RIGID_PARTS if RIGID_PARTS[name] is RIGID_PARTS["front_pulley"]
+    }
+    assert part_keys | front_pulley == set(RIGID_PARTS)
     end = data.site("spine_end")
     hip = end.xmat.reshape(3, 3).T @ (data.body("spine_hip").xipos - end.xpos)
     np.testing.assert_allclose(hip, part_of("spine_hip").com, atol=1e-9)
@@ -163,8 +172,8 @@ def test_rigid_tail_has_the_mass_and_centre_of_the_articulated_one():
     """Freezing the tail's 19 joints changes neither mass nor centre of mass, nor the inertia of the whole."""
     rigid, articulated = (load_robot(tail=tail).model for tail in TAILS)
     fused = [row["mass"] for row in load_robot().mass_table() if row["body"] == "spine_hip"]
-    tail = PARTS["tail_pulley"].mass + 19 * PARTS["tail_segment"].mass
-    assert fused == pytest.approx([PARTS["spine_hip"].mass + tail])
+    tail = RIGID_PARTS["tail_pulley"].mass + 19 * RIGID_PARTS["tail_segment"].mass
+    assert fused == pytest.approx([RIGID_PARTS["spine_hip"].mass + tail])
     data = [at_rest(model) for model in (rigid, articulated)]
     assert rigid.body_mass.sum() == pytest.approx(articulated.body_mass.sum(), rel=1e-12)
     np.testing.assert_allclose(data[0].subtree_com[0], data[1].subtree_com[0], atol=1e-12)
@@ -363,7 +372,7 @@ def test_nothing_touches_but_the_declared_pairs(tail):
     geom_pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     pairs = {frozenset(model.geom(int(geom)).name for geom in pair) for pair in geom_pairs}
     touching = ["tail_tip", *(f"tail_ground_{i}" for i in (16, 17, 18) if tail == "articulated")]
-    touching += [*(f"{limb}_sole" for limb in LIMBS), *TRUNK]
+    touching += [*(f"{limb}_sole" for limb in LIMBS), *TRUNK_GEOMS]
     assert pairs == {frozenset(("floor", part)) for part in touching}
     assert model.npair == len(touching)
     assert model.nv == {"rigid": 28, "articulated": 48}[tail]
@@ -434,7 +443,7 @@ def test_hips_and_shoulders_are_where_the_kinematics_puts_them():
         )
         turn = torso.xmat.reshape(3, 3).T @ data.site("spine_end").xmat.reshape(3, 3)
         np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-6)
-    np.testing.assert_allclose(body.shoulders(ROBOT)[0], BODY.shoulder, atol=1e-7)
+    np.testing.assert_allclose(body.shoulders(ROBOT)[0], BODY_GEOMETRY.shoulder, atol=1e-7)
 
 
 def test_legs_are_where_the_kinematics_puts_them():
@@ -659,7 +668,7 @@ def test_no_mass_and_no_number_of_a_servo_stands_twice():
         for name, quantity in quantities(ModelParameters)
         if name.startswith(("mass.", "servo."))
     }
-    allowed |= {part.mass for part in PARTS.values()} | {
+    allowed |= {part.mass for part in RIGID_PARTS.values()} | {
         mass for masses in ROBOT_MASSES.values() for mass in masses
     }
     allowed = {

@@ -16,9 +16,9 @@ import pytest
 
 from nermo_mjx.kinematics import leg, spine
 from nermo_mjx.robot import LIMBS, assemble_leg, assemble_spine
-from nermo_mjx.robot.equipment import KNEE_REST
+from nermo_mjx.robot.equipment import KNEE_REST_RAD
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, SPINE
+from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, SPINE_GEOMETRY
 
 #: The published robot.
 ROBOT = Geometry()
@@ -80,7 +80,7 @@ def test_servo_angles_put_the_foot_where_the_kinematics_says(limb, routing):
         assert low[1] <= servo[1] <= high[1], f"the servo of {routing} needs {servo[1]:.3f} rad"
         assert low[0] - 0.02 <= servo[0] <= high[0] + 0.02
         data = settle(model, servo, 1500)
-        if solution.knee_angle < KNEE_REST[pair]:
+        if solution.knee_angle < KNEE_REST_RAD[pair]:
             assert slack(model, data)[0] > 0.0
             continue
         assert slack(model, data)[0] == pytest.approx(0.0, abs=1e-4)
@@ -119,7 +119,7 @@ def test_a_knee_tendon_pulls_only(limb):
     knee, servo = f"{limb}_knee", f"{limb}_knee_servo"
     stiffness, rest_angle, (low, high) = (
         model.joint(knee).stiffness[0],
-        KNEE_REST[pair],
+        KNEE_REST_RAD[pair],
         model.actuator_ctrlrange[1],
     )
 
@@ -153,7 +153,7 @@ def test_a_front_tendon_let_out_is_slack(side):
     data = settle(model, np.array([0.0, model.actuator_ctrlrange[1, 1]]), 1500)
     assert slack(model, data)[0] > 1e-3
     assert tendon_force(model, data)[0] == 0.0
-    assert data.joint(f"{limb}_knee").qpos[0] == pytest.approx(KNEE_REST["front"], abs=1e-3)
+    assert data.joint(f"{limb}_knee").qpos[0] == pytest.approx(KNEE_REST_RAD["front"], abs=1e-3)
 
 
 @pytest.mark.parametrize("pair", ["front", "rear"])
@@ -184,7 +184,7 @@ def test_spine_servo_bends_the_spine_as_predicted(servo):
     data = settle(model, np.array([servo]), 1500)
     joints = np.array([data.joint(f"spine_joint_{i}").qpos[0] for i in range(1, 5)])
     predicted = float(spine.joint_angle(servo, ROBOT))
-    assert np.abs(joints).max() <= SPINE.max_joint_angle
+    assert np.abs(joints).max() <= SPINE_GEOMETRY.max_joint_angle
     assert joints.mean() == pytest.approx(predicted, rel=0.10)
     np.testing.assert_allclose(joints, joints.mean(), rtol=1e-3)
     # Without the servo's sag, the angle that the pulley reached predicts the joints within 1.5 %.
@@ -202,7 +202,7 @@ def test_spine_servo_bends_the_spine_as_predicted(servo):
     assert [model.tendon(i).name for i in (0, 1)] == ["spine_left", "spine_right"]
     force, free = tendon_force(model, data), slack(model, data)
     assert force[pulling] == pytest.approx(
-        abs(data.actuator("spine_servo").force[0]) / SPINE.pulley_radius, rel=1e-3
+        abs(data.actuator("spine_servo").force[0]) / SPINE_GEOMETRY.pulley_radius, rel=1e-3
     )
     assert force[idle] == 0.0
     assert free[pulling] == pytest.approx(0.0, abs=5e-6)

@@ -14,7 +14,7 @@ from nermo_mjx.physics.variation import Variation, compile_model, vary
 from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.scene import Terrain
-from nermo_mjx.robot.terrains import BEGIN, TERRAINS, TerrainShape, gates
+from nermo_mjx.robot.terrains import TERRAIN_DISTANCE, TERRAINS, TerrainShape, gates
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep import Sweep
 
@@ -73,12 +73,16 @@ def test_terrains_have_the_sizes_of_the_published_ones():
         for name in GROUNDS
     }
     plank = profile["planks"]
-    np.testing.assert_allclose(plank[(ahead > BEGIN) & (ahead < BEGIN + 0.1)], 0.01, atol=1e-7)
-    assert plank[(ahead > BEGIN + 0.105) & (ahead < BEGIN + 0.195)].max() == 0.0
+    np.testing.assert_allclose(
+        plank[(ahead > TERRAIN_DISTANCE) & (ahead < TERRAIN_DISTANCE + 0.1)], 0.01, atol=1e-7
+    )
+    assert (
+        plank[(ahead > TERRAIN_DISTANCE + 0.105) & (ahead < TERRAIN_DISTANCE + 0.195)].max() == 0.0
+    )
     np.testing.assert_array_equal(
         np.diff(np.flatnonzero(np.diff(plank) > 0.005)), 40
     )  # every 0.2 m
-    rise = profile["ramp"][(ahead > BEGIN) & (ahead < 1.9)]
+    rise = profile["ramp"][(ahead > TERRAIN_DISTANCE) & (ahead < 1.9)]
     np.testing.assert_allclose(np.diff(rise) / 0.005, np.tan(np.radians(10.0)), rtol=1e-3)
     assert rise[0] < 0.001
     assert profile["logs"].max() == pytest.approx(0.01, abs=1e-4)
@@ -95,7 +99,7 @@ def test_terrains_have_the_sizes_of_the_published_ones():
 
 
 def test_the_spiral_stair_rises_along_its_circle_and_gates_alternate():
-    angle = (BEGIN + 0.15 * (np.arange(15) + 0.5)) / 0.5
+    angle = (TERRAIN_DISTANCE + 0.15 * (np.arange(15) + 0.5)) / 0.5
     heights = load_robot(scene="spiral_stairs").terrain.height(
         0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle)
     )

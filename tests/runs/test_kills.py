@@ -19,7 +19,7 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from nermo_mjx.files import TEMPORARY
+from nermo_mjx.files import TEMPORARY_SUFFIX
 
 #: Changes of a directory before which its process is killed.
 BEFORE = (1, 2, 3, 4, 5, 6, 8, 12, 17)
@@ -162,7 +162,7 @@ if __name__ == "__main__":
             assert [
                 path.name
                 for path in out.rglob("*")
-                if "aside" in path.name or TEMPORARY in path.name
+                if "aside" in path.name or TEMPORARY_SUFFIX in path.name
             ] == [], out
         print(kind, kills.get(kind), flush=True)
     print(json.dumps(kills))

@@ -8,7 +8,7 @@ import warnings
 import pytest
 
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of, files, kind_of, stamp
-from nermo_mjx.runs.files import TEMPORARY, WrongDirectory
+from nermo_mjx.runs.files import TEMPORARY_SUFFIX, WrongDirectory
 
 HERE = stamp("a model", "c")
 
@@ -132,7 +132,7 @@ def test_what_is_moved_aside_leaves_a_folder_that_others_read_whole(tmp_path):
 
 
 def test_only_files_of_our_own_naming_are_swept_up(tmp_path):
-    (tmp_path / f".table.parquet.17{TEMPORARY}").write_text("half")
+    (tmp_path / f".table.parquet.17{TEMPORARY_SUFFIX}").write_text("half")
     (tmp_path / ".notes.tmp").write_text("a user's")
     with RunDirectory(tmp_path, "sweep"):
         pass

@@ -105,7 +105,7 @@ def test_yaml_has_a_limit_of_values_and_of_bytes(
 
     refused("# " + "x" * (1 << 23), "it has 8 MB: allowed are 8 MB")
     refused("vary: [" + "1," * 60_000 + "1]", "holds more than 50,000 values")
-    monkeypatch.setattr(reading, "_MOST_VALUES", 100)
+    monkeypatch.setattr(reading, "_MAX_YAML_VALUES", 100)
     refused("a: {" + "".join(f"b{i}: 1, " for i in range(60)) + "}", "holds more than 100 values")
 
 

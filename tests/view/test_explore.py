@@ -26,7 +26,7 @@ from nermo_mjx.cli.walk import walk_command as walk
 from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.runs import DirectoryError
 from nermo_mjx.sweep import Sweep, run_sweep
-from nermo_mjx.view.clip import COMPACT, FULL, Frames, Models, clip_of
+from nermo_mjx.view.clip import COMPACT_DETAIL, FULL_DETAIL, Frames, Models, clip_of
 from nermo_mjx.view.explore import (
     commands_of,
     explore,
@@ -227,7 +227,7 @@ def test_a_compact_recording_has_a_third_of_the_samples_and_less_than_half_the_s
     dropped: Recording,
 ) -> None:
     sizes, samples = [], []
-    for detail in (FULL, COMPACT):
+    for detail in (FULL_DETAIL, COMPACT_DETAIL):
         packer = Packer()
         header = clip_of(dropped, "one", Models(Packer()), packer, detail)
         sizes.append(len(packer.text()))

@@ -18,8 +18,8 @@ from PIL import Image, ImageSequence
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, render, video
 from nermo_mjx.view.camera import (
-    INSIDE,
-    OUTSIDE,
+    INSIDE_COLOUR,
+    OUTSIDE_COLOUR,
     draw_support,
     is_inside,
     smooth_path,
@@ -279,13 +279,15 @@ def test_the_footfall_passes_below_the_picture_in_step_with_the_time(
     assert (
         frames[0].shape[0] == 96 + video.Strip(recording, video.gait_panels(recording), 320).height
     )
-    room = 320 - video.MARGIN
+    room = 320 - video.MARGIN_PIXELS
     for i, seconds in ((1, 0.25), (8, 2.0), (11, 2.75), (16, 4.0)):
-        strip = frames[i][96 + 11, video.MARGIN :]  # the row of the front left foot
+        strip = frames[i][96 + 11, video.MARGIN_PIXELS :]  # the row of the front left foot
         blue = strip[:, 2] - strip[:, 0] > 100
-        first = np.clip(seconds - video.PAST, 0.0, 4.0 - video.PAST - video.AHEAD)
+        first = np.clip(
+            seconds - video.PAST_SECONDS, 0.0, 4.0 - video.PAST_SECONDS - video.FUTURE_SECONDS
+        )
         for share in (0.1, 0.3, 0.5, 0.65):
-            moment = first + share * (video.PAST + video.AHEAD)
+            moment = first + share * (video.PAST_SECONDS + video.FUTURE_SECONDS)
             if moment < seconds and 0.04 < moment % 0.5 < 0.46:
                 assert blue[round(share * room)] == (moment % 1.0 < 0.5), (seconds, moment)
 
@@ -311,11 +313,11 @@ PAIR = np.array([1.0, 0.0, 0.0, 1.0])
 @pytest.mark.parametrize(
     ("force", "tail", "colour", "parts"),
     [
-        (np.ones(4), None, INSIDE, 4 + 4 + 3),
-        (PAIR, None, OUTSIDE, 1 + 2 + 3),
-        (np.zeros(4), None, OUTSIDE, 3),
-        (PAIR, 0.5, INSIDE, 3 + 3 + 3),
-        (PAIR, 0.0, OUTSIDE, 1 + 2 + 3),
+        (np.ones(4), None, INSIDE_COLOUR, 4 + 4 + 3),
+        (PAIR, None, OUTSIDE_COLOUR, 1 + 2 + 3),
+        (np.zeros(4), None, OUTSIDE_COLOUR, 3),
+        (PAIR, 0.5, INSIDE_COLOUR, 3 + 3 + 3),
+        (PAIR, 0.0, OUTSIDE_COLOUR, 1 + 2 + 3),
     ],
 )
 def test_the_scene_shows_polygon_and_centre_of_mass(

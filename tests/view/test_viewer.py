@@ -21,7 +21,7 @@ from nermo_mjx.plotting.style import FOOT
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.view import RecordingError, robot_of
 from nermo_mjx.view.clip import shapes_of
-from nermo_mjx.view.page import MISSING, Packer, Page
+from nermo_mjx.view.page import NAN_STEP, Packer, Page
 from nermo_mjx.view.recorded import (
     Motion,
     details_of,
@@ -232,7 +232,7 @@ def test_packed_steps_are_within_half_a_step() -> None:
     raw = np.frombuffer(content, np.uint8, 2 * size, entry["at"])
     words = (raw[:size].astype(np.uint16) << 8 | raw[size:]).view(np.int16).reshape(6, 40)
     steps = np.cumsum(words, axis=1, dtype=np.int16).T.reshape(values.shape)
-    decoded = np.where(steps == MISSING, np.nan, entry["zero"] + entry["scale"] * steps)
+    decoded = np.where(steps == NAN_STEP, np.nan, entry["zero"] + entry["scale"] * steps)
     np.testing.assert_allclose(decoded, values, atol=np.nanmax(np.abs(values)) / 60_000)
     assert np.isnan(decoded[5, 1, 1])
 

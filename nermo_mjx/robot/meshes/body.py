@@ -17,7 +17,7 @@ from nermo_mjx.robot.geometry import Geometry, leg_geometry
 from nermo_mjx.robot.meshes.shapes import (
     MM,
     SERVO_WIDTH,
-    TENDON,
+    TENDON_RADIUS,
     Shape,
     beam,
     block,
@@ -35,19 +35,19 @@ from nermo_mjx.robot.meshes.shapes import (
     turned_part,
 )
 from nermo_mjx.robot.parameters import (
-    BODY,
+    BODY_GEOMETRY,
     FRONT_LEG,
     LEGS,
     PULLEY_RIM,
     REAR_LEG,
     SERVO_DEPTH,
-    SPINE,
+    SPINE_GEOMETRY,
     LegGeometry,
 )
 from nermo_mjx.robot.parts import hundredths
 
 #: Ratio of the rear legs' thickness to the front legs'.
-STOUT: Final = {"front": 1.0, "rear": 1.12}
+LEG_THICKNESS_RATIOS: Final = {"front": 1.0, "rear": 1.12}
 #: Inner and outer face of a cheek of the upper leg, and half the thickness of the link between the cheeks [mm].
 CHEEK: Final = (1.65, 3.1)
 TONGUE: Final = 1.35
@@ -57,7 +57,7 @@ def leg_shapes(geometry: Geometry) -> dict[str, Shape]:
     """Meshes of both pairs of legs, by file name."""
     shapes = {}
     for pair in LEGS:
-        leg, stout = leg_geometry(geometry, pair), STOUT[pair]
+        leg, stout = leg_geometry(geometry, pair), LEG_THICKNESS_RATIOS[pair]
         shapes[f"{pair}_upper"] = upper(leg, stout)
         shapes[f"{pair}_lower"] = lower(leg, stout)
         shapes[f"{pair}_foot"] = foot(leg, stout)
@@ -65,7 +65,7 @@ def leg_shapes(geometry: Geometry) -> dict[str, Shape]:
     return shapes
 
 
-def grooved_pulley(radius: float, half_width: float, tendon: float = TENDON) -> Shape:
+def grooved_pulley(radius: float, half_width: float, tendon: float = TENDON_RADIUS) -> Shape:
     """A pulley about the x axis; a tendon of radius `tendon` lies in its groove, its middle at `radius` [mm]."""
     rim, floor, w = radius + MM * PULLEY_RIM, radius - tendon - 0.1, half_width
     profile = [
@@ -152,9 +152,9 @@ def knee_spring(leg: LegGeometry, stout: float) -> Shape:
 
 
 #: Depth along the axis, and reach before and behind it [mm]; approximately the case of a Power HD-DSM44.
-DEPTH: Final = MM * SERVO_DEPTH
-BEFORE: Final = 6.0
-BEHIND: Final = 13.0
+SERVO_CASE_DEPTH: Final = MM * SERVO_DEPTH
+SERVO_CASE_FRONT: Final = 6.0
+SERVO_CASE_BACK: Final = 13.0
 
 
 # ---
@@ -164,13 +164,13 @@ BEHIND: Final = 13.0
 
 
 #: The bar toward the spine, and the rump: y, middle z, half-width, half-height [mm].
-NECK: Final = (
+NECK_SECTIONS: Final = (
     (0.5, 0.6, 4.0, 3.4),
     (3.0, -2.2, 5.0, 2.4),
     (7.0, -4.2, 7.0, 1.8),
     (11.0, -4.4, 8.0, 1.6),
 )
-RUMP: Final = (
+RUMP_SECTIONS: Final = (
     (20.0, -9.4, 11.0, 6.6),
     (25.0, -8.6, 10.0, 6.0),
     (29.5, -7.0, 7.0, 4.6),
@@ -183,7 +183,7 @@ def hip_shapes(geometry: Geometry) -> dict[str, Shape]:
     hip = geometry.hip
     x, y, z = (MM * float(value) for value in (hip.x, hip.y, hip.z))
     upper = z + MM * REAR_LEG.pulley_height
-    w, low, high = SERVO_WIDTH / 2, y - BEFORE, y + BEHIND
+    w, low, high = SERVO_WIDTH / 2, y - SERVO_CASE_FRONT, y + SERVO_CASE_BACK
     side, inner = x - 5.0, x - 23.4
     bracket = [
         block((-side, low + 0.6, z + w), (side, high - 0.6, upper - w), 0.4),
@@ -195,7 +195,7 @@ def hip_shapes(geometry: Geometry) -> dict[str, Shape]:
     mast = block((-4.5, 19.5, -6.0), (4.5, 29.0, 3.6), 1.2)
     return {
         "hip_bracket": join(*bracket, lid.with_mirror_image(), wall.with_mirror_image()),
-        "hip_core": join(core, beam(NECK, 0.9), beam(RUMP, 2.4), mast),
+        "hip_core": join(core, beam(NECK_SECTIONS, 0.9), beam(RUMP_SECTIONS, 2.4), mast),
     }
 
 
@@ -206,10 +206,10 @@ def hip_shapes(geometry: Geometry) -> dict[str, Shape]:
 
 
 #: Where a tendon leaves a vertebra before the next joint [mm], and how far beside the axis.
-EXIT: Final = MM * SPINE.segment_length / 2
-BESIDE: Final = MM * SPINE.segment_offset
+TENDON_EXIT: Final = MM * SPINE_GEOMETRY.segment_length / 2
+TENDON_OFFSET: Final = MM * SPINE_GEOMETRY.segment_offset
 #: Half-height of the end discs, and half-width of the body between them [mm].
-HEIGHT: Final = 4.6
+DISC_HALF_HEIGHT: Final = 4.6
 WAIST: Final = 3.3
 #: Half the width of the pulley [mm].
 SPINE_PULLEY_WIDTH: Final = 1.2
@@ -217,7 +217,7 @@ SPINE_PULLEY_WIDTH: Final = 1.2
 
 def spine_shapes(geometry: Geometry) -> dict[str, Shape]:
     """Meshes of the spine, by file name."""
-    joints = SPINE.lateral_joints
+    joints = SPINE_GEOMETRY.lateral_joints
     shapes = {
         f"vertebra_{i}": vertebra(dh_pose(joint, next_joint, geometry))
         for i, (joint, next_joint) in enumerate(itertools.pairwise(joints), 1)
@@ -231,13 +231,19 @@ def spine_shapes(geometry: Geometry) -> dict[str, Shape]:
 
 
 def end_disc() -> Shape:
-    """The disc from which the tendons come: an oval with an eyelet on each side, from x = -EXIT - 1.5 to -EXIT."""
+    """The disc from which the tendons come: an oval with an eyelet on each side, from x = -TENDON_EXIT - 1.5 to -TENDON_EXIT."""
     oval = turned_part(
-        [(-EXIT - 1.5, 0.9), (-EXIT - 1.2, 1.0), (-EXIT - 0.3, 1.0), (-EXIT, 0.9)], 12
+        [
+            (-TENDON_EXIT - 1.5, 0.9),
+            (-TENDON_EXIT - 1.2, 1.0),
+            (-TENDON_EXIT - 0.3, 1.0),
+            (-TENDON_EXIT, 0.9),
+        ],
+        12,
     )
-    oval = Shape(oval.vertices * [1.0, BESIDE + 0.4, HEIGHT], oval.faces)
-    eyelet = turned_part([(-EXIT - 1.8, 1.25), (-EXIT + 0.15, 1.25)], 6)
-    return join(oval, eyelet.moved(y=BESIDE), eyelet.moved(y=-BESIDE))
+    oval = Shape(oval.vertices * [1.0, TENDON_OFFSET + 0.4, DISC_HALF_HEIGHT], oval.faces)
+    eyelet = turned_part([(-TENDON_EXIT - 1.8, 1.25), (-TENDON_EXIT + 0.15, 1.25)], 6)
+    return join(oval, eyelet.moved(y=TENDON_OFFSET), eyelet.moved(y=-TENDON_OFFSET))
 
 
 def vertebra(pose: Float[np.ndarray, "4 4"]) -> Shape:
@@ -247,18 +253,18 @@ def vertebra(pose: Float[np.ndarray, "4 4"]) -> Shape:
     return join(
         front,
         rear,
-        waisted(pose_along(np.eye(4), EXIT), pose @ pose_along(np.eye(4), -EXIT)),
+        waisted(pose_along(np.eye(4), TENDON_EXIT), pose @ pose_along(np.eye(4), -TENDON_EXIT)),
         _process(pose),
     )
 
 
 def front_stub(geometry: Geometry) -> Shape:
     """From the torso's frame to the first joint, in the torso's frame."""
-    joint = dh_pose(-1, SPINE.lateral_joints[0], geometry)
+    joint = dh_pose(-1, SPINE_GEOMETRY.lateral_joints[0], geometry)
     disc = end_disc().transformed(joint[:3, :3], joint[:3, 3])
     start = np.eye(4)
     start[:3, :3], start[:3, 3] = rotation("z", np.pi / 2), (0.0, -4.0, -0.4)
-    return join(disc, waisted(start, joint @ pose_along(np.eye(4), -EXIT)))
+    return join(disc, waisted(start, joint @ pose_along(np.eye(4), -TENDON_EXIT)))
 
 
 def pose_along(pose: np.ndarray, x: float) -> np.ndarray:
@@ -273,7 +279,7 @@ def waisted(start: np.ndarray, end: np.ndarray) -> Shape:
     for share, swell in ((0.0, 1.15), (0.2, 1.0), (0.5, 0.82), (0.8, 1.0), (1.0, 1.15)):
         centre = (1 - share) * start[:3, 3] + share * end[:3, 3]
         axes = (1 - share) * start[:3, :3] + share * end[:3, :3]
-        section = rounded_rectangle(WAIST * swell, 0.72 * HEIGHT * swell, 1.2)
+        section = rounded_rectangle(WAIST * swell, 0.72 * DISC_HALF_HEIGHT * swell, 1.2)
         rings.append(centre + section @ axes[:, 1:].T)
     return loft(rings)
 
@@ -284,8 +290,8 @@ def _process(pose: np.ndarray) -> Shape:
     rings = []
     for height, reach, width, lean in (
         (2.0, 3.4, 1.5, 0.0),
-        (HEIGHT, 2.4, 1.1, 0.6),
-        (HEIGHT + 2.6, 1.2, 0.7, 1.9),
+        (DISC_HALF_HEIGHT, 2.4, 1.1, 0.6),
+        (DISC_HALF_HEIGHT + 2.6, 1.2, 0.7, 1.9),
     ):
         section = rounded_rectangle(reach, width, 0.5)
         rings.append(
@@ -301,7 +307,7 @@ def _process(pose: np.ndarray) -> Shape:
 
 
 #: Where the neck's servo turns the head [mm].
-TORSO_NECK: Final = tuple(MM * value for value in BODY.neck)
+TORSO_NECK: Final = tuple(MM * value for value in BODY_GEOMETRY.neck)
 #: The back beam: y, middle z, half-width, half-height [mm].
 BEAM: Final = (
     (-2.0, -0.6, 5.2, 3.0),
@@ -361,7 +367,7 @@ def shoulder_bracket(geometry: Geometry) -> list[Shape]:
     shoulder = geometry.shoulder
     x, y, z = (MM * float(value) for value in (shoulder.x, shoulder.y, shoulder.z))
     upper = z + MM * FRONT_LEG.pulley_height
-    w, low, high = SERVO_WIDTH / 2, y - BEFORE, y + BEHIND
+    w, low, high = SERVO_WIDTH / 2, y - SERVO_CASE_FRONT, y + SERVO_CASE_BACK
     side = x - 5.0
     plates = [
         block((-side, low + 0.8, upper + w), (side, high - 0.8, upper + w + 1.4), 0.5),

@@ -242,10 +242,10 @@ def _outward(shape: Shape) -> Shape:
 
 #: Edges that turn by more than this stay sharp [rad]. A chamfer turns by less: its vertices take the normal of the
 #: large adjacent face, and the edge looks rounded.
-CREASE: Final = np.radians(50.0)
+CREASE_RAD: Final = np.radians(50.0)
 
 
-def creased(shape: Shape, angle: float = CREASE) -> Shape:
+def creased(shape: Shape, angle: float = CREASE_RAD) -> Shape:
     """The same surface, its vertices split wherever faces meet at more than `angle` [rad]; unused ones are dropped."""
     corner = shape.vertices[shape.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -299,7 +299,7 @@ def _smooth_groups(
 #: Millimetres in a metre: meshes are in millimetres, the robot's numbers in metres.
 MM: Final = 1000.0
 #: Radius at which the leg's and the spine's tendons are drawn [mm].
-TENDON: Final = 0.5
+TENDON_RADIUS: Final = 0.5
 #: The axes of the stacked hip and knee servos are apart by the pulley's height; a servo fills most of it [mm].
 SERVO_WIDTH: Final = 11.0
 
