@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from nermo_mjx.cli import directories, jobs, logs, tools, view, walk  # noqa: F401 (each makes its commands)
-from nermo_mjx.cli.output import COMMANDS, CommandGroup
+from nermo_mjx.cli.output import ALL_COMMANDS, CommandGroup
 from nermo_mjx.version import __version__
 
 EPILOG = """\b
@@ -31,5 +31,5 @@ def main() -> None:
     """
 
 
-for command in COMMANDS:
+for command in ALL_COMMANDS:
     main.add_command(command)

@@ -803,7 +803,7 @@ def experiment_command(
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
-    from nermo_mjx.experiments.report import HEADINGS, cells
+    from nermo_mjx.experiments.report import LINE_HEADINGS, cells
     from nermo_mjx.experiments.run import EXPERIMENTS as CATALOGUE
 
     content, widest = (
@@ -818,7 +818,7 @@ def _print_experiments(result: ExperimentsResult) -> None:
             [text if len(text) <= widest else f"{text[: widest - 1]}…" for text in line]
             for line in lines
         ]
-        print_table(CATALOGUE[experiment_result.name].title, HEADINGS, rows)
+        print_table(CATALOGUE[experiment_result.name].title, LINE_HEADINGS, rows)
     for experiment_result in result.results:
         metadata, summary = (
             content["experiments"][experiment_result.name],
@@ -920,7 +920,7 @@ def identify_command(
         raise WrongUse("--model is another robot: give it, or --robot.")
     from nermo_mjx.hardware.log import read_log
     from nermo_mjx.identify.identification import FREE
-    from nermo_mjx.identify.report import HEADINGS, estimate_rows
+    from nermo_mjx.identify.report import ESTIMATE_HEADINGS, estimate_rows
     from nermo_mjx.identify.run import run_identification
     from nermo_mjx.robot.quantity import require
     from nermo_mjx.runs.job import Watch
@@ -951,7 +951,7 @@ def identify_command(
     content = result.content
 
     def show() -> None:
-        print_table("Parameters", HEADINGS, estimate_rows(content["parameters"]))
+        print_table("Parameters", ESTIMATE_HEADINGS, estimate_rows(content["parameters"]))
         for sentence in content["sentences"]:
             click.echo(sentence)
         print_places(

@@ -47,16 +47,16 @@ class Kind:
         return function
 
 
-_COLUMNS: Final = ("x", "y", "color")
+_PLOT_COLUMNS: Final = ("x", "y", "color")
 _RUNS: Final = "view.explore:explore"
-_KINDS: Final = (
+_DIRECTORY_KINDS: Final = (
     Kind(
         "sweep",
         "a sweep",
         "sweep.plots:sweep_figures",
         "sweep.table:sweep_status",
         False,
-        (*_COLUMNS, "notify"),
+        (*_PLOT_COLUMNS, "notify"),
         _RUNS,
     ),
     Kind(
@@ -65,7 +65,7 @@ _KINDS: Final = (
         "optimize.search_figures:search_figures",
         "optimize.search_directory:search_status",
         False,
-        _COLUMNS,
+        _PLOT_COLUMNS,
         _RUNS,
     ),
     Kind(
@@ -96,7 +96,7 @@ _KINDS: Final = (
         "sweep.plots:sweep_figures",
         "experiments.run:experiment_status",
         False,
-        (*_COLUMNS, "notify"),
+        (*_PLOT_COLUMNS, "notify"),
         _RUNS,
     ),
     *(
@@ -125,7 +125,7 @@ _KINDS: Final = (
     ),
 )
 #: Kinds of directories, by name.
-KINDS: Final = {kind.name: kind for kind in _KINDS}
+KINDS: Final = {kind.name: kind for kind in _DIRECTORY_KINDS}
 RECORDING: Final = Kind("recording", "a recording", "cli.view:figures_of_file", options=("notify",))
 
 

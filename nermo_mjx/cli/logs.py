@@ -115,14 +115,14 @@ def log_command(file: Path, channels: Path | None) -> Output:
             names[:_WIDE],
             cells,
         )
-        print_table(f"{log.duration:.4g} s", _HEADINGS, [_shown_row(row) for row in rows])
+        print_table(f"{log.duration:.4g} s", _CHANNEL_HEADINGS, [_shown_row(row) for row in rows])
         for sentence in findings or ["Nothing looks wrong."]:
             click.echo(sentence)
 
     return Output(content, show)
 
 
-_HEADINGS = (
+_CHANNEL_HEADINGS = (
     "channel, quantity, of, rate [Hz]>, samples>, from>, to>, unit, behind its command [ms]>"
 )
 

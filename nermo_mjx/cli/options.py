@@ -154,7 +154,7 @@ PATH, FOLDER = click.Path(path_type=Path), click.Path(file_okay=False, path_type
 POSITIVE = click.FloatRange(0, min_open=True)
 #: Files that are read: of a sweep or a tuning, and recordings.
 SPEC = FileKind(".yaml", ".yml")
-RECORDING = FileKind(".npz", exists=True, dir_okay=False)
+RECORDING_FILE = FileKind(".npz", exists=True, dir_okay=False)
 
 
 def text(name: str, metavar: str, help_text: str, **attributes: Any) -> Callable[[F], F]:
@@ -213,7 +213,7 @@ def column(
 
 
 #: Where the parameters of `--body` are kept in a command's context.
-_BODY = "nermo_mjx.body"
+_BODY_KEY = "nermo_mjx.body"
 
 
 def set_option(help_text: str) -> Callable[[F], F]:
@@ -234,7 +234,7 @@ def _best_body(ctx: click.Context, parameter: click.Parameter, source: str | Non
     if source is not None:
         from nermo_mjx.robot import identified
 
-        ctx.meta[_BODY] = tuple(
+        ctx.meta[_BODY_KEY] = tuple(
             f"{name}={value:.12g}" for name, value in identified.best(source).items()
         )
 
@@ -245,7 +245,7 @@ def _with_body(ctx: click.Context, assignments: tuple[str, ...]) -> tuple[str, .
     return (
         *(
             assignment
-            for assignment in ctx.meta.get(_BODY, ())
+            for assignment in ctx.meta.get(_BODY_KEY, ())
             if assignment.split("=")[0] not in assigned_names
         ),
         *assignments,
@@ -334,21 +334,21 @@ produced = grouped(
     file("--video", ".mp4", "Render it; MP4, GIF or WebP."),
     camera,
 )
-_BEST = "The best body of an identification's directory; {} goes before it."
+_BEST_BODY_HELP = "The best body of an identification's directory; {} goes before it."
 controller = text("--controller", "FILE", "Custom controller: FILE.py:NAME, or a policy FILE.npz.")
 set_any = grouped(
     set_option("Any parameter that `sweep --list-parameters` prints; repeatable."),
     text(
         "--body",
         "DIR",
-        _BEST.format("--set"),
+        _BEST_BODY_HELP.format("--set"),
         is_eager=True,
         expose_value=False,
         callback=_best_body,
     ),
 )
 #: The same of a job's file, see `Described.from_file`.
-best_body = text("--body", "DIR", _BEST.format("what the file names"))
+best_body = text("--body", "DIR", _BEST_BODY_HELP.format("what the file names"))
 #: What decides how the robot steps.
 gait = grouped(
     click.option(

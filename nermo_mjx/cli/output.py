@@ -257,7 +257,7 @@ class Output:
 
 
 #: All of them, in the order in which their modules are imported.
-COMMANDS: Final[list[click.Command]] = []
+ALL_COMMANDS: Final[list[click.Command]] = []
 
 
 def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]], click.Command]:
@@ -304,12 +304,12 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]],
             click.Option(["--json", "as_json"], is_flag=True, help=json_help),
             *declared,
         ]
-        COMMANDS.append(
+        ALL_COMMANDS.append(
             click.command(
                 name, help=text, epilog="\n\n".join(f"\b\n{section}" for section in lists)
             )(decorated)
         )
-        return COMMANDS[-1]
+        return ALL_COMMANDS[-1]
 
     return make
 

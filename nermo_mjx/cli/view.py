@@ -57,7 +57,7 @@ def figures_of_file(path: Path, *, notify: Callable[[str], None]) -> Figures:
 
 @command("render", reads=True)
 @click.argument(
-    "recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING
+    "recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING_FILE
 )
 @options.file("--out", ".mp4", "MP4 (H.264), GIF or WebP.", required=True)
 @options.camera
@@ -136,8 +136,9 @@ def render_with_progress(
 
 #: Options of `play` that need another kind of file, and which.
 _TASK, _RECORDED = "a training", "a recording"
-PLAY_NEEDS = dict.fromkeys(("policy", "scene", "assignments", "seconds", "video", "camera"), _TASK)
-PLAY_NEEDS |= dict.fromkeys(("speed", "xml", "rate"), _RECORDED)
+PLAY_NEEDS = dict.fromkeys(
+    ("policy", "scene", "assignments", "seconds", "video", "camera"), _TASK
+) | dict.fromkeys(("speed", "xml", "rate"), _RECORDED)
 
 
 @command("play")
@@ -230,7 +231,7 @@ def _play_task(
 
 @command("view", reads=True)
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
-@click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
+@click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING_FILE)
 @options.file("--out", ".html", "Write the page to this file.")
 @number(
     "--recordings",

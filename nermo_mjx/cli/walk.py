@@ -763,7 +763,7 @@ def _replay_drive(
     "--recording",
     "FILE.npz",
     "Instead of a gait: what was commanded in a recorded walk, such as that of a policy.",
-    type=options.RECORDING,
+    type=options.RECORDING_FILE,
 )
 @options.file("--out", ".csv", "File for the table.")
 @text(

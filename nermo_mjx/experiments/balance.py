@@ -41,7 +41,7 @@ from nermo_mjx.robot.quantity import (
     values_of,
 )
 from nermo_mjx.rollout.run import TAUT
-from nermo_mjx.rollout.simulator import BLOCK, History
+from nermo_mjx.rollout.simulator import REPORT_TICKS, History
 
 # --- protocol: a `physics.engine.Loop` whose servo angles are a pure function of (parameters, time). The published test
 # commands joint angles instead of feet, so the foot tracking lag of `as_published` does not apply; its clock does.
@@ -535,10 +535,10 @@ def run(settings: Settings) -> CaseRuns:
     variation = Variation(robot).batch(worlds.body, len(ticks), worlds.on_body)
     session, blocks = engine.open(params, qpos, variation), []
     # Whole blocks only: a recorded block of another length would need another program.
-    for done in range(0, max(ticks), BLOCK):
-        blocks.append(session.record(BLOCK))
+    for done in range(0, max(ticks), REPORT_TICKS):
+        blocks.append(session.record(REPORT_TICKS))
         if settings.progress:
-            settings.progress(min(1.0, (done + BLOCK) / max(ticks)))
+            settings.progress(min(1.0, (done + REPORT_TICKS) / max(ticks)))
     traces = [
         np.concatenate([np.asarray(getattr(block, name), float) for block in blocks], axis=1)
         for name in ("qpos", "qvel", "ctrl", "sensordata")

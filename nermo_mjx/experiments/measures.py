@@ -16,7 +16,7 @@ import numpy as np
 
 from nermo_mjx.experiments import theory
 from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, CaseRuns, clock
-from nermo_mjx.experiments.walks import FULL_LOCK, GAITS, HARDWARE_STRIDE, STRATEGIES
+from nermo_mjx.experiments.walks import FULL_LOCK, HARDWARE_STRIDE, STRATEGIES, WALK_GAITS
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.robot.parameters import LEGS, LIMBS
 
@@ -24,7 +24,7 @@ Number = np.floating[Any]
 #: Minimum R^2 for points to count as on a line.
 LINEAR: Final = 0.98
 #: The published straight lines by gait, without and with the spine.
-SPINE_GAITS: Final = GAITS[:2]
+SPINE_GAITS: Final = WALK_GAITS[:2]
 _ANGLE: Final = re.compile(r"(roll|pitch|yaw)_(mean|std|min|max)|pitch_peak_up")
 
 
@@ -341,7 +341,7 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             [of.speed("lateral_walk", f) / of.theory_speed("lateral_walk", f) for f in FREQUENCIES]
         ),
         "trot > walking trot > lateral walk at each frequency": lambda of: every(
-            falls(of.speed(g, f) for g in GAITS) for f in FREQUENCIES
+            falls(of.speed(g, f) for g in WALK_GAITS) for f in FREQUENCIES
         ),
         "trot faster with the spine at each frequency": lambda of: min(of.gains("trot")) > 1,
         "walking trot faster with the spine at each frequency": lambda of: (
@@ -395,7 +395,7 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "largest roll of trot, 0.8 Hz, spine": lambda of: of.largest_roll(True),
         "largest roll of trot, 0.8 Hz, no spine": lambda of: of.largest_roll(False),
         "roll std falls with duty, 0.8 Hz: trot > walking trot > lateral walk": lambda of: falls(
-            of.walk("roll_std", g, 0.8) for g in GAITS
+            of.walk("roll_std", g, 0.8) for g in WALK_GAITS
         ),
         "yaw std with the spine larger at the lower duty, trot > walking trot": lambda of: every(
             of.walk("yaw_std", "trot", f, True) > of.walk("yaw_std", "walking_trot", f, True)
@@ -472,7 +472,7 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             a < b for a, b in of.compared("leg", "spine")
         ),
         "spine-based turning has the more limited range of radii": lambda of: every(
-            of.lock(g, "spine", f) > of.lock(g, "leg", f) for g in GAITS for f in FREQUENCIES
+            of.lock(g, "spine", f) > of.lock(g, "leg", f) for g in WALK_GAITS for f in FREQUENCIES
         ),
         "speed, spine- over mix-based, trot, 1.0 m, 0.5 Hz": lambda of: (
             of.turn("speed", "trot", 0.5, 1.0, "spine") / of.turn("speed", "trot", 0.5, 1.0, "mix")

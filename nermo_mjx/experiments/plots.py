@@ -379,9 +379,9 @@ def by_gait(
         (gait, i): sorted(
             set(outcome.columns["frequency"][outcome.where(gait=gait, **case)].tolist())
         )
-        for gait, (i, (_, _, case, _)) in itertools.product(walks.GAITS, enumerate(rows))
+        for gait, (i, (_, _, case, _)) in itertools.product(walks.WALK_GAITS, enumerate(rows))
     }
-    gaits = [gait for gait in walks.GAITS if any(walked[gait, i] for i in range(len(rows)))]
+    gaits = [gait for gait in walks.WALK_GAITS if any(walked[gait, i] for i in range(len(rows)))]
     panels: list[list[Panel]] = []
     for i, (suffix, label, case, bar) in enumerate(rows):
         panels.append([])
@@ -408,7 +408,7 @@ _TONES: Final = {
     "author": "#444444",
 }
 #: Right ends of the columns of numbers, in widths of the table.
-_COLUMNS: Final = {
+_COLUMN_ENDS: Final = {
     "published": 0.17,
     "author": 0.39,
     "as_published": 0.62,
@@ -484,7 +484,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
                 zorder=5,
                 gid=profile,
             )
-        for name, x in _COLUMNS.items():
+        for name, x in _COLUMN_ENDS.items():
             value = getattr(line, name)
             if isinstance(value, list):
                 text = f"{min(value):.3g} to {max(value):.3g} {line.unit}".rstrip()
@@ -508,7 +508,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     ax.spines["left"].set_visible(False)
     table.axis("off")
     table.set_xlim(0, 1)
-    for name, x in _COLUMNS.items():
+    for name, x in _COLUMN_ENDS.items():
         table.text(
             x,
             -0.75,
@@ -806,7 +806,7 @@ def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
     circle = {"gait": "trot", "frequency": 0.67, "radius": 0.5}
     if outcome.where(**circle).any():
         panels: list[Panel] = []
-        for side in walks.SIDES:
+        for side in walks.TURN_SIGNS:
             groups: dict[str, list[Bar]] = {_BASED[strategy]: [] for strategy in walks.STRATEGIES}
             for kind in kinds:
                 case = {**kind, "side": side, **circle}
@@ -859,7 +859,7 @@ def _paths(outcome: CaseRuns) -> Figure | None:
     if not runs:
         return None
     labels = runs[0].metadata["labels"]
-    radius, side = float(labels["radius"]), walks.SIDES[str(labels["side"])]
+    radius, side = float(labels["radius"]), walks.TURN_SIGNS[str(labels["side"])]
     bound = float(walks.bound(np.asarray(radius)))
     title = (
         f"Paths on the quarter circle of {1e3 * radius:g} mm:"
@@ -883,7 +883,7 @@ def _paths(outcome: CaseRuns) -> Figure | None:
             STRATEGY[str(labels["strategy"])],
             np.asarray(run.sensors["position"])[:, :2],
         )
-        past = np.flatnonzero(walks.SIDES[str(labels["side"])] * place[:, 0] >= radius)
+        past = np.flatnonzero(walks.TURN_SIGNS[str(labels["side"])] * place[:, 0] >= radius)
         place = place[: past[0] + 1] if len(past) else place
         ticks = round(
             clock(labels["profile"]) / labels["frequency"] / float(np.median(np.diff(run.time)))

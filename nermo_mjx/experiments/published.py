@@ -40,14 +40,14 @@ from nermo_mjx.specs.reading import read_file
 
 Kind = Literal["predicted", "chosen", "fitted", "theory"]
 Rule = Literal["number", "effect", "gain", "range", "at_most", "outcome", "none"]
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+LINE_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 Value = float | bool | str | None
 #: A number, or the size of an effect, agrees with the publication within this share of it.
 AGREES: Final = 0.25
 #: The share of bodies and starts that an interval holds.
 INTERVAL: Final = 0.90
 #: Tolerance for rounding errors in comparisons of numbers near 1.
-_ROUNDING: Final = 1e-9
+_ROUNDING_TOLERANCE: Final = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +84,11 @@ class Figure:
     reason: str = ""
 
     def __post_init__(self) -> None:
-        for name, allowed in (("kind", KINDS), ("rule", get_args(Rule)), ("profile", PROFILES)):
+        for name, allowed in (
+            ("kind", LINE_KINDS),
+            ("rule", get_args(Rule)),
+            ("profile", PROFILES),
+        ):
             if getattr(self, name) not in allowed:
                 raise ValueError(
                     f"{self.figure}: {name} is {getattr(self, name)!r}: allowed is {', '.join(allowed)}."
@@ -98,7 +102,7 @@ class Figure:
     @property
     def rounding(self) -> float:
         """Half a unit of the last published digit."""
-        return _ROUNDING + (0.0 if self.digits is None else 0.5 * 10.0**-self.digits)
+        return _ROUNDING_TOLERANCE + (0.0 if self.digits is None else 0.5 * 10.0**-self.digits)
 
     @property
     def neutral(self) -> float:
@@ -144,7 +148,7 @@ class Figure:
             )
         size = abs(self.reference - self.neutral)
         return abs(value - self.reference) <= max(
-            (self.tolerance or AGREES) * size + _ROUNDING, self.rounding
+            (self.tolerance or AGREES) * size + _ROUNDING_TOLERANCE, self.rounding
         )
 
     def ratio(self, value: Value) -> float | None:

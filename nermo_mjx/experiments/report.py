@@ -15,12 +15,19 @@ import pyarrow as pa
 
 from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, Column, texts
-from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, line_counts, set_ups
+from nermo_mjx.experiments.published import (
+    AGREES,
+    LINE_KINDS,
+    Experiment,
+    Line,
+    line_counts,
+    set_ups,
+)
 from nermo_mjx.files import json_of
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
 from nermo_mjx.runs.code import local_time
-from nermo_mjx.runs.files import MISSING, listed, table
+from nermo_mjx.runs.files import EMPTY_CELL, listed, table
 from nermo_mjx.sweep.spec import START_SPREAD
 from nermo_mjx.sweep.table import Columns, meta
 
@@ -149,16 +156,16 @@ def case_table(
 def _over_repeats(outcome: CaseRuns, name: str, rows: list[int], need: str) -> str:
     """Mean and spread of numbers, counts of Booleans, all distinct texts."""
     if need in outcome.columns and not np.isfinite(outcome.columns[need][rows]).any():
-        return MISSING
+        return EMPTY_CELL
     values = np.asarray(outcome.columns[name])[rows]
     if values.dtype == bool:
         return f"{int(values.sum())} of {len(values)}"
     if values.dtype.kind in "OU":
-        return "; ".join(dict.fromkeys(filter(None, map(str, values.tolist())))) or MISSING
+        return "; ".join(dict.fromkeys(filter(None, map(str, values.tolist())))) or EMPTY_CELL
     quantity = shown(name, outcome.about[name].unit, values)
     good = quantity.values[np.isfinite(quantity.values)]
     if not len(good):
-        return MISSING
+        return EMPTY_CELL
     mean = float(good.mean())
     text = rounded(mean)
     # Values that do not depend on the start, such as theory, have no spread except rounding.
@@ -170,7 +177,7 @@ def _over_repeats(outcome: CaseRuns, name: str, rows: list[int], need: str) -> s
 def rounded(value: float, digits: int = 3) -> str:
     """A number with the given significant digits and no exponent; "–" where it is not finite, "0" below 5e-5."""
     if not math.isfinite(value):
-        return MISSING
+        return EMPTY_CELL
     if abs(value) < 5e-5:
         return "0"
     decimals = min(max(digits - 1 - math.floor(math.log10(abs(value))), 0), 7)
@@ -180,7 +187,7 @@ def rounded(value: float, digits: int = 3) -> str:
 # --- report.json
 
 #: Headings of a table of lines, and their alignment.
-HEADINGS = (
+LINE_HEADINGS = (
     *((name, "left") for name in ("figure", "kind")),
     *(
         (name, "right")
@@ -230,7 +237,7 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """
 
     def summary(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in KINDS}
+        by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in LINE_KINDS}
         return line_counts(lines) | {
             "by_kind": {kind: line_counts(found) for kind, found in by_kind.items() if found}
         }
@@ -275,7 +282,7 @@ def cells(line: Mapping[str, Any]) -> list[str]:
     published = published_text(line["published"], at_most=line["rule"] == "at_most")
     values = [_value(line[profile]) for profile in ("as_published", "exact", "as_built")]
     spread = (
-        MISSING if line["low"] is None else f"{rounded(line['low'])} to {rounded(line['high'])}"
+        EMPTY_CELL if line["low"] is None else f"{rounded(line['low'])} to {rounded(line['high'])}"
     )
     if line["low"] is None and line["ensemble"] is not None:
         spread = f"{line['ensemble']:.0%} of the bodies"
@@ -299,7 +306,7 @@ def published_text(value: Any, *, at_most: bool = False) -> str:
 
 def _value(value: Any) -> str:
     if value is None or isinstance(value, bool):
-        return {None: MISSING, True: "yes", False: "no"}[value]
+        return {None: EMPTY_CELL, True: "yes", False: "no"}[value]
     return rounded(value) if isinstance(value, int | float) else str(value)
 
 
@@ -331,7 +338,7 @@ def setting_text(value: Any) -> str:
 _SOURCE: Final = (
     'A. Rohregger, "Digital Nermo", Master\'s thesis, TU Munich, December 2021, chapters 6 and 7'
 )
-_COUNTS: Final = ("lines", "hold", "do_not_hold", "not_measured")
+_LINE_COUNTS: Final = ("lines", "hold", "do_not_hold", "not_measured")
 _MEANING: Final = {
     "predicted": "not used in any decision about the twin",
     "chosen": "something was decided with it in view",
@@ -386,23 +393,25 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
     )
 
     def counted(of: Mapping[str, Any]) -> list[str]:
-        return [str(of[name]) for name in _COUNTS]
+        return [str(of[name]) for name in _LINE_COUNTS]
 
     headings = ["figures", "hold", "do not hold", "not judged or measured"]
-    rows = [[kind, _MEANING[kind], *counted(by_kind[kind])] for kind in KINDS if kind in by_kind]
+    rows = [
+        [kind, _MEANING[kind], *counted(by_kind[kind])] for kind in LINE_KINDS if kind in by_kind
+    ]
     yield table(
         ["kind", "what it is", *headings], [*rows, ["all", "", *counted(summary)]], "llrrrr"
     )
     rows = []
     for each in chosen:
         own = summary["by_experiment"][each.name]
-        held = [own["by_kind"].get(kind) for kind in KINDS]
+        held = [own["by_kind"].get(kind) for kind in LINE_KINDS]
         anchor = "".join(
             c for c in each.title.lower().replace(" ", "-") if c.isalnum() or c == "-"
         )  # as GitHub's
-        held_texts = [f"{of['hold']} of {_judged(of)}" if of else MISSING for of in held]
+        held_texts = [f"{of['hold']} of {_judged(of)}" if of else EMPTY_CELL for of in held]
         rows.append([f"[{each.title}](#{anchor})", *held_texts, *counted(own)])
-    yield table(["experiment", *KINDS, *headings], rows, f"l{'r' * len(KINDS)}rrrr")
+    yield table(["experiment", *LINE_KINDS, *headings], rows, f"l{'r' * len(LINE_KINDS)}rrrr")
     yield texts("report")["legend"].format(agrees=AGREES)
     settings = {each.title: content["experiments"][each.name]["settings"] for each in chosen}
     if quick := [title for title, own in settings.items() if own["quick"]]:
@@ -428,7 +437,7 @@ def _experiment(
         *first, holds = cells(line)
         source = f"{line['section']}: {line['sentence']}" if line["sentence"] else line["section"]
         rows.append([*first, "**no**" if holds == "no" else holds, source])
-    yield table([*(name for name, _ in HEADINGS), "source"], rows, "llrrrrrrlll")
+    yield table([*(name for name, _ in LINE_HEADINGS), "source"], rows, "llrrrrrrlll")
     if about.get("bodies"):
         yield f"Intervals: the starts of the default body, and {about['bodies']} identified bodies, a start each.\n"
     if reasons := [line for line in lines if line["reason"] or line["holds"] is False]:
@@ -478,9 +487,9 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
             "seed": settings["seed"],
             "worlds": about["worlds"],
             "went": ", ".join(f"{count} {status}" for status, count in about["status"].items())
-            or MISSING,
+            or EMPTY_CELL,
             "engine": about["engine"],
-            "code": about.get("code", MISSING),
+            "code": about.get("code", EMPTY_CELL),
             "parameters": setting_text(settings["values"]),
             "took": f"{about['wall_seconds']:.0f} s",
             "on": local_time(about["started"]),

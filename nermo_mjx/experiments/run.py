@@ -331,7 +331,7 @@ def _check_values(requested: Sequence[Experiment], settings: Settings) -> None:
 # --- simulation: a worker's task is an experiment with its own body, or with a batch of identified ones
 
 #: Bodies per batch: their recordings in the maze and the balance test take half a gigabyte.
-AT_ONCE: Final = 16
+BATCH_BODIES: Final = 16
 
 
 def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
@@ -423,11 +423,12 @@ class _Call:
                 repeats=1,
                 seed=self.settings.seed + first,
                 bodies={
-                    name: values[first : first + AT_ONCE] for name, values in self.bodies.items()
+                    name: values[first : first + BATCH_BODIES]
+                    for name, values in self.bodies.items()
                 },
             )
             for profile in profiles or self.settings.profiles
-            for first in range(0, len(next(iter(self.bodies.values()))), AT_ONCE)
+            for first in range(0, len(next(iter(self.bodies.values()))), BATCH_BODIES)
         ]
 
     def _work(

@@ -60,7 +60,7 @@ def _record(
 
 DISTANCE: Final = 2.0
 #: Maximum number of gait cycles of a run that does not reach the end of the line, such as one without a stride.
-_LONGEST: Final = 60.0
+_RECORDED_CYCLES: Final = 60.0
 _WARMUP: Final = 2.0
 _RECORDED: Final = 8.0
 
@@ -128,7 +128,7 @@ def walk_line(settings: Settings) -> CaseRuns:
     defaults, quick = simulator.setup.defaults(), settings.quick
     batch = cases.worlds(line_cases(quick), defaults, settings)
     length = Run(
-        cycles=_LONGEST / (4 if quick else 1),
+        cycles=_RECORDED_CYCLES / (4 if quick else 1),
         warmup_cycles=_WARMUP,
         distance=0.5 if quick else DISTANCE,
     )
@@ -161,14 +161,14 @@ PARTS: Final = 50
 #: A peak counts if its prominence is this fraction of the curve's range.
 PROMINENT: Final = 0.2
 #: A foot bears load above this force [N], as in `rollout.metrics`.
-LOADED: Final = 0.02
+LOADED_FOOT_NEWTONS: Final = 0.02
 #: A foot lifts off from this share of its stance on, until this share of the cycle after it.
 LAST_OF_STANCE: Final = 2 / 3
 AFTER_STANCE: Final = 1 / 6
 #: Share of the cycle after a leg's planned lift-off in which the pitch is attributed to the lift-off.
 LIFT_OFF: Final = 0.25
 #: Number of worlds recorded at once: 2 MB each.
-_AT_ONCE: Final = 64
+_RECORDED_WORLDS: Final = 64
 _attitude = jax.jit(attitude)
 
 _SLIP: Final = ("slip_rear_touch_down", "slip_rear_mid_stance", "slip_rear_lift_off")
@@ -187,8 +187,8 @@ def gait_cycle(
     """
     columns = {name: np.full(len(wanted), np.nan) for name in CYCLE}
     everything, rows = batch.all_values(simulator.setup.defaults()), np.flatnonzero(wanted)
-    for begin in range(0, len(rows), _AT_ONCE):
-        chosen = rows[begin : begin + _AT_ONCE]
+    for begin in range(0, len(rows), _RECORDED_WORLDS):
+        chosen = rows[begin : begin + _RECORDED_WORLDS]
         result = simulator.run(
             {name: values[chosen] for name, values in batch.values.items()}, run, record=True
         )
@@ -273,7 +273,7 @@ def rear_slip(
         if not limb.startswith("rear"):
             continue
         since = (phase - offsets[limb]) % 1.0
-        loaded = force[:, i] > LOADED
+        loaded = force[:, i] > LOADED_FOOT_NEWTONS
         bounds = (0.0, duty / 3, LAST_OF_STANCE * duty, duty + AFTER_STANCE)
         for part, (begin, end) in enumerate(itertools.pairwise(bounds)):
             chosen = loaded & (since >= begin) & (since < end)
@@ -288,8 +288,8 @@ RADII: Final = (1.0, 0.5)
 #: Radius that represents full lock, as in the publication: the turn rate is held at its maximum.
 FULL_LOCK: Final = 0.0
 STRATEGIES: Final = ("leg", "spine", "mix")
-GAITS: Final = ("trot", "walking_trot", "lateral_walk")
-SIDES: Final = {"left": 1.0, "right": -1.0}
+WALK_GAITS: Final = ("trot", "walking_trot", "lateral_walk")
+TURN_SIGNS: Final = {"left": 1.0, "right": -1.0}
 #: A path is followed if the torso, including its sway, stays this close to it: 5 % of its radius, at least 2.5 cm.
 BOUND_SHARE: Final = 0.05
 LEAST_BOUND: Final = 0.025
@@ -315,9 +315,9 @@ def _turn(
         "spine.max_servo_angle": AMPLITUDE,
     }
     if radius == FULL_LOCK:
-        values["pilot.turn_rate"] = SIDES[side]
+        values["pilot.turn_rate"] = TURN_SIGNS[side]
     else:
-        values |= {"pilot.radius": radius, "pilot.direction": SIDES[side], **_GUIDED}
+        values |= {"pilot.radius": radius, "pilot.direction": TURN_SIGNS[side], **_GUIDED}
     labels: dict[str, Label] = {
         "gait": gait,
         "frequency": frequency,
@@ -333,7 +333,7 @@ def turn_cases(quick: bool = False) -> tuple[Case, ...]:
 
     `quick`: trot at 0.67 Hz, R = 0.5 m and full lock.
     """
-    gaits, frequencies = (("trot",), (0.67,)) if quick else (GAITS, FREQUENCIES)
+    gaits, frequencies = (("trot",), (0.67,)) if quick else (WALK_GAITS, FREQUENCIES)
     radii = (0.5, FULL_LOCK) if quick else (*RADII, FULL_LOCK)
     left = [_turn(*case) for case in itertools.product(gaits, frequencies, radii, STRATEGIES)]
     right = [

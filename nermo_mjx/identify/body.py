@@ -28,10 +28,10 @@ MOTOR_SPEED: Final = 15.0
 #: Worlds simulated together, which bounds memory.
 LANES: Final = 32
 #: Parameters that are no fields of MuJoCo's model: of the commands.
-COMMANDS: Final = ("delay", "bias", "dead_band", "backlash")
+COMMAND_PARAMETERS: Final = ("delay", "bias", "dead_band", "backlash")
 _TEXTS: Final[dict[str, Any]] = read_file(Path(__file__).with_name("parameters.yaml")).data
 #: Kinds of parameters and their ranges; see `parameters.yaml`.
-KINDS: Final[dict[str, dict[str, Any]]] = _TEXTS["kinds"]
+PARAMETER_KINDS: Final[dict[str, dict[str, Any]]] = _TEXTS["kinds"]
 #: Advice for a model without a servo.
 _SERVO: Final = (
     'write <position name="{}" joint="{}" kp="..." kv="..."/> into a copy of it,'
@@ -79,7 +79,7 @@ class Body:
         if kind not in self._free:
             return
         description, name, default = (
-            KINDS[kind],
+            PARAMETER_KINDS[kind],
             f"{kind}.{element}" if element else kind,
             float(default),
         )
@@ -159,7 +159,7 @@ class Body:
             return fields[name]
 
         for name, column in zip(names, values.T, strict=True):
-            if name in COMMANDS or name.startswith("bias."):
+            if name in COMMAND_PARAMETERS or name.startswith("bias."):
                 continue
             kind, i = self._places[name]
             if kind in ("armature", "damping", "frictionloss"):

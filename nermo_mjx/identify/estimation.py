@@ -33,7 +33,7 @@ POPULATION: Final = 24
 BLOCKS: Final = 10
 #: Width of the differences in Gauss-Newton steps, and half-width of those at the result [standard deviations of the
 #: prior]: wide enough for commands that are held and for contacts.
-WIDTH: Final = 1e-4
+DIFFERENCE_WIDTH: Final = 1e-4
 CENTRAL: Final = 1e-3
 #: Parts of a model whose parameters change each other's channels by less, as a share, do not act on each other.
 ACTS: Final = 1e-3
@@ -271,7 +271,11 @@ class Estimation:
             return np.concatenate([self.residual(x, sigma), x])
 
         def slopes(x: np.ndarray, r: np.ndarray) -> np.ndarray:
-            inward = np.where(x[:, 0] > (self.space.low + self.space.high) / 2, -WIDTH, WIDTH)
+            inward = np.where(
+                x[:, 0] > (self.space.low + self.space.high) / 2,
+                -DIFFERENCE_WIDTH,
+                DIFFERENCE_WIDTH,
+            )
             step = inward * np.maximum(1.0, np.abs(x[:, 0]))
             return np.concatenate(
                 [self._changes(x[:, 0], sigma, step, r[: -len(x)]) / step, np.eye(len(x))]

@@ -20,7 +20,7 @@ import numpy as np
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.hardware.signals import channel_differences
 from nermo_mjx.identify import determinacy
-from nermo_mjx.identify.body import KINDS, Body, body_of
+from nermo_mjx.identify.body import PARAMETER_KINDS, Body, body_of
 from nermo_mjx.identify.determinacy import Judgement, judge, percent
 from nermo_mjx.identify.estimation import (
     ENDS,
@@ -40,7 +40,7 @@ from nermo_mjx.robot.quantity import require
 #: Share of a log that is fitted where no other log judges.
 FITTED: Final = 0.75
 #: Numbers of a channel that are needed in each of the parts.
-FEWEST: Final = 5
+MIN_SAMPLES: Final = 5
 #: Piece on which starts are compared: share of a log, but no less than this [s].
 PIECE: Final = (0.2, 2.5)
 #: Gauss-Newton begins at the default, then at the best points of a Sobol sequence (a delay has local minima), then, of
@@ -48,10 +48,10 @@ PIECE: Final = (0.2, 2.5)
 #: is explained, or two ends are alike.
 STARTS: Final = 3
 SCANNED: Final = 96
-GENERATIONS: Final = 150
+SEARCH_GENERATIONS: Final = 150
 EVERY: Final = 25
 #: The search of a robot on the ground is repeated so often: contacts give a log minima as deep as that of the truth.
-REPEATS: Final = 6
+SEARCH_REPEATS: Final = 6
 #: Steps of Gauss-Newton, at most.
 STEPS: Final = 14
 #: Ends are one minimum if the mean logarithm of their channels' residuals differs by less.
@@ -59,11 +59,11 @@ ALIKE: Final = 1e-3
 #: A class is within noise of a larger one if its error on seconds that were not fitted is larger by less.
 WITHIN: Final = 0.02
 #: A class that leaves out a kind which would remove this share of the residuals is wrong.
-MISSING: Final = 0.1
+MISSING_SHARE: Final = 0.1
 #: Coordinate that a kind which was left out is tried at [standard deviations of its prior].
-_TRIED: Final = 0.5
+_TRIED_COORDINATE: Final = 0.5
 #: What is estimated by default: every kind but the play of servos, which makes simulations slow.
-FREE: Final = tuple(kind for kind in KINDS if kind not in ("dead_band", "backlash"))
+FREE: Final = tuple(kind for kind in PARAMETER_KINDS if kind not in ("dead_band", "backlash"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,7 +178,7 @@ class Identification:
                 (k for k, v in self.missing.items() if v > 0.8 * largest_gain),
                 key=lambda k: -self.missing[k],
             )
-            if largest_gain > MISSING:
+            if largest_gain > MISSING_SHARE:
                 removed = ", ".join(f"{kind} {percent(self.missing[kind])}" for kind in likely)
                 sentences.append(
                     f"What was left out would remove these shares of their squares, each by itself: {removed}."
@@ -254,10 +254,10 @@ class LogSplit:
         }
         for part, twin in twins.items():
             counts = np.bincount(twin.measured.channel, minlength=len(twin.labels)).tolist()
-            if (least := min(counts)) < FEWEST:
+            if (least := min(counts)) < MIN_SAMPLES:
                 which = f"channel {twin.labels[counts.index(least)]!r} has {least} numbers in what is {part}"
                 raise ParameterError(
-                    f"{which}: expected {FEWEST} at least; leave it out, or give a longer log."
+                    f"{which}: expected {MIN_SAMPLES} at least; leave it out, or give a longer log."
                 )
 
     def residual(
@@ -299,10 +299,10 @@ def identify_log(
     """
     require("identify", "cma", "cma")
     began = time.monotonic()
-    unknown = [kind for kind in free if kind not in KINDS and kind != "torque"]
+    unknown = [kind for kind in free if kind not in PARAMETER_KINDS and kind != "torque"]
     if unknown:
         raise ParameterError(
-            f"{unknown[0]!r} is no kind of parameters: allowed is {', '.join(KINDS)}."
+            f"{unknown[0]!r} is no kind of parameters: allowed is {', '.join(PARAMETER_KINDS)}."
         )
     make = functools.partial(body_of, model, [*logs, *judges])
     body = make(free)
@@ -363,7 +363,7 @@ def _fit(
     stages = [Estimation(space, twin, cache) for twin in twins]
     starts, repeats = STARTS, 0
     if twins[0].stands:
-        starts, repeats = STARTS + GENERATIONS // EVERY, REPEATS
+        starts, repeats = STARTS + SEARCH_GENERATIONS // EVERY, SEARCH_REPEATS
     total = starts + repeats + 3
     x, sigma = _start(
         stages[0], twins[0].stands, seed, lambda done_count: report(done_count / total)
@@ -397,7 +397,7 @@ def _start(
         yield np.zeros(len(piece.space))
         yield from piece.scanned(SCANNED, seed)[: STARTS - 1]
         if stands:
-            yield from piece.sought(GENERATIONS, EVERY, seed)
+            yield from piece.sought(SEARCH_GENERATIONS, EVERY, seed)
 
     ends = list[tuple[np.ndarray, np.ndarray]]()
     for i, start in enumerate(starts()):
@@ -467,7 +467,7 @@ def _missing(
     full_twin: LoggedTwin,
 ) -> dict[str, float]:
     """Share of the squared residuals that each kind that was left out would remove, together with all that is free."""
-    others = tuple(kind for kind in (*KINDS, "torque") if kind not in free)
+    others = tuple(kind for kind in (*PARAMETER_KINDS, "torque") if kind not in free)
     wider, gains = make((*free, *others)), dict[str, float]()
     names = [parameter.name for parameter in fit.space.parameters]
     full_twin.renew(fit.values)
@@ -484,7 +484,9 @@ def _missing(
         )
         space = ParameterSpace(added)
         start = np.clip(space.coordinates(base), space.low, space.high)
-        step = np.where(start + _TRIED > space.high, -_TRIED, _TRIED)
+        step = np.where(
+            start + _TRIED_COORDINATE > space.high, -_TRIED_COORDINATE, _TRIED_COORDINATE
+        )
         values_moved = space.values(start + np.diag(step))
         rows = np.concatenate([np.tile(fit.values, (len(added), 1)), values_moved], axis=1)
         still = np.concatenate([fit.values, space.values(start)])[None]

@@ -19,9 +19,9 @@ from nermo_mjx.rollout import Setup
 
 #: Duration of an experiment that is proposed, and its rate of commands [s, Hz].
 LASTS: Final = 6.0
-RATE: Final = 50.0
+PROPOSAL_RATE_HZ: Final = 50.0
 #: Times of its commands [s].
-TIMES: Final = np.arange(round(LASTS * RATE)) / RATE
+TIMES: Final = np.arange(round(LASTS * PROPOSAL_RATE_HZ)) / PROPOSAL_RATE_HZ
 #: An experiment that leaves more of the least known direction is not worth its time.
 USEFUL: Final = 0.9
 #: Amplitude and range of frequencies of a chirp [rad, Hz].
@@ -66,7 +66,7 @@ def _excitations(identification: Identification) -> dict[str, dict[str, np.ndarr
     }
     if isinstance(body, NermoBody):  # a walk at 1 Hz, as `servos` plays it
         table = servo_table(
-            Setup(robot=body.robot), {"frequency": 1.0}, rate=RATE, cycles=round(LASTS)
+            Setup(robot=body.robot), {"frequency": 1.0}, rate=PROPOSAL_RATE_HZ, cycles=round(LASTS)
         )
         angles = dict(zip(table.names, np.radians(table.angles.T), strict=True))
         excitations["a walk"] = {

@@ -65,7 +65,7 @@ def estimates(identification: Identification) -> dict[str, dict[str, Any]]:
     }  # fmt: skip
 
 
-HEADINGS: Final = ("parameter", "", "start", "value", "90 %", "range and its reason")
+ESTIMATE_HEADINGS: Final = ("parameter", "", "start", "value", "90 %", "range and its reason")
 
 
 def estimate_rows(estimates: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
@@ -176,7 +176,7 @@ def identification_page(out: Path) -> Page:
     verdict = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in report["sentences"])
     parts = [
         f"<h2>Verdict</h2>{verdict}",
-        f"<h2>Parameters</h2>{_html_table(HEADINGS, estimate_rows(report['parameters']))}",
+        f"<h2>Parameters</h2>{_html_table(ESTIMATE_HEADINGS, estimate_rows(report['parameters']))}",
         f"<h2>To make it again</h2><pre>{html.escape(report['command'])}</pre>",
         *(image(name, content_of(out / "plots" / f"{name}.svg") or b"") for name in FIGURES),
     ]

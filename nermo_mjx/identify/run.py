@@ -35,7 +35,7 @@ from nermo_mjx.specs.described import digest_of
 
 KIND: Final = "identification from a log"
 #: Subpackages that affect the results, in addition to `code.ROOMS`.
-ROOMS: Final = ("hardware", "identify")
+CODE_SUBPACKAGES: Final = ("hardware", "identify")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +96,7 @@ def run_identification(  # each parameter is an option of the command
     if unread:
         watch.warn(f"not compared, since they are not predicted: {', '.join(unread)}.")
     body = body_of(model, [*logs, *judges], free)
-    stamp = code.stamp(fingerprint(body.model), "c", ROOMS)
+    stamp = code.stamp(fingerprint(body.model), "c", CODE_SUBPACKAGES)
     channels = [
         (channel.quantity, channel.of, channel.unit, _digest(channel.times, channel.values))
         for log in (*logs, *judges)

@@ -49,7 +49,7 @@ def other_spec(path: Path, kind: str, apart: Sequence[str]) -> WrongDirectory:
 
 
 #: Runs of the sweep that starts from a best point: from slightly different starts, to show whether it is fragile.
-REPEATS: Final = 3
+BEST_POINT_REPEATS: Final = 3
 
 
 def sweep_of(
@@ -66,6 +66,6 @@ def sweep_of(
     """
     data = walk.walk_fields(folder) | {
         "set": {**walk.fixed, **values},
-        "randomize": {"repeats": REPEATS},
+        "randomize": {"repeats": BEST_POINT_REPEATS},
     }
     return f"# {head}\n" + dump({**data, "seed": seed, "plots": False})

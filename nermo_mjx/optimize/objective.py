@@ -26,7 +26,9 @@ TRAJECTORY_METRIC: Final = Metric(
 )
 #: Aims of a term for its metric.
 AIMS: Final = ("maximize", "minimize", "hold")
-TERMS: Final = "a list such as [{maximize: speed}, {minimize: roll_std, weight: 0.5, scale: 0.05}]"
+OBJECTIVE_FORM: Final = (
+    "a list such as [{maximize: speed}, {minimize: roll_std, weight: 0.5, scale: 0.05}]"
+)
 
 
 def objective_metrics(metrics: Mapping[str, Metric] = METRICS) -> dict[str, Metric]:
@@ -68,7 +70,7 @@ class ObjectiveTerm(Spec):
         },
     )
     what = "a field of a term"
-    expected = TERMS
+    expected = OBJECTIVE_FORM
     maximize: _Metric = None  # type: ignore[assignment]  # none cannot be written in a file
     """- weight m / scale"""
     minimize: _Metric = None  # type: ignore[assignment]
@@ -138,7 +140,7 @@ class Objective:
 def read_objective(doc: Document, terms: Sequence[ObjectiveTerm] | None) -> Objective:
     """The weighted terms of a file; raises `SpecError`."""
     if not terms:
-        doc.fail(("objective",), f"is missing or empty: expected {TERMS}.")
+        doc.fail(("objective",), f"is missing or empty: expected {OBJECTIVE_FORM}.")
     term_keys = [(term.aim, term.metric) for term in terms]
     for i, (aim, metric) in enumerate(term_keys):
         if (aim, metric) in term_keys[:i]:

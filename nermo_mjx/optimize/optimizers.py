@@ -35,7 +35,7 @@ from nermo_mjx.specs.reading import describe
 
 
 #: Initial rate, in coordinates u per step: a thirteenth of a parameter's range in its middle.
-RATE: Final = 0.3
+INITIAL_RATE: Final = 0.3
 _MOST: Final = 1.0
 _GROWS, _SHRINKS, _WAITS = 1.2, 0.7, 2
 _MEMORY: Final = (0.8, 0.9)
@@ -58,7 +58,7 @@ class ControlledAdam(NamedTuple):
     waited: Int[Array, ""]
 
 
-def controlled_adam(rate: float = RATE) -> optax.GradientTransformationExtraArgs:
+def controlled_adam(rate: float = INITIAL_RATE) -> optax.GradientTransformationExtraArgs:
     """The optimizer, for the vector u of one start; `update` takes `value`, infinite where there is none.
 
     Args:
@@ -152,7 +152,7 @@ class Optimizer:
         """The pair of pure functions `init` and `update`, for the vector u of one start; `update` is given `value`."""
         make = optimizers().get(self.name)
         if make is None:
-            allowed = f"{', '.join(NAMES)}{did_you_mean(self.name, NAMES)}"
+            allowed = f"{', '.join(OPTIMIZER_NAMES)}{did_you_mean(self.name, OPTIMIZER_NAMES)}"
             raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {allowed}")
         values = {
             k: _schedule(k, value) if isinstance(value, Mapping) else value
@@ -299,4 +299,4 @@ def _line(error: Exception) -> str:
 
 
 #: Names of all optimizers.
-NAMES: Final = (CONTROLLED, *(name for name in optimizers() if name != CONTROLLED))
+OPTIMIZER_NAMES: Final = (CONTROLLED, *(name for name in optimizers() if name != CONTROLLED))

@@ -38,7 +38,7 @@ from nermo_mjx.sweep.spec import Rows
 from nermo_mjx.sweep.store import keys_of_rows
 from nermo_mjx.sweep.table import RECORDINGS, chunk_table, columns_of, read_table
 
-SEARCH: Final = "search.yaml"
+SEARCH_FILE: Final = "search.yaml"
 ATLAS: Final = "atlas.parquet"
 
 
@@ -76,7 +76,7 @@ class Batches:
             DirectoryError: the directory holds another search, or cannot be written.
         """
         self.held, self.out, self._warn = directory, directory.out, warn
-        path, folder = self.out / SEARCH, self.out.resolve()
+        path, folder = self.out / SEARCH_FILE, self.out.resolve()
         former_spec = stored_spec(
             path, "search", "results" if part_files(self.out) else "", Search.from_file
         )
@@ -93,7 +93,7 @@ class Batches:
         if former_spec is None or former_spec.to_yaml(folder) != search.to_yaml(
             folder
         ):  # as with more recordings
-            directory.write(SEARCH, search.to_yaml(folder).encode())
+            directory.write(SEARCH_FILE, search.to_yaml(folder).encode())
         self.runs = Runs(self.out, search.digest(), warn=warn, directory=directory)
         self._parts = {}
         for part in self.runs.parts:
@@ -206,7 +206,7 @@ def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
 
 
 #: Worlds recorded at once: a walk of ten seconds is 1.5 MB.
-_AT_ONCE: Final = 32
+_RECORDED_BATCH: Final = 32
 
 
 def rows_to_record(evaluations: Evaluations, best: int) -> list[int]:
@@ -254,8 +254,8 @@ def keep_recordings(batches: Batches, best: dict[str, Any], computer: SweepSimul
         with clear_errors(batches.out):
             (batches.out / RECORDINGS).mkdir(exist_ok=True)
     sampled_columns = columns_of(evaluations.results, "varied", "randomized")
-    for first in range(0, len(missing_rows), _AT_ONCE):
-        part = missing_rows[first : first + _AT_ONCE]
+    for first in range(0, len(missing_rows), _RECORDED_BATCH):
+        part = missing_rows[first : first + _RECORDED_BATCH]
         values = {name: np.full(len(part), value) for name, value in search.sweep.constants.items()}
         values |= {
             name: column[part] for name, column in evaluations.results.columns(sampled_columns)
@@ -276,7 +276,7 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
         DirectoryError: it has no results yet.
     """
     out = Path(out)
-    search = Search.from_file(out / SEARCH)
+    search = Search.from_file(out / SEARCH_FILE)
     table = read_table(out)
     if not 0 <= row < table.num_rows:
         raise SpecError(
@@ -299,7 +299,7 @@ def search_status(out: Path) -> Status:
     """How many points of its search a directory holds."""
     notes, search, runs = list[str](), None, 0
     try:
-        search = Search.from_file(out / SEARCH)
+        search = Search.from_file(out / SEARCH_FILE)
     except (SpecError, OSError) as error:
         notes.append(f"Its search cannot be read: {error}")
     for path in part_files(out):
@@ -325,7 +325,7 @@ def search_status(out: Path) -> Status:
         budget,
         reached,
         command="search",
-        spec=SEARCH,
+        spec=SEARCH_FILE,
         engine=engine_of(out),
         notes=notes,
     )

@@ -13,12 +13,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from nermo_mjx.optimize.objective import ObjectiveTerm
-from nermo_mjx.optimize.search_directory import SEARCH
+from nermo_mjx.optimize.search_directory import SEARCH_FILE
 from nermo_mjx.optimize.search_methods import cells_of, elites_of
 from nermo_mjx.optimize.search_results import Evaluations, atlas_progress, hypervolumes
 from nermo_mjx.optimize.search_spec import Measure, Search
 from nermo_mjx.plotting.charts import (
-    WIDTH,
+    PAGE_WIDTH_INCHES,
     around,
     blank,
     colour_bar,
@@ -44,7 +44,7 @@ from nermo_mjx.sweep.table import Results, profile_text, profiles_of
 
 
 #: Pairs of measures that an atlas of three or more shows.
-_MOST_PAIRS: Final = 6
+_MAX_ATLAS_PAIRS: Final = 6
 
 
 def search_figures_of(search: Search, results: Results) -> Figures:
@@ -82,9 +82,9 @@ def search_figures(
         SpecError: its search.yaml cannot be read.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    search, files = Search.from_file(out / SEARCH), part_files(out)
+    search, files = Search.from_file(out / SEARCH_FILE), part_files(out)
     if not files:
-        command = f"nermo-mjx search {out / SEARCH} --out {out}"
+        command = f"nermo-mjx search {out / SEARCH_FILE} --out {out}"
         raise DirectoryError(f"{out} holds no results of its search yet: run {command}.")
     results = Results(files)
     if x is not None:
@@ -110,7 +110,7 @@ def convergence(evaluations: Evaluations) -> Figure:
     )  # better than all before it
     leading = np.maximum.accumulate(np.where(first, np.arange(len(cost)), 0))
     note = f"{_counted(evaluations)}; line: best so far; star: best, {quantity.shown(values[best])} at {_at(evaluations, best)}"
-    figure = page(f"{_title(quantity)} over the evaluations", WIDTH, 4.4, note)
+    figure = page(f"{_title(quantity)} over the evaluations", PAGE_WIDTH_INCHES, 4.4, note)
     ax = figure.subplots()
     ax.scatter(
         number[allowed],
@@ -171,7 +171,7 @@ def hypervolume(evaluations: Evaluations) -> Figure:
         f"{_counted(evaluations)}; box: from the best of each objective to the worst of the first batch,"
         f" {', '.join(corner)}"
     )
-    figure = page("Hypervolume of the front over the evaluations", WIDTH, 3.6, note)
+    figure = page("Hypervolume of the front over the evaluations", PAGE_WIDTH_INCHES, 3.6, note)
     ax = figure.subplots()
     ax.step(_ends(evaluations), 100 * shares, where="post", color=LINE_COLOUR)
     ax.set(
@@ -188,7 +188,7 @@ def coverage(evaluations: Evaluations) -> Figure:
     terms = evaluations.search.aim.objective.terms
     note = f"{_counted(evaluations)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
     note += "what their best is better than the worst of the first batch"
-    figure = page("Filled cells and QD score over the evaluations", WIDTH, 4.8, note)
+    figure = page("Filled cells and QD score over the evaluations", PAGE_WIDTH_INCHES, 4.8, note)
     top, bottom = figure.subplots(2, 1, sharex=True)
     top.step(_ends(evaluations), filled, where="post", color=LINE_COLOUR)
     top.set_ylabel("filled cells [1]")
@@ -215,12 +215,12 @@ def atlas(evaluations: Evaluations) -> Figure:
     title = f"{_title(quantity)}: the best in each cell"
     if len(measures) == 1:
         return _bars(evaluations, points, quantity, best, title, note)
-    pairs = list(itertools.combinations(range(len(measures)), 2))[:_MOST_PAIRS]
+    pairs = list(itertools.combinations(range(len(measures)), 2))[:_MAX_ATLAS_PAIRS]
     if len(pairs) > 1:
         note += "; each map shows the best over all other measures"
     columns = min(len(pairs), 2)
     rows = -(-len(pairs) // columns)
-    figure = blank(WIDTH, 1.1 + 4.2 * rows / (1 if columns == 1 else 1.3))
+    figure = blank(PAGE_WIDTH_INCHES, 1.1 + 4.2 * rows / (1 if columns == 1 else 1.3))
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
     scale, extend = colour_scale(quantity.values[points])
     for ax in axes[len(pairs) :]:
@@ -272,7 +272,7 @@ def _bars(
 ) -> Figure:
     """The best point over one measure."""
     (measure,) = evaluations.search.aim.measures
-    figure = page(title, WIDTH, 3.9, note)
+    figure = page(title, PAGE_WIDTH_INCHES, 3.9, note)
     ax = figure.subplots()
     edges = _edges(evaluations, measure)
     cell = cells_of(evaluations.search.aim, evaluations.scores.measures[points])

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.optimize.search_directory import SEARCH, Batches, keep_recordings, publish
+from nermo_mjx.optimize.search_directory import SEARCH_FILE, Batches, keep_recordings, publish
 from nermo_mjx.optimize.search_figures import search_figures_of
 from nermo_mjx.optimize.search_methods import (
     Scores,
@@ -58,7 +58,7 @@ CORE_WORLDS: Final = 8
 #: An atlas has several emitters in a batch.
 ATLAS_WORLDS: Final = 32
 #: Generations that a budget is to last for.
-GENERATIONS: Final = 10
+BUDGET_GENERATIONS: Final = 10
 
 
 def batch_points(search: Search, engine: str) -> int:
@@ -75,7 +75,7 @@ def batch_points(search: Search, engine: str) -> int:
         )
     else:
         full = chunk_rows_here(engine, expected * search.repeats) // search.repeats
-    return max(least, 4, min(full, expected // GENERATIONS))
+    return max(least, 4, min(full, expected // BUDGET_GENERATIONS))
 
 
 #: Seconds between two updates of best.json and the atlas while the search runs.
@@ -150,7 +150,7 @@ def run_search(
     workers = LocalWorkers() if workers is None else workers
     with (
         RunDirectory(out, "search") as directory,
-        resumable(directory.out, f"search {directory.out / SEARCH}") as interruption,
+        resumable(directory.out, f"search {directory.out / SEARCH_FILE}") as interruption,
     ):
         watch = interruption.watched(watch)
         batches = Batches(directory, search, lambda: batch_points(search, engine), watch.warn)
@@ -313,7 +313,7 @@ class SearchLoop:
 
 
 #: Points whose mean length of a run stands for all.
-_TRIED = 256
+_TIMED_POINTS = 256
 #: Bytes of a row of the table.
 _ROW_BYTES = 700
 
@@ -335,7 +335,7 @@ def search_forecast(
     check_library(search.method)
     engine = resolve_engine(engine)
     batch = search.batch or batch_points(search, engine)
-    shares = Space(search).spread(_TRIED)
+    shares = Space(search).spread(_TIMED_POINTS)
     rows = Sample(search.sweep, shares).take(
         np.arange(0, len(shares) * search.repeats, search.repeats)
     )

@@ -47,7 +47,7 @@ from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import SpecError, changes
 
 TUNING: Final = "tuning.yaml"
-RECORDING: Final = "recording.npz"
+TUNING_RECORDING_FILE: Final = "recording.npz"
 
 
 # ---
@@ -220,10 +220,10 @@ def keep_recording(
     if tuning.recording is None or tuning.recording.parent == folder:
         return tuning
     content = read_bytes(tuning.recording, MAX_FILE_BYTES)
-    if content_of(folder / RECORDING, MAX_FILE_BYTES) != content:
-        directory.set_aside("another recording", [RECORDING], warn)
-        directory.write(RECORDING, content)
-    return dataclasses.replace(tuning, recording=folder / RECORDING)
+    if content_of(folder / TUNING_RECORDING_FILE, MAX_FILE_BYTES) != content:
+        directory.set_aside("another recording", [TUNING_RECORDING_FILE], warn)
+        directory.write(TUNING_RECORDING_FILE, content)
+    return dataclasses.replace(tuning, recording=folder / TUNING_RECORDING_FILE)
 
 
 def tuning_status(out: Path) -> Status:

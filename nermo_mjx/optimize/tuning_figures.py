@@ -33,7 +33,7 @@ from nermo_mjx.optimize.tuning_directory import TuningDirectory, load_tuning
 from nermo_mjx.optimize.tuning_history import read_history
 from nermo_mjx.optimize.tuning_spec import Tuned, Tuning
 from nermo_mjx.plotting.charts import (
-    WIDTH,
+    PAGE_WIDTH_INCHES,
     colour_bar,
     hatch,
     horizontal_grid,
@@ -164,11 +164,11 @@ def legend(ax: Axes, handles: Any = None, labels: Any = None, **more: Any) -> No
 #: Colours of single starts; with more starts, only the best one has its own.
 START_COLOURS: Final = SERIES
 #: Panels of one figure.
-MOST_PANELS: Final = 12
+MAX_PARAMETER_PANELS: Final = 12
 _PANEL, _MARGINS = 1.75, 0.85
 #: A path shorter than this fraction of its bounds is shown enlarged.
 _ZOOM: Final = 0.2
-_AIMS: Final = {
+_AIM_TEXTS: Final = {
     "maximize": "more is better",
     "minimize": "less is better",
     "hold": "dashed: to be held",
@@ -187,7 +187,10 @@ def objective_figure(traces: Traces) -> Figure:
     start_note = f" of start {start}" if traces.starts > 1 else ""
     note = f"{_what(traces)}; dashed: best so far; star: best, {best:.4g} in iteration {iteration}{start_note}"
     figure = page(
-        "Objective over the iterations (lower is better)", WIDTH, 2.9 + _PANEL * len(terms), note
+        "Objective over the iterations (lower is better)",
+        PAGE_WIDTH_INCHES,
+        2.9 + _PANEL * len(terms),
+        note,
     )
     axes = _column(figure, 1 + len(terms))
     value = traces.column("objective")
@@ -220,7 +223,7 @@ def objective_figure(traces: Traces) -> Figure:
         if term.aim == "hold":
             target = float(traces.in_shown_unit(metric, np.asarray(term.at)))
             ax.axhline(target, color=MUTED_INK, lw=1.0, ls="--", zorder=1)
-        corner(ax, _AIMS[term.aim])
+        corner(ax, _AIM_TEXTS[term.aim])
         ax.set_ylabel(quantity.label)
     star(axes[0], iteration, best, lw=0.9, zorder=6)
     for ax, metric in zip(axes[1:], terms, strict=True):
@@ -231,7 +234,7 @@ def objective_figure(traces: Traces) -> Figure:
 
 def parameters_figure(traces: Traces) -> Figure:
     """Each parameter over the iterations, in its unit, with its bounds; a periodic one continues beyond them."""
-    tuned = traces.tuning.tuned[:MOST_PANELS]
+    tuned = traces.tuning.tuned[:MAX_PARAMETER_PANELS]
     left_out = len(traces.tuning.tuned) - len(tuned)
     note = (
         f"{_what(traces)}; dashed: bounds, or where a periodic parameter wraps around; star: best"
@@ -239,7 +242,9 @@ def parameters_figure(traces: Traces) -> Figure:
     note += f"; {left_out} more parameters are not shown" if left_out else ""
     columns = 1 if len(tuned) <= 3 else 2
     rows = math.ceil(len(tuned) / columns)
-    figure = page("Parameters over the iterations", WIDTH, _MARGINS + (_PANEL + 0.25) * rows, note)
+    figure = page(
+        "Parameters over the iterations", PAGE_WIDTH_INCHES, _MARGINS + (_PANEL + 0.25) * rows, note
+    )
     axes = list(figure.subplots(rows, columns, sharex=True, squeeze=False).ravel())
     for ax in axes[len(tuned) :]:
         ax.remove()
@@ -261,7 +266,7 @@ def gradients_figure(traces: Traces) -> Figure:
     """Norm of the gradient."""
     norm = traces.gradient_norm()
     note = f"{_what(traces)}; each component counts per whole range of its parameter"
-    figure = page("Gradient over the iterations", WIDTH, _MARGINS + 2.3, note)
+    figure = page("Gradient over the iterations", PAGE_WIDTH_INCHES, _MARGINS + 2.3, note)
     axes = _column(figure, 1)
     _draw_starts(axes[0], traces, norm)
     axes[0].set_ylabel("norm of the gradient [1]")
@@ -397,7 +402,7 @@ def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
 
 
 #: Lower is better, and brighter.
-_COLOURS: Final = f"{COLOUR_MAP}_r"
+_LANDSCAPE_COLOURS: Final = f"{COLOUR_MAP}_r"
 _LEVELS: Final = 18
 _LABEL: Final = "objective, lower is better [1]"
 #: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
@@ -466,7 +471,9 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
     (parameter,) = traces.tuning.tuned
     note = f"dots: evaluations, larger towards the end; star: best; {beneath}"
-    figure = page(f"Objective over {spoken(parameter.name)} (lower is better)", WIDTH, 4.0, note)
+    figure = page(
+        f"Objective over {spoken(parameter.name)} (lower is better)", PAGE_WIDTH_INCHES, 4.0, note
+    )
     ax = figure.subplots()
     if landscape is not None:
         nodes = traces.in_shown_unit(parameter.name, landscape.axes[parameter.name])
@@ -505,7 +512,7 @@ def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landsca
     # The lines are denser towards the best point, and evenly spaced if the objective is a parabola.
     levels = low + (high - low) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
     scale = PowerNorm(0.5, low, high)
-    ax.contourf(x, y, masked, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
+    ax.contourf(x, y, masked, levels, cmap=_LANDSCAPE_COLOURS, norm=scale, extend=cut, zorder=1)
     ax.contour(
         x,
         y,
@@ -517,7 +524,7 @@ def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landsca
         alpha=0.45,
         zorder=2,
     )
-    colour_bar(figure, ax, ScalarMappable(scale, _COLOURS), _LABEL, aspect=28, extend=cut)
+    colour_bar(figure, ax, ScalarMappable(scale, _LANDSCAPE_COLOURS), _LABEL, aspect=28, extend=cut)
 
 
 def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
@@ -535,7 +542,7 @@ def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
         y[:, drawn_starts],
         c=value[:, drawn_starts],
         s=22,
-        cmap=_COLOURS,
+        cmap=_LANDSCAPE_COLOURS,
         lw=0,
         zorder=5,
         norm=scale,

@@ -249,7 +249,7 @@ def verified(
 
 
 #: Worlds of the probe: enough to keep two cores busy.
-_WORLDS: Final = 16
+_PROBE_WORLDS: Final = 16
 #: How much slower MJX runs on a CPU than MuJoCo C, with this many worlds or more, and with fewer in proportion
 #: (docs/benchmarks: 14 simulated seconds per second, and 3.5 with one world, against 136).
 MJX_SLOWER: Final = 10.0
@@ -287,4 +287,4 @@ def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
 
 def pace_here(tuning: Tuning) -> float:
     """Simulated seconds per second on the engine `c`, measured now."""
-    return pace(Simulator(tuning.setup, "c"), tuning.setup, _WORLDS)
+    return pace(Simulator(tuning.setup, "c"), tuning.setup, _PROBE_WORLDS)

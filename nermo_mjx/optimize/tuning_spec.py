@@ -27,7 +27,7 @@ from nermo_mjx.optimize.objective import (
     objective_metrics,
     read_objective,
 )
-from nermo_mjx.optimize.optimizers import CONTROLLED, LEARNING_RATE, NAMES, Optimizer
+from nermo_mjx.optimize.optimizers import CONTROLLED, LEARNING_RATE, OPTIMIZER_NAMES, Optimizer
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import Metric, all_parameters
 from nermo_mjx.rollout.differentiable import MJX_GRADIENT, engine_for
@@ -223,13 +223,13 @@ class OptimizerFields(Fields):
     """Adam with a controlled rate, or an optimizer of optax by name, with its options."""
 
     expected: ClassVar = "a name or {name: adam, learning_rate: 0.1}"
-    short: ClassVar = ({"enum": [*NAMES]},)
+    short: ClassVar = ({"enum": [*OPTIMIZER_NAMES]},)
     __pydantic_extra__: dict[str, float | bool | str | dict[str, Any]]
     model_config = ConfigDict(extra="allow", use_attribute_docstrings=True)
     name: str = Field(
         default="adam",
         description="controlled_adam, or a function of optax",
-        json_schema_extra={"enum": [*NAMES]},
+        json_schema_extra={"enum": [*OPTIMIZER_NAMES]},
     )
     learning_rate: Positive | dict[str, Any] = LEARNING_RATE
     """in coordinates u a step; or a schedule such as {cosine: {init_value: 0.1, decay_steps: 40}}"""

@@ -49,7 +49,7 @@ from nermo_mjx.plotting.style import (
 )
 
 #: Width of most figures [in].
-WIDTH: Final = 7.2
+PAGE_WIDTH_INCHES: Final = 7.2
 
 # ---
 # Scales and grids.
@@ -658,7 +658,7 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool)
         [_mean(z.values[groups.of == group_index]) for group_index in range(count)]
     ).T
     best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
-    figure = blank(WIDTH, 1.3 + 0.3 * count)
+    figure = blank(PAGE_WIDTH_INCHES, 1.3 + 0.3 * count)
     ax = figure.subplots()
     for group_index in range(count):
         colour = BEST_COLOUR if group_index == best else SERIES[0]
@@ -931,7 +931,7 @@ def trade_off(
     )
     lines.append(f"{note}orange: nothing is better in both ({directions})")
     text = "\n".join(lines) + density_note(len(x.values))
-    figure = blank(WIDTH, 4.4 + 0.15 * len(note_lines(text, WIDTH)))
+    figure = blank(PAGE_WIDTH_INCHES, 4.4 + 0.15 * len(note_lines(text, PAGE_WIDTH_INCHES)))
     ax = figure.subplots()
     cloud(ax, x, y, size=5 if len(x.values) > 2000 else 12)
     if "nearest zero" not in sides:

@@ -160,7 +160,7 @@ def load_metrics(reference: str) -> tuple[OwnMetric, ...]:
 
 
 #: The file beside a directory's copies of metrics that says what is in them: whoever only reads does not run these.
-KEPT: Final = "metrics.json"
+METRICS_FILE: Final = "metrics.json"
 
 
 class _Kept(BaseModel, extra="forbid"):
@@ -187,7 +187,7 @@ def kept_metrics(references: Iterable[str]) -> bytes:
 
 def _read_only(source: Source) -> tuple[OwnMetric, ...] | None:
     """What is known of a file's metrics without running it; None if nothing is."""
-    path = Path(source.place).with_name(KEPT)
+    path = Path(source.place).with_name(METRICS_FILE)
     if not source.place.endswith(".py") or not path.exists():
         return None
     several = json_of(read_bytes(path, MAX_JSON_BYTES), dict[str, list[_Kept]], path).get(

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 
 #: Engines of a rollout; `auto` is `c` on a CPU for up to `MOST_DIFFERENCES` traced numbers, and else `mjx`.
-ENGINES: Final = ("auto", "c", "mjx")
+ROLLOUT_ENGINES: Final = ("auto", "c", "mjx")
 #: Up to so many parameters, whole walks of the engine `c` cost less than one gradient in MJX, which is 34 of them.
 MOST_DIFFERENCES: Final = 20
 #: Cost of value and gradient in MJX, in runs of it without: 4.5 were measured for any number of parameters.
@@ -56,7 +56,7 @@ _FIRST_ONLY: Final = (
 )
 #: Half-width of the differences, as a share of a parameter's scale; tolerance of the solver. Widths from 1e-8 to 1e-6
 #: give the same derivative; from 1e-5 on contacts change within the width.
-WIDTH: Final = 1e-7
+SLOPE_WIDTH: Final = 1e-7
 TOLERANCE: Final = 1e-12
 #: The slopes on the two sides of a point differ by this share of the larger one only if there is a kink between them.
 KINK: Final = 0.01
@@ -132,7 +132,7 @@ class Rollout:
         self.setup = with_own(setup, controller, metrics)
         self.length = of_type("run", Run() if run is None else run, Run, "a Run")
         of_type("slowest", slowest, (float, int, type(None)), "a frequency in Hz")
-        self._wanted = choice("engine", engine, ENGINES)
+        self._wanted = choice("engine", engine, ROLLOUT_ENGINES)
         if self.length.distance is not None:
             raise ParameterError(
                 "run.distance is given: a differentiable run ends by cycles or duration."
@@ -208,7 +208,7 @@ class Rollout:
         return self._walk(values, qpos, qvel, policy, path=True)
 
     def slopes(
-        self, values: Mapping[str, float], names: Sequence[str], width: float = WIDTH
+        self, values: Mapping[str, float], names: Sequence[str], width: float = SLOPE_WIDTH
     ) -> dict[str, Float[np.ndarray, " n"]]:
         """Derivative of every metric to the n named ones of `values`, on the engine `c`, in float64.
 
@@ -228,7 +228,9 @@ class Rollout:
     ) -> dict[str, Float[np.ndarray, " n"]]:
         """How far the derivatives of `WIDTH` and of a tenth of it are apart, as a share of the larger: a derivative
         is sure to so many digits. Near a kink it is large. The arguments are those of `slopes`."""
-        wide, narrow = (self.slopes(values, names, width) for width in (WIDTH, 0.1 * WIDTH))
+        wide, narrow = (
+            self.slopes(values, names, width) for width in (SLOPE_WIDTH, 0.1 * SLOPE_WIDTH)
+        )
         larger = {name: np.maximum(np.abs(wide[name]), np.abs(narrow[name])) for name in wide}
         return {
             name: np.abs(wide[name] - narrow[name]) / np.where(largest > 0, largest, 1.0)
@@ -455,7 +457,9 @@ class WalkDifferences:
             varied: tuple[int, ...], *arguments: Any
         ) -> tuple[list[np.ndarray], list[np.ndarray]]:
             lead, points = _rows(arguments)
-            results, derivative = self._slopes(simulate, names, points, varied, WIDTH, warn=True)
+            results, derivative = self._slopes(
+                simulate, names, points, varied, SLOPE_WIDTH, warn=True
+            )
             shaped = (
                 [result.reshape(*lead, *result.shape[1:]).astype(real) for result in part]
                 for part in (results, derivative)

@@ -34,7 +34,7 @@ from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
 
 #: An angle that is this much beyond a servo's range is within it [rad].
-ROUNDING: Final = 1e-6
+ANGLE_ROUNDING_RAD: Final = 1e-6
 #: How long a push lasts [s].
 PUSH_SECONDS: Final = 0.1
 
@@ -172,7 +172,7 @@ class ClosedLoop:
         target = self._within_range(params, commanded)
         ctrl = state.ctrl + jnp.clip(target - state.ctrl, -reach, reach)
         tick = state.tick + 1
-        clamped = jnp.any(jnp.abs(commanded - target) > ROUNDING).astype(ctrl.dtype)
+        clamped = jnp.any(jnp.abs(commanded - target) > ANGLE_ROUNDING_RAD).astype(ctrl.dtype)
         next_state = LoopState(
             tick,
             tick * controller.dt,

@@ -20,7 +20,7 @@ from nermo_mjx.shapes import Array, Scalar, Scalars, Truth
 #: A tick that begins less than this share of its length before the run's end counts as after it: the accuracy of
 #: float32 time within two minutes. With this, results do not depend on how far beyond its end a world is simulated for
 #: others in its batch.
-_ROUNDING: Final = 1e-3
+_PROGRESS_ROUNDING: Final = 1e-3
 
 
 class MeasuredPart(NamedTuple):
@@ -96,7 +96,7 @@ def measured_part(
 
 def begins_in_run(window: Window, time: Scalar, dt: float) -> Truth:
     """Whether the tick [time - dt, time] begins before the run's end, which every world of a batch simulates."""
-    return time - window.end < (1.0 - _ROUNDING) * dt
+    return time - window.end < (1.0 - _PROGRESS_ROUNDING) * dt
 
 
 def ticks_until(end: Any, dt: float) -> np.ndarray:
@@ -110,7 +110,7 @@ def ticks_until(end: Any, dt: float) -> np.ndarray:
     """
     last = np.asarray(end, float) / dt
     coarse = 2.0 * jnp.finfo(jax.dtypes.canonicalize_dtype(float)).eps * last
-    return np.asarray(np.ceil(last - _ROUNDING + coarse).astype(int) + 1)
+    return np.asarray(np.ceil(last - _PROGRESS_ROUNDING + coarse).astype(int) + 1)
 
 
 # ---

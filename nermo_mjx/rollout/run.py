@@ -24,7 +24,7 @@ from nermo_mjx.shapes import Array
 
 Length = float | np.ndarray
 #: Largest number of seconds, cycles or metres of a run.
-LONGEST: Final = 1e5
+LONGEST_RUN_SECONDS: Final = 1e5
 #: Units of what is no number of cycles.
 _UNITS: Final = {"duration": "s", "warmup": "s", "distance": "m"}
 #: Worlds of one batch, and what the engine c takes for one of them [bytes]; others take as much or more.
@@ -77,7 +77,7 @@ class Run:
                 continue
             duration = np.asarray(value)
             if duration.dtype.kind == "U" and name in _UNITS:
-                value = Quantity(8.0, _UNITS[name], 0.0, LONGEST, "of a run").numbers(
+                value = Quantity(8.0, _UNITS[name], 0.0, LONGEST_RUN_SECONDS, "of a run").numbers(
                     f"run.{name}", value
                 )
                 duration = np.asarray(value)
@@ -88,9 +88,11 @@ class Run:
                 raise ParameterError(
                     f"run.{name} is {value!r}: expected a number, or an array of such{seconds}."
                 )
-            bad = ~((duration <= LONGEST) & ((duration > 0) | (zero_ok & (duration == 0))))
+            bad = ~(
+                (duration <= LONGEST_RUN_SECONDS) & ((duration > 0) | (zero_ok & (duration == 0)))
+            )
             if bad.any():
-                range_ = f"{'[' if zero_ok else '('}0, {LONGEST:g}]"
+                range_ = f"{'[' if zero_ok else '('}0, {LONGEST_RUN_SECONDS:g}]"
                 raise ParameterError(
                     f"run.{name} is {float(duration[bad].flat[0])!r}: allowed is {range_}."
                 )

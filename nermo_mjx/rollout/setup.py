@@ -124,7 +124,7 @@ def bounded_by_step(declarations: Mapping[str, Quantity], timestep: float) -> di
 
 
 #: Columns of tables, and keys beside parameters in files: reserved names for metrics and parameters.
-TAKEN: Final = frozenset(
+RESERVED_NAMES: Final = frozenset(
     (
         *(
             "row",
@@ -180,7 +180,7 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
     for custom_metric in metrics:
         if (
             custom_metric.name in METRICS
-            or custom_metric.name in TAKEN
+            or custom_metric.name in RESERVED_NAMES
             or custom_metric.name in TRANSITION
         ):
             whose = (
@@ -208,7 +208,7 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
             else "a metric that every run has"
             if name in METRICS
             else "a column that tables have"
-            if name in TAKEN or name.partition(".")[0] in PREFIXES
+            if name in RESERVED_NAMES or name.partition(".")[0] in PREFIXES
             else ""
         )
         if whose:

@@ -29,7 +29,7 @@ from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import LoopParameters, checked_loop, loop_parameters, terrain_of
 from nermo_mjx.rollout.path_metrics import ticks_until
-from nermo_mjx.rollout.run import LONGEST, Run, StartPose, too_many
+from nermo_mjx.rollout.run import LONGEST_RUN_SECONDS, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
 from nermo_mjx.runs.code import versions
@@ -173,7 +173,7 @@ class RunResult:
 
 
 #: Ticks between progress reports.
-BLOCK = 25
+REPORT_TICKS = 25
 #: What compiling takes on two free cores [s]; from the cache a program of `c` takes less than `PATIENCE` [s].
 COMPILE_SECONDS: Final = {"c": 5, "mjx": 30, "warp": 30}
 PATIENCE: Final = 3.0
@@ -294,9 +294,9 @@ class Simulator:
         run = of_type("run", Run() if run is None else run, Run, "a Run")
         rate = np.asarray(self.controller.cycle_rate(params.control), float)
         begin, end = (np.broadcast_to(bound, worlds) for bound in run.seconds(rate))
-        if end.max() > LONGEST:
+        if end.max() > LONGEST_RUN_SECONDS:
             raise ParameterError(
-                f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST:g} s."
+                f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST_RUN_SECONDS:g} s."
             )
         distance = np.broadcast_to(1e6 if run.distance is None else run.distance, worlds)
         window = Window(begin=begin, end=end, distance=distance)
@@ -386,11 +386,11 @@ class Simulator:
         with says:
             session = self.engine.open(batch.params, batch.qpos, batch.fields)
         # Whole blocks only: a recorded block of another length would need another program.
-        ticks = -(-ticks // BLOCK) * BLOCK if traced else ticks
+        ticks = -(-ticks // REPORT_TICKS) * REPORT_TICKS if traced else ticks
         traces: list[Trace] = []
         unsolved = np.zeros(len(ends), int)
-        for begin in range(0, ticks, BLOCK):
-            done = min(begin + BLOCK, ticks)
+        for begin in range(0, ticks, REPORT_TICKS):
+            done = min(begin + REPORT_TICKS, ticks)
             if traced:
                 trace = session.record(done - begin)
                 traces += [trace] if record else []

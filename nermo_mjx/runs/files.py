@@ -123,7 +123,7 @@ def parquet_table(source: Path | bytes, ours: bool = True) -> pa.Table | None:
 
 
 #: Bytes of a table's numbers that are made in any case, and per byte of its file beyond: constants take next to none.
-_MOST_CELLS: Final = 1 << 28
+_MAX_TABLE_CELLS: Final = 1 << 28
 _MOST_SPREAD: Final = 100
 
 
@@ -142,7 +142,10 @@ def parquet_file(
 
     with opened(source) if isinstance(source, Path) else source as stream:
         size, options = stream.seek(0, os.SEEK_END), {"page_checksum_verification": True, **options}
-        file, cell_limit = pq.ParquetFile(stream, **options), max(_MOST_CELLS, _MOST_SPREAD * size)
+        file, cell_limit = (
+            pq.ParquetFile(stream, **options),
+            max(_MAX_TABLE_CELLS, _MOST_SPREAD * size),
+        )
         metadata, schema = file.metadata, file.schema_arrow
         cells = 8 * metadata.num_rows * metadata.num_columns
         if metadata.num_rows < 0 or cells > cell_limit:
@@ -237,7 +240,7 @@ def clear_errors(out: Path) -> Iterator[None]:
 # Texts of a run.
 
 #: Content of an empty cell.
-MISSING: Final = "–"
+EMPTY_CELL: Final = "–"
 
 
 def plain_json(value: Any) -> Any:

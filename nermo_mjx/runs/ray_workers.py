@@ -32,7 +32,7 @@ LOOPBACK: Final = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_nicenes
 #: Seconds between two polls of the nodes, and without any node before giving up.
 LOOK, PATIENCE = 1.0, 300.0
 #: How often a task's worker may be lost, and how often a node's workers may fail to start.
-ATTEMPTS: Final = 3
+MAX_WORKER_ATTEMPTS: Final = 3
 #: Threads that JAX needs on a CPU, see `nermo_mjx.runtime.SAFE_THREADS`.
 _THREADS: Final = 8
 
@@ -240,8 +240,10 @@ class RayWorkers:
                         self._drop(worker)
                         repeated.append((key, task))
                         lost_counts[key] += 1
-                        if lost_counts[key] >= ATTEMPTS:
-                            cause = RuntimeError(f"its worker was lost {ATTEMPTS} times ({kind})")
+                        if lost_counts[key] >= MAX_WORKER_ATTEMPTS:
+                            cause = RuntimeError(
+                                f"its worker was lost {MAX_WORKER_ATTEMPTS} times ({kind})"
+                            )
                             raise TaskFailed(key, cause) from cause
                     else:
                         yield key, result
@@ -261,7 +263,7 @@ class RayWorkers:
         except self._ray.exceptions.RayError as error:
             alive = any(node["NodeID"] == worker.node for node in self._nodes())
             self._failures[worker.node] += alive
-            if self._failures[worker.node] >= ATTEMPTS:
+            if self._failures[worker.node] >= MAX_WORKER_ATTEMPTS:
                 cause = _cause(error)
                 lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
                 first = f"{type(cause).__name__}{f': {lines[0]}' if lines else ''}".rstrip(".")[

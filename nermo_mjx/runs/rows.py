@@ -44,7 +44,7 @@ from nermo_mjx.trust import one_line
 
 RESULTS, SERIES, FORMER = "results", "series", "former"
 #: Tables of parts that are held at once: the runs that are wanted next lie in a few of them.
-_HELD: Final = 32
+_MAX_HELD_TABLES: Final = 32
 _NAME: Final = re.compile(r"part-([0-9a-f]+)-([0-9a-f]{16})\.parquet")
 Warn = Callable[[str], None]
 
@@ -237,7 +237,7 @@ class Runs:
 
     def _note(self, numbers: np.ndarray) -> None:
         self._numbers.append(numbers.astype(np.int32))
-        if len(self._numbers) > _HELD:  # one array takes less than many small ones
+        if len(self._numbers) > _MAX_HELD_TABLES:  # one array takes less than many small ones
             _ = self.numbers
 
     def find(self, keys: np.ndarray) -> np.ndarray:
@@ -375,7 +375,7 @@ class Runs:
         unique, first = np.unique(np.concatenate(keys), return_index=True)
         return _Index(unique, np.concatenate(places)[first], parts)
 
-    @functools.lru_cache(_HELD)  # noqa: B019 - the store lives as long as the job
+    @functools.lru_cache(_MAX_HELD_TABLES)  # noqa: B019 - the store lives as long as the job
     def _table(self, path: Path) -> pa.Table:
         table = parquet_table(path)
         if table is None:

@@ -24,9 +24,9 @@ from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.workers import Computer, TaskFailed, Workers
 
 #: Rows that are taken from other directories at once, if they have no time series.
-_TAKEN: Final = 65_536
+_COPIED_ROWS: Final = 65_536
 #: How often rows are simulated again that are damaged each time they are read back.
-ATTEMPTS: Final = 2
+MAX_READ_ATTEMPTS: Final = 2
 
 
 class RowBatch(NamedTuple):
@@ -216,7 +216,7 @@ class Work:
     def known(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Unfinished rows that are in other directories or in former parts, some at a time (n,), and where (n,)."""
         unfinished = self.unfinished if self.runs.others else np.empty(0, int)
-        at_once = len(self.layout[0]) if self.job.with_series else _TAKEN
+        at_once = len(self.layout[0]) if self.job.with_series else _COPIED_ROWS
         for start in range(0, len(unfinished), at_once):
             index = unfinished[start : start + at_once]
             places = self.runs.find(self.job.keys(index))
@@ -336,7 +336,7 @@ def finish(
         WorkersLost: no worker is left.
         Exception: rows cannot be simulated, see `RowJob.failure`.
     """
-    for _ in range(ATTEMPTS):
+    for _ in range(MAX_READ_ATTEMPTS):
         for work in _simulated(works, computer, workers, accept_new_code):
             work.runs.survey()
             if not len(work.unfinished):

@@ -14,7 +14,13 @@ from nermo_mjx.control.schedule import MAX_SWITCHES, Schedule
 from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
-from nermo_mjx.rollout.custom_metrics import FORM, KEPT, kept_metrics, metrics_digest, source_of
+from nermo_mjx.rollout.custom_metrics import (
+    FORM,
+    METRICS_FILE,
+    kept_metrics,
+    metrics_digest,
+    source_of,
+)
 from nermo_mjx.specs.reading import Document, describe
 from nermo_mjx.specs.values import FILE_METRICS, FILE_PARAMETERS
 
@@ -160,7 +166,7 @@ def with_code_copied(setup: Setup, folder: Path, write: Callable[[str, bytes], A
         )
     references = written_metrics(setup)
     if references:
-        write(KEPT, kept_metrics(references))
+        write(METRICS_FILE, kept_metrics(references))
     metrics = tuple(kept_code(reference, METRICS_COPY, folder, write) for reference in references)
     return dataclasses.replace(setup, metrics=metrics) if metrics else setup
 

@@ -41,9 +41,9 @@ from nermo_mjx.sweep.counting import (
 from nermo_mjx.sweep.spec import not_varied
 from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import (
-    HELD,
     LEADING,
     MAIN_METRICS,
+    MAX_HELD_NUMBERS,
     Columns,
     Results,
     SweepRecord,
@@ -380,7 +380,7 @@ def difference_rows(
             np.bincount(own[here], minlength=parts) for own, here in zip(group, chosen, strict=True)
         ]
 
-    at_once = max(1, HELD // max(sum(map(len, runs)), 1))
+    at_once = max(1, MAX_HELD_NUMBERS // max(sum(map(len, runs)), 1))
     for start in range(0, len(metrics), at_once):
         progress(start / len(metrics))
         frames = [
@@ -428,7 +428,7 @@ def difference_rows(
                     alike_all = (line["p"] < least) & (line["low"] == line["high"])
                     line |= {key: np.where(alike_all, np.nan, line[key]) for key in ("low", "high")}
                     line["p"] = np.maximum(line["p"], least)
-                found[name] = line | dict(zip(_COUNTS, (*whole, *lost), strict=True))
+                found[name] = line | dict(zip(_COUNT_MEANINGS, (*whole, *lost), strict=True))
     for place in range(parts):
         label = {key: column.iloc[[place]].item() for key, column in labels.items()}
         for name in metrics:
@@ -509,7 +509,7 @@ _NUMBERS: Final = {
     "relative_high": "high over the same",
     "p": "probability of so large a difference by chance, two-sided",
 }
-_COUNTS: Final = {
+_COUNT_MEANINGS: Final = {
     "variants": "common variants with a number on both sides",
     "paired": "those of them whose runs are pairs, by their seeds",
     "left_out": "runs of both that would count, but whose partner of the same seed is lost, or not there",
@@ -816,7 +816,7 @@ def _table(
         "index",
         "whether high or low is better, or what is nearer to zero; empty if none is",
     )
-    for name, about in _COUNTS.items():
+    for name, about in _COUNT_MEANINGS.items():
         add(name, "metric", about)
     words = {key: " ".join(names) for key, names in named.items()}
     return columns.table({"comparison": base.name, "by": by, **words})
@@ -841,7 +841,7 @@ def _by_metric(
 Row = Mapping[str, Any]
 #: Metrics of one figure, and panels.
 _MOST_METRICS: Final = 30
-_MOST_PANELS: Final = 12
+_MAX_COMPARISON_PANELS: Final = 12
 _COLUMNS: Final = 3
 #: Relative differences beyond this are cut off in the figure, if there are others [fraction].
 _FAR: Final = 1.0
@@ -974,7 +974,9 @@ def _by_groups(
     few = [name for name in groups if name != x and count[name] <= len(SERIES)]
     series = max(few, key=count.__getitem__) if few else None
     panels = [name for name in groups if name not in (x, series)]
-    parts = list(dict.fromkeys(tuple(row[name] for name in panels) for row in rows))[:_MOST_PANELS]
+    parts = list(dict.fromkeys(tuple(row[name] for name in panels) for row in rows))[
+        :_MAX_COMPARISON_PANELS
+    ]
     each = list(dict.fromkeys(row[series] if series else None for row in rows))
     # A row of panels has all metrics; of one metric, its panels follow one another.
     drawn = [(part, metric) for part in parts for metric in metrics]

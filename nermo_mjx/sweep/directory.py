@@ -28,7 +28,7 @@ from nermo_mjx.specs.reading import SpecError, differing
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.structures import STRUCTURES
-from nermo_mjx.sweep.table import RECORD, RECORDINGS, SweepRecord
+from nermo_mjx.sweep.table import RECORDINGS, SWEEP_RECORD_FILE, SweepRecord
 from nermo_mjx.trust import shortened
 
 # ---
@@ -104,14 +104,14 @@ def _text(value: Any) -> str:
 
 
 #: What is made of the results, and belongs to them.
-_TABLES: Final = (
+_DERIVED_TABLES: Final = (
     "comparison.parquet",
     "sensitivity.parquet",
     "optimum.parquet",
     "optimum.csv",
     "optimum.tex",
 )
-_MADE: Final = ("summary.json", *_TABLES, "plots", RECORDINGS)
+_MADE: Final = ("summary.json", *_DERIVED_TABLES, "plots", RECORDINGS)
 
 
 def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
@@ -158,9 +158,9 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
             held.write(path.name, again.to_yaml(folder).encode())
         record = _record_of(sweep)
         if held.shard is not None:
-            create_file(out / RECORD, record)
-        elif content_of(out / RECORD) != record:
-            held.write(RECORD, record)
+            create_file(out / SWEEP_RECORD_FILE, record)
+        elif content_of(out / SWEEP_RECORD_FILE) != record:
+            held.write(SWEEP_RECORD_FILE, record)
     return sweep
 
 

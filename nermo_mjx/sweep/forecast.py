@@ -24,15 +24,15 @@ from nermo_mjx.runs.rows import PartFile
 from nermo_mjx.runs.work import RowBatch, Work
 from nermo_mjx.sweep.directory import check_source_sweeps, refusal, sweep_differences
 from nermo_mjx.sweep.simulating import (
+    ENGINE_WORLD_BYTES,
     PROBE,
-    WORLD_BYTES,
     chunk_rows_here,
     pace,
 )
 from nermo_mjx.sweep.spec import Sweep, varied_values
 from nermo_mjx.sweep.store import SweepRows
 from nermo_mjx.sweep.table import (
-    HELD,
+    MAX_HELD_NUMBERS,
     chunk_table,
 )
 
@@ -41,7 +41,7 @@ PROCESS_BYTES: Final = 600_000_000
 #: A world of the engine c: MuJoCo's data, the controller's state and what the metrics sum up [bytes]. Both as measured.
 C_WORLD_BYTES: Final = 100_000
 #: Worlds of the measurement.
-_WORLDS: Final = 64
+_MEASURED_WORLDS: Final = 64
 
 
 # Many parameters because each is an option of the job, most by keyword only.
@@ -165,9 +165,12 @@ def _rate(
     rate = (
         measure(sweep, engine)
         if measure
-        else pace(Simulator(setup, engine), setup, _WORLDS) / setup.timestep
+        else pace(Simulator(setup, engine), setup, _MEASURED_WORLDS) / setup.timestep
     )
-    return rate, f"{rate:,.0f} steps/s, measured now: {_WORLDS} worlds for {PROBE:g} simulated s"
+    return (
+        rate,
+        f"{rate:,.0f} steps/s, measured now: {_MEASURED_WORLDS} worlds for {PROBE:g} simulated s",
+    )
 
 
 def _disk_bytes(
@@ -208,13 +211,13 @@ def _room(
     yield f"{'There is no room for it: ' if disk > free else ''}{free / 1e9:,.1f} GB are free."
     worlds, count = max((batch.worlds for batch in batches), default=0), len(rows.sample)
     points = 0 if sweep.sampler in ("grid", "rows") else sweep.variants * len(sweep.axes) * 8
-    summary = min(count * 8 * (len(METRICS) + len(sweep.axes)), HELD * 8) * 2
+    summary = min(count * 8 * (len(METRICS) + len(sweep.axes)), MAX_HELD_NUMBERS * 8) * 2
     memory = (
         PROCESS_BYTES + worlds * C_WORLD_BYTES * (engine == "c") + count * 24 + points + summary
     )
     yield f"The process takes about {memory / 1e9:.1f} GB of memory."
     if engine != "c" and worlds:
         yield (
-            f"The batch of {worlds:,} worlds takes about {worlds * WORLD_BYTES[engine] / 1e9:.2g} GB of the devices' "
+            f"The batch of {worlds:,} worlds takes about {worlds * ENGINE_WORLD_BYTES[engine] / 1e9:.2g} GB of the devices' "
             "memory, besides."
         )

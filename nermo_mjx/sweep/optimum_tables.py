@@ -70,7 +70,7 @@ def optimum_table(found: FoundOptimum) -> pa.Table:
     for name in dict.fromkeys(itertools.chain(*lines)):
         about = meta(schema.field(name)) if name in schema.names else {}
         role = "varied" if about else "index" if name in ("metric", "region") else "metric"
-        doc = about.get("description", _FIELDS.get(name, name))
+        doc = about.get("description", _ANSWER_FIELDS.get(name, name))
         unit = about.get(
             "unit",
             "1" if name.startswith(("relative", "p", "metric", "region")) else "that of the metric",
@@ -79,7 +79,7 @@ def optimum_table(found: FoundOptimum) -> pa.Table:
     return columns.table({"optimum": found.asked.metric, "base": found.base})
 
 
-_FIELDS: Final = {
+_ANSWER_FIELDS: Final = {
     "metric": "what it is about",
     "region": "number of points that cannot be told from the best one",
     "mean": "mean of the best point's fresh runs; _low and _high: its 95 % interval",

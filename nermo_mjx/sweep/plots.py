@@ -57,7 +57,7 @@ from nermo_mjx.sweep.table import (
 )
 
 #: A figure has no more panels than this; more values are thinned evenly.
-MOST_PANELS = 12
+MAX_FIGURE_PANELS = 12
 #: A scatter has no more points than this; more are thinned evenly.
 MOST_POINTS = 50_000
 #: Pairs are drawn among this many parameters: the first of a grid, the most influential of a sample.
@@ -138,7 +138,8 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     if (groups := groups_of([other for other in rest if other.names])) is not None:
         remark = "".join(f"mean over {other.spoken}; " for other in rest if not other.names)
         panels = [
-            (name, groups.of == place) for place, name in enumerate(groups.names[:MOST_PANELS])
+            (name, groups.of == place)
+            for place, name in enumerate(groups.names[:MAX_FIGURE_PANELS])
         ]
     title = f"Speed gained by the spine over {x.spoken} and {y.spoken}"
     note = f"{start}{remark}stiff: mean at {x.spoken} 0; "
@@ -166,13 +167,13 @@ def _scatter_figures(
         0.0 if still else float(stats.spearmanr(x.values, z.values).statistic) for x in drawn
     ]
     order = np.argsort(-np.abs(influence), kind="stable")
-    first = [drawn[i] for i in order[:MOST_PANELS]]
-    titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MOST_PANELS]]
+    first = [drawn[i] for i in order[:MAX_FIGURE_PANELS]]
+    titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MAX_FIGURE_PANELS]]
     places, count = _drawn_of(z.side, z.values)
     z, *first = (dataclasses.replace(each, values=each.values[places]) for each in (z, *first))
     more = (
-        f"; the {MOST_PANELS} of {len(drawn)} parameters that matter most"
-        if len(drawn) > MOST_PANELS
+        f"; the {MAX_FIGURE_PANELS} of {len(drawn)} parameters that matter most"
+        if len(drawn) > MAX_FIGURE_PANELS
         else ""
     )
     note = f"{remark}{count}; line: running mean{more}"
@@ -190,7 +191,7 @@ def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.nda
     """The panels of a heat map of `count` points for the parameters not on its axes, and a remark about them."""
     if len(rest) == 1:
         third, values = rest[0], np.unique(rest[0].values[np.isfinite(rest[0].values)])
-        kept = thinned(values, MOST_PANELS)
+        kept = thinned(values, MAX_FIGURE_PANELS)
         panels = [
             (f"{third.spoken} = {third.shown(value)}", third.values == value) for value in kept
         ]
@@ -573,7 +574,7 @@ def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: s
 #: What a faster walk is weighed against.
 AGAINST: Final = "roll_std"
 #: Points of a trade-off that are drawn, and parameters that are told of a named one.
-_MOST_POINTS: Final = 20_000
+_MAX_SCATTER_POINTS: Final = 20_000
 _MOST_TOLD: Final = 6
 
 
@@ -613,9 +614,9 @@ def trade_off_figure(
         remark += f"{len(names) - _MOST_TOLD} more parameters are in the table; "
     drawn = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))
     note = f"{remark}{points.what}; "
-    if len(drawn) > _MOST_POINTS:
-        drawn = thinned(drawn, _MOST_POINTS, best)
-        note = f"{remark}{_MOST_POINTS:,} of {points.what}, and the whole front; "
+    if len(drawn) > _MAX_SCATTER_POINTS:
+        drawn = thinned(drawn, _MAX_SCATTER_POINTS, best)
+        note = f"{remark}{_MAX_SCATTER_POINTS:,} of {points.what}, and the whole front; "
     x, y = (dataclasses.replace(each, values=each.values[drawn]) for each in (x, y))
     best, named = np.searchsorted(drawn, best), np.searchsorted(drawn, named)
     told = list(zip(named.tolist(), lines, strict=True))

@@ -19,7 +19,7 @@ from nermo_mjx.specs.values import QUANTITY_SCHEMA, Numbers, Whole, check_value
 
 
 _LARGEST_AXIS: Final = 1_000_000
-_TRIED: Final = 5
+_MAX_TRIES: Final = 5
 _Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3)]
 _Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
 
@@ -96,7 +96,7 @@ class Axis(_Values):
         return (
             self.listed()
             if grid or self.form == "values"
-            else self.at(np.linspace(0.0, 0.999, _TRIED))
+            else self.at(np.linspace(0.0, 0.999, _MAX_TRIES))
         )
 
     def written(self) -> dict[str, list[float]]:
@@ -136,7 +136,7 @@ class Draw(_Values):
 
     def tried(self) -> np.ndarray:
         """A few values within the bounds; for a normal draw, all but one in a thousand on either side."""
-        return self.at(np.linspace(0.001 if self.form == "normal" else 0.0, 0.999, _TRIED))
+        return self.at(np.linspace(0.001 if self.form == "normal" else 0.0, 0.999, _MAX_TRIES))
 
     def written(self) -> dict[str, list[float]]:
         """The draw as written in a sweep file."""
@@ -218,7 +218,7 @@ def _between(a: float, b: float, share: np.ndarray, *, log: bool) -> np.ndarray:
 # other, and which provides the intervals.
 
 
-_MOST_POINTS = 2**20
+_MAX_AXIS_POINTS = 2**20
 
 
 def _power_of_two(points: int) -> int:
@@ -237,8 +237,8 @@ class Saltelli(Fields):
     what: ClassVar = "a field of saltelli"
     expected: ClassVar = "a power of two, or {points: N, second_order: true}"
     example: ClassVar = "points: N, a power of two"
-    short: ClassVar = ({"type": "integer", "minimum": 2, "maximum": _MOST_POINTS},)
-    points: Annotated[int, Whole(2, _MOST_POINTS), AfterValidator(_power_of_two)] = Field(
+    short: ClassVar = ({"type": "integer", "minimum": 2, "maximum": _MAX_AXIS_POINTS},)
+    points: Annotated[int, Whole(2, _MAX_AXIS_POINTS), AfterValidator(_power_of_two)] = Field(
         description="points of a Sobol sequence, a power of two; with p parameters they make points x (p + 2) variants"
     )
     second_order: bool = Field(

@@ -37,7 +37,7 @@ from nermo_mjx.sweep.table import (
 #: Resamples of SALib's bootstrap, the same ones in each call; SALib takes a seed of 0 for none.
 _BOOTSTRAP: Final[dict[str, Any]] = {"num_resamples": 1000, "seed": 1}
 #: Variants that the method for given data needs at least: it sorts them, and takes a spectrum.
-_FEWEST: Final = 65
+_MIN_VARIANTS: Final = 65
 _HARMONICS: Final = 10
 _METHODS: Final = {
     "sobol": "first and total Sobol indices by Saltelli's design",
@@ -254,9 +254,9 @@ def _given(data: _Data) -> Iterator[dict[str, Any]]:
     from SALib.analyze import rbd_fast
 
     good = np.isfinite(data.means)
-    if good.sum() < _FEWEST:
+    if good.sum() < _MIN_VARIANTS:
         raise ParameterError(
-            f"{int(good.sum())} variants went well: RBD-FAST needs {_FEWEST} or more."
+            f"{int(good.sum())} variants went well: RBD-FAST needs {_MIN_VARIANTS} or more."
         )
     problem = unit_problem(len(data.names))
     found = rbd_fast.analyze(
@@ -291,9 +291,9 @@ def strongest(table: pa.Table) -> list[str]:
 Line = Mapping[str, Any]
 #: Bars, and panels, of one figure.
 _MOST_PARAMETERS: Final = 16
-_MOST_PAIRS: Final = 10
-_MOST_PANELS: Final = 6
-_COLOURS: Final = {"first": LINE_COLOUR, "total": BAND_COLOUR, "second": OKABE_ITO["purple"]}
+_MAX_SHOWN_PAIRS: Final = 10
+_MAX_INDEX_PANELS: Final = 6
+_ORDER_COLOURS: Final = {"first": LINE_COLOUR, "total": BAND_COLOUR, "second": OKABE_ITO["purple"]}
 _WORDS: Final = {
     "first": "alone (first)",
     "total": "with all others (total)",
@@ -315,7 +315,7 @@ def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     lines, metric, structures = table.to_pylist(), about["sensitivity"], labelled(table)
     parts = list(dict.fromkeys(tuple(line[name] for name in structures) for line in lines))[
-        :_MOST_PANELS
+        :_MAX_INDEX_PANELS
     ]
     names = strongest(table)[:_MOST_PARAMETERS]
     orders = list(dict.fromkeys(line["order"] for line in lines))
@@ -341,12 +341,12 @@ def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
         _finish(ax, names, title)
         if pairs:
             ax, both = next(places), [line for line in own if line["order"] == "second"]
-            both = sorted(both, key=lambda line: -line["index"])[:_MOST_PAIRS]
+            both = sorted(both, key=lambda line: -line["index"])[:_MAX_SHOWN_PAIRS]
             _bars(ax, np.arange(len(both), dtype=float), both, 0.6)
             _finish(ax, [f"{line['parameter']}\n{line['second']}" for line in both], title)
     for ax in places:
         ax.remove()
-    handles = [Patch(fc=_COLOURS[order], label=_WORDS[order]) for order in orders]
+    handles = [Patch(fc=_ORDER_COLOURS[order], label=_WORDS[order]) for order in orders]
     more = len(strongest(table)) - len(names)
     note = (
         "share of the variance; lines: 95 % intervals"
@@ -358,7 +358,7 @@ def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
 def _bars(ax: Axes, places: np.ndarray, lines: Sequence[Line], height: float) -> None:
     if lines:
         values = np.array([[line["index"], line["low"], line["high"]] for line in lines])
-        ax.barh(places, values[:, 0], height, color=_COLOURS[lines[0]["order"]])
+        ax.barh(places, values[:, 0], height, color=_ORDER_COLOURS[lines[0]["order"]])
         ax.hlines(places, values[:, 1], values[:, 2], color=INK, lw=1.0)
 
 

@@ -20,7 +20,7 @@ from nermo_mjx.runtime import cpu_count
 from nermo_mjx.specs.walk import WalkSpec
 
 #: Number of simulators kept warm: fast-varying structures recur for each slow-varying one.
-MOST_KEPT: Final = 4
+MAX_KEPT_SIMULATORS: Final = 4
 
 
 class SimulatorLike(Protocol):
@@ -133,7 +133,7 @@ class SweepSimulator:
                 programs = without_presettings(setup)
                 kept = self._kept.pop(programs, None)
                 while (
-                    len(self._kept) >= MOST_KEPT
+                    len(self._kept) >= MAX_KEPT_SIMULATORS
                 ):  # its memory goes before the next one takes some
                     del self._kept[next(iter(self._kept))]
                 simulator = (
@@ -199,7 +199,7 @@ MEMORY_SHARE: Final = 0.5
 #: What a world takes of it, by engine [bytes]. `mjx`: what XLA plans for a walk, arguments and results included, by
 #: docs/benchmarks/gpu_plan.py; a test holds it to the latest run there. `warp` allocates memory
 #: that the plan does not see: a guess, and a conservative one.
-WORLD_BYTES: Final = {"mjx": 36_000, "warp": 1_000_000}
+ENGINE_WORLD_BYTES: Final = {"mjx": 36_000, "warp": 1_000_000}
 #: Worlds that saturate a device; more of them only take longer, and are lost together.
 BUSY_WORLDS = 8192
 
@@ -227,7 +227,7 @@ def chunk_rows(
     if engine == "c" or memory is None:
         usual = CORE_ROWS * cores
         return min(max(usual, min(math.ceil(rows / MANY_CHUNKS), usual * MOST_GROWTH)), share)
-    worlds = min(int(memory * MEMORY_SHARE / WORLD_BYTES[engine]), BUSY_WORLDS)
+    worlds = min(int(memory * MEMORY_SHARE / ENGINE_WORLD_BYTES[engine]), BUSY_WORLDS)
     return max(min(worlds, math.ceil(share / devices)), 1) * devices
 
 

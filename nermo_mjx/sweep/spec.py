@@ -87,7 +87,7 @@ def _names(given: Any) -> Any:
 
 
 #: Of a list that may be a single name.
-_NAMES: Final[dict[str, Any]] = {"type": ["array", "string"]}
+_LABEL_NAMES: Final[dict[str, Any]] = {"type": ["array", "string"]}
 
 
 class ComparedColumns(Fields):
@@ -101,7 +101,7 @@ class ComparedColumns(Fields):
         [],
         alias="for",
         description="varied columns: an interval for each combination of their values",
-        json_schema_extra=_NAMES,
+        json_schema_extra=_LABEL_NAMES,
     )
 
     def written(self) -> dict[str, Any]:
@@ -131,12 +131,12 @@ class SoughtOptimum(Fields):
     )
     minimize: str = optional("instead: the metric whose lowest mean is sought")
     over: Annotated[list[str], BeforeValidator(_names)] = Field(
-        description="varied columns whose best values are sought", json_schema_extra=_NAMES
+        description="varied columns whose best values are sought", json_schema_extra=_LABEL_NAMES
     )
     groups: Annotated[list[str], BeforeValidator(_names)] = optional(
         "varied columns: an answer for each combination of their values; by default all others",
         alias="for",
-        **_NAMES,
+        **_LABEL_NAMES,
     )
     base: Annotated[dict[str, Value], BeforeValidator(_one_value)] = Field(
         description="a varied column and its value, over which something is gained, such as {spine: none}"
@@ -179,7 +179,7 @@ class SoughtOptimum(Fields):
 
 
 #: Maximum number of recorded rows of one kind; each takes about half a megabyte.
-MOST_KEPT: Final = 10_000
+MAX_STORED_RUNS: Final = 10_000
 
 
 class SaveFields(Fields):
@@ -203,17 +203,19 @@ class Keep(Fields):
 
     what: ClassVar = "a field of what is kept"
     expected: ClassVar = "{best: 3, fell: 3, diverged: 3}"
-    best: Annotated[int, Whole(0, MOST_KEPT)] = Field(
+    best: Annotated[int, Whole(0, MAX_STORED_RUNS)] = Field(
         0, description="number of the best, at most one per variant"
     )
     metric: str = Field(
         "speed", description="by which the best are chosen: one that has a better direction"
     )
-    fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(
+    fell: Annotated[int, Whole(0, MAX_STORED_RUNS)] = Field(
         0, description="number that fell, the first in the table"
     )
-    diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that diverged")
-    unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(
+    diverged: Annotated[int, Whole(0, MAX_STORED_RUNS)] = Field(
+        0, description="number that diverged"
+    )
+    unsolved: Annotated[int, Whole(0, MAX_STORED_RUNS)] = Field(
         0, description="number for which the solver did not converge"
     )
     optimum: bool = Field(
@@ -270,7 +272,7 @@ class Randomized(Fields):
     paired: Annotated[list[str], BeforeValidator(_names)] = Field(
         [],
         description="varied parameters whose values have the same draws in each repeat, so that their runs are pairs",
-        json_schema_extra=_NAMES,
+        json_schema_extra=_LABEL_NAMES,
     )
 
     @classmethod
@@ -784,7 +786,7 @@ def start_draws(sweep: Sweep) -> tuple[Draw, ...]:
 
 
 #: Rows made at once where a column of all rows is wanted.
-_BLOCK = 65_536
+_COLUMN_BLOCK_ROWS = 65_536
 
 
 @dataclasses.dataclass(frozen=True)
@@ -915,8 +917,8 @@ class Sample:
     def column(self, name: str) -> np.ndarray:
         """One varied or randomized parameter of all rows, (rows,)."""
         result = np.empty(len(self))
-        for start in range(0, len(self), _BLOCK):
-            index = np.arange(start, min(start + _BLOCK, len(self)))
+        for start in range(0, len(self), _COLUMN_BLOCK_ROWS):
+            index = np.arange(start, min(start + _COLUMN_BLOCK_ROWS, len(self)))
             if name in self.sweep.varied:  # the others cost a random generator a row
                 variant = index // self.sweep.repeats
                 structure = self._structure_of(variant)

@@ -128,14 +128,14 @@ STRUCTURES: Final = (
     "physics",
     "robot",
 )
-_FIELDS: Final[dict[str, Any]] = {
+_STRUCTURE_FIELDS: Final[dict[str, Any]] = {
     name: (
         Annotated[Any, Listed(name)],
         optional(f"{_ABOUT[name].description}: these, each as a setup of its own"),
     )
     for name in STRUCTURES
 }
-_Structures: Any = create_model("_Structures", __base__=Fields, **_FIELDS)
+_Structures: Any = create_model("_Structures", __base__=Fields, **_STRUCTURE_FIELDS)
 
 
 class Vary(_Structures):

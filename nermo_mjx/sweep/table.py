@@ -180,13 +180,13 @@ def sides_in(schema: pa.Schema) -> dict[str, str]:
 #: Schema metadata that differs between the parts of one table.
 PART_KEYS = (b"chunk", b"series", b"steps", b"wall_seconds", b"engine", b"code")
 #: Numbers held at once when several columns are wanted one after the other (each 8 bytes).
-HELD = 24_000_000
+MAX_HELD_NUMBERS = 24_000_000
 #: Files whose columns are joined at once: ten thousand small arrays would take more memory than their numbers.
 _JOINED = 500
 
 
 #: What a directory says of its sweep for those who only read it.
-RECORD: Final = "sweep.json"
+SWEEP_RECORD_FILE: Final = "sweep.json"
 #: Its folder of the rows that are kept.
 RECORDINGS: Final = "recordings"
 
@@ -226,16 +226,16 @@ class SweepRecord:
         Raises:
             DirectoryError: it is damaged.
         """
-        if (content := content_of(out / RECORD)) is None:
+        if (content := content_of(out / SWEEP_RECORD_FILE)) is None:
             return None
         try:
-            found: SweepRecord = read_as(content, cls, out / RECORD)
+            found: SweepRecord = read_as(content, cls, out / SWEEP_RECORD_FILE)
             if isinstance(found.fields.get("set"), dict):
                 return found
         except FileError:
             pass
         raise DirectoryError(
-            f"{out / RECORD} is damaged: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out} again."
+            f"{out / SWEEP_RECORD_FILE} is damaged: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out} again."
         )
 
 
@@ -296,7 +296,7 @@ class Results:
 
     def columns(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
         """Columns one after the other, (rows,) each; the files are read as few times as memory allows."""
-        at_once = max(1, HELD // max(self.rows, 1))
+        at_once = max(1, MAX_HELD_NUMBERS // max(self.rows, 1))
         for start in range(0, len(names), at_once):
             table = self._read(names[start : start + at_once])
             for name in table.column_names:
@@ -630,7 +630,7 @@ def _spine_gain(values: Mapping[str, np.ndarray], tally: Tally) -> list[dict[str
 
 
 #: Endings of a table in one file.
-TABLES: Final = (".parquet", ".csv")
+TABLE_SUFFIXES: Final = (".parquet", ".csv")
 
 
 def write_report(
@@ -649,7 +649,7 @@ def write_report(
         ParameterError: the file has another ending.
         DirectoryError: it cannot be written, or holds something else.
     """
-    if out.suffix in TABLES:
+    if out.suffix in TABLE_SUFFIXES:
         with clear_errors(out.parent):
             out.parent.mkdir(parents=True, exist_ok=True)
             stream = io.BytesIO()
@@ -680,7 +680,7 @@ def report_table(out: Path, kind: str) -> pa.Table:
     table = parquet_table(out / f"{kind}.parquet")
     if table is None:
         raise DirectoryError(
-            f"{out / kind}.parquet is absent or damaged: run nermo-mjx {_COMMANDS[kind]} again."
+            f"{out / kind}.parquet is absent or damaged: run nermo-mjx {_REPORT_COMMANDS[kind]} again."
         )
     return table
 
@@ -694,4 +694,4 @@ def report_status(out: Path) -> Status:
 
 
 #: Which command makes a kind of report.
-_COMMANDS: Final = {"comparison": "compare", "sensitivity": "sensitivity"}
+_REPORT_COMMANDS: Final = {"comparison": "compare", "sensitivity": "sensitivity"}

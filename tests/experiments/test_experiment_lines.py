@@ -19,7 +19,7 @@ from nermo_mjx.experiments.measures import (
     saturates,
 )
 from nermo_mjx.experiments.published import (
-    KINDS,
+    LINE_KINDS,
     Figure,
     line_counts,
     published_figures,
@@ -117,7 +117,7 @@ def test_only_what_nothing_was_decided_by_is_predicted():
     assert all(
         "clock" in figure.reason for _, figure in ALL if figure.reason.startswith("The clock")
     )
-    assert {figure.kind for _, figure in ALL} <= set(KINDS)
+    assert {figure.kind for _, figure in ALL} <= set(LINE_KINDS)
 
 
 # --- the rules

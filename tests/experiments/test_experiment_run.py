@@ -746,7 +746,7 @@ def test_kept_bodies_are_not_walked_again_and_a_report_is_remade_from_them(bodie
 
 def test_parts_are_stored_in_the_order_in_which_they_come(bodies, tmp_path, monkeypatch):
     """Whoever is free simulates: here the last part comes first. Tables and report are those of one process."""
-    monkeypatch.setattr(run, "AT_ONCE", 3)
+    monkeypatch.setattr(run, "BATCH_BODIES", 3)
     names = ("maze", "turning")
     one = run_experiments(names, tmp_path / "one", bodies=4, video=False)
     other = run_experiments(names, tmp_path / "other", bodies=4, video=False, workers=Workers())

@@ -25,7 +25,7 @@ FREQUENCIES = (0.5, 0.67, 0.8)
 LONG_TURNS = ((0.5, 0.5), (0.5, 1.0), (0.67, 1.0), (0.8, 1.0))
 TROTS = ("trot", "walking_trot")
 #: Gaits, frequencies and radii of the other quarter circles; the last comes nearest to being lost.
-BENDS = (*((gait, 0.67, 0.5) for gait in walks.GAITS), ("lateral_walk", 0.8, 0.5))
+BENDS = (*((gait, 0.67, 0.5) for gait in walks.WALK_GAITS), ("lateral_walk", 0.8, 0.5))
 DAMPED = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
 #: It stands on stiff soles of 2 mm, and its tendons go taut at once.
 DAMPED |= {"contact.time_constant": 0.008, "contact.damping_ratio": 2.0, "contact.width": 0.0005}
@@ -40,7 +40,7 @@ STRIDE = 0.8
 def line() -> CaseRuns:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(walks, "DISTANCE", LINE)
-        patch.setattr(walks, "_LONGEST", 30.0)
+        patch.setattr(walks, "_LONGEST_RUN_SECONDS", 30.0)
         patch.setattr(walks, "_record", lambda *_: {})
         return walks.walk_line(Settings(("exact",), repeats=1, engine="c", values=DAMPED))
 
@@ -56,7 +56,7 @@ def turned(*chosen: tuple[str, float, float]) -> CaseRuns:
 
     sides = itertools.chain(
         itertools.product(
-            walks.GAITS,
+            walks.WALK_GAITS,
             walks.FREQUENCIES,
             (*walks.RADII, walks.FULL_LOCK),
             walks.STRATEGIES,
@@ -82,7 +82,7 @@ def turns() -> CaseRuns:
 @pytest.fixture(scope="module")
 def long_turns() -> CaseRuns:
     """Slower ones, and bends of 1 m."""
-    return turned(*((gait, *turn) for gait in walks.GAITS for turn in LONG_TURNS))
+    return turned(*((gait, *turn) for gait in walks.WALK_GAITS for turn in LONG_TURNS))
 
 
 @pytest.fixture(scope="module")
@@ -217,7 +217,7 @@ def test_spine_based_turning_is_fastest_and_mix_based_between(turns, gait, frequ
 
 @pytest.mark.long
 @pytest.mark.parametrize(("frequency", "radius"), LONG_TURNS)
-@pytest.mark.parametrize("gait", walks.GAITS)
+@pytest.mark.parametrize("gait", walks.WALK_GAITS)
 def test_spine_based_turning_is_fastest_and_mix_based_between_on_long_ways(
     long_turns, gait, frequency, radius
 ):
@@ -284,7 +284,7 @@ def test_full_lock_by_the_spine_has_both_theories_beside_it(turns):
     assert np.isnan(value(turns, "theory_equal_strides", strategy="leg", **case))
 
 
-@pytest.mark.parametrize("gait", walks.GAITS)
+@pytest.mark.parametrize("gait", walks.WALK_GAITS)
 def test_the_smallest_circle_is_the_mix_based_robots(turns, gait):
     """15 % or more below leg-based, 50 % or more below spine-based."""
     leg, mix, spine = (

@@ -114,7 +114,7 @@ def real(out):
     """Experiments, and their bodies one by one."""
     from nermo_mjx.experiments import run
 
-    run.AT_ONCE = 1
+    run.BATCH_BODIES = 1
     finished, names = [], ["balance", "body"]
     with cluster_of(1) as (cluster, _), ray_workers.RayWorkers(cluster.address) as workers:
         watch = Watch(lambda now: finished.append(now.what))

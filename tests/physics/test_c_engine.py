@@ -23,7 +23,7 @@ from nermo_mjx.rollout import Run, RunResult, Simulator
 from nermo_mjx.rollout.path_metrics import begins_in_run, ticks_until
 from nermo_mjx.rollout.saving import Saving
 from nermo_mjx.rollout.setup import Setup, Window
-from nermo_mjx.rollout.simulator import BLOCK
+from nermo_mjx.rollout.simulator import REPORT_TICKS
 
 #: More worlds than one block, on any number of cores.
 WORLDS = 41
@@ -110,7 +110,7 @@ def on_threads(simulator) -> Callable[[int], Simulator]:
 
 #: Ends of runs around the multiples of a block of ticks, and far from them [ticks].
 BESIDE = (-9.3, -1.5, -1.0, -0.9999, -0.5, -1e-3, -1e-7, 0.0, 1e-7, 1e-3, 0.4, 0.9995, 1.0, 1.3)
-ENDS = np.add.outer(BLOCK * np.array([1, 2, 3]), BESIDE).ravel()[:WORLDS]
+ENDS = np.add.outer(REPORT_TICKS * np.array([1, 2, 3]), BESIDE).ravel()[:WORLDS]
 #: All runs by time; by distance, which some of them cover and others do not.
 RUNS = {
     "time": Run(duration=0.01 * ENDS, warmup=np.full(WORLDS, 0.1)),

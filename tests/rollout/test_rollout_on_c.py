@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx import ParameterError, Rollout, Run, Setup
-from nermo_mjx.rollout.differentiable import WIDTH
+from nermo_mjx.rollout.differentiable import SLOPE_WIDTH
 
 NAMES = ("spine.amplitude", "spine.phase")
 POINT = np.array([0.2, -0.5])
@@ -96,7 +96,7 @@ def test_three_widths_give_the_same_derivative_at_four_points(long_walk: Rollout
         values = twelve_points()[i]
         slopes = [
             long_walk.slopes(values, NAMES, width)["speed"]
-            for width in (WIDTH, 0.1 * WIDTH, 10 * WIDTH)
+            for width in (SLOPE_WIDTH, 0.1 * SLOPE_WIDTH, 10 * SLOPE_WIDTH)
         ]
         apart = [np.linalg.norm(slope - slopes[0]) / np.linalg.norm(slopes[0]) for slope in slopes]
         assert apart[1] < 1e-4, i
@@ -136,7 +136,7 @@ def test_three_widths_give_the_same_derivative_by_ten_numbers_of_the_body(
     values = BODY | {"frequency": 0.8, "spine.amplitude": 0.2, "spine.phase": -1.1}
     slopes = [
         long_walk.slopes(values, tuple(BODY), width)["speed"]
-        for width in (10 * WIDTH, WIDTH, 0.1 * WIDTH)
+        for width in (10 * SLOPE_WIDTH, SLOPE_WIDTH, 0.1 * SLOPE_WIDTH)
     ]
     scaled = np.array(slopes) * np.array([*BODY.values()])
     apart = np.linalg.norm(scaled - scaled[1], axis=1) / np.linalg.norm(scaled[1])
@@ -242,7 +242,9 @@ def test_the_spread_of_two_widths_is_small_away_from_kinks(walk: Rollout) -> Non
     assert (spread["speed"] < 1e-3).all()
     kinked = Rollout(run=Run(cycles=0.4, warmup_cycles=0.0), engine="c")
     assert (
-        kinked.gradient_spread({"frequency": 0.8 * (1.0 + 0.2 * WIDTH)}, ["frequency"])["speed"]
+        kinked.gradient_spread({"frequency": 0.8 * (1.0 + 0.2 * SLOPE_WIDTH)}, ["frequency"])[
+            "speed"
+        ]
         > 0.03
     )
 
@@ -263,7 +265,7 @@ def test_a_kink_between_the_two_widths_has_the_spread_of_its_slopes(
         }
 
     monkeypatch.setattr(rollout, "slopes", slopes)
-    spread = rollout.gradient_spread({"x": 0.5 * WIDTH}, ["x"])
+    spread = rollout.gradient_spread({"x": 0.5 * SLOPE_WIDTH}, ["x"])
     assert spread["kinked"] == pytest.approx([0.5])
     assert spread["straight"] == [0.0]
 

@@ -29,7 +29,7 @@ from nermo_mjx.sweep import (
     read_table,
     run_sweep,
 )
-from nermo_mjx.sweep.table import RECORD, SweepRecord
+from nermo_mjx.sweep.table import SWEEP_RECORD_FILE, SweepRecord
 
 
 @pytest.fixture(scope="module")
@@ -433,7 +433,7 @@ WRONG = ({"rows": "3"}, {"fields": {}}, {"parameters": 1})
     ],
 )
 def test_a_damaged_record_is_one_sentence(tmp_path: Path, text: str) -> None:
-    (tmp_path / RECORD).write_text(text)
+    (tmp_path / SWEEP_RECORD_FILE).write_text(text)
     with pytest.raises(
         DirectoryError, match=r"sweep.json is damaged: run nermo-mjx sweep .* again"
     ):

@@ -14,7 +14,7 @@ from fakes.sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.rollout import METRICS
 from nermo_mjx.sweep import Sweep, read_table, run_sweep, sample
-from nermo_mjx.sweep.simulating import BUSY_WORLDS, WORLD_BYTES, chunk_rows
+from nermo_mjx.sweep.simulating import BUSY_WORLDS, ENGINE_WORLD_BYTES, chunk_rows
 from nermo_mjx.sweep.spec import Sample
 from nermo_mjx.sweep.table import summarize
 
@@ -50,10 +50,12 @@ def test_a_chunk_on_devices_fits_their_memory_and_divides_among_them(
     """Half of each device's memory at most, the same number of worlds on each, none of them idle for want of rows."""
     size = chunk_rows(engine, rows, memory=gibibytes * GIB, devices=devices, cores=16)
     assert size % devices == 0
-    assert size // devices * WORLD_BYTES[engine] <= gibibytes * GIB / 2
+    assert size // devices * ENGINE_WORLD_BYTES[engine] <= gibibytes * GIB / 2
     assert size - devices < rows
     if rows == 10_000_000:
-        assert size // devices == min(BUSY_WORLDS, int(gibibytes * GIB / 2 / WORLD_BYTES[engine]))
+        assert size // devices == min(
+            BUSY_WORLDS, int(gibibytes * GIB / 2 / ENGINE_WORLD_BYTES[engine])
+        )
 
 
 def test_the_memory_of_a_world_is_what_was_measured_last():
@@ -69,7 +71,7 @@ def test_the_memory_of_a_world_is_what_was_measured_last():
         for line in json.loads(run)["cases"]
     }
     most = max(needed for (_, program, _), needed in newest.items() if program == "walk")
-    assert most <= WORLD_BYTES["mjx"] < 2 * most
+    assert most <= ENGINE_WORLD_BYTES["mjx"] < 2 * most
 
 
 def test_a_device_with_no_memory_left_still_gets_a_world():

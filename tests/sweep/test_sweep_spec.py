@@ -7,7 +7,7 @@ from command import refused
 
 from nermo_mjx import all_metrics, all_parameters
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout.setup import TAKEN
+from nermo_mjx.rollout.setup import RESERVED_NAMES
 from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 
 GOOD = """\
@@ -439,7 +439,7 @@ def test_wrong_way_points_are_refused(pilot, sentence):
 
 def test_no_parameter_has_the_name_of_another_column() -> None:
     names = set(all_parameters())
-    assert not names & (set(all_metrics()) | TAKEN)
+    assert not names & (set(all_metrics()) | RESERVED_NAMES)
     assert "commanded_speed" in names
     for form in (
         {"vary": {"speed": [0.05, 0.1]}},
