@@ -235,7 +235,7 @@ MUTANTS: Final[dict[str, Mutant]] = {
     "spread_of_gradient": Mutant(
         "rollout/differentiable.py",
         "for width in (SLOPE_WIDTH, 0.1 * SLOPE_WIDTH)",
-        "for width in (WIDTH, WIDTH)",
+        "for width in (SLOPE_WIDTH, SLOPE_WIDTH)",
         "The spread of two difference widths is always 0.",
     ),
     "rest_of_cycle": Mutant(

@@ -60,7 +60,7 @@ def _record(
 
 DISTANCE: Final = 2.0
 #: Maximum number of gait cycles of a run that does not reach the end of the line, such as one without a stride.
-_RECORDED_CYCLES: Final = 60.0
+_LONGEST_RUN_CYCLES: Final = 60.0
 _WARMUP: Final = 2.0
 _RECORDED: Final = 8.0
 
@@ -128,7 +128,7 @@ def walk_line(settings: Settings) -> CaseRuns:
     defaults, quick = simulator.setup.defaults(), settings.quick
     batch = cases.worlds(line_cases(quick), defaults, settings)
     length = Run(
-        cycles=_RECORDED_CYCLES / (4 if quick else 1),
+        cycles=_LONGEST_RUN_CYCLES / (4 if quick else 1),
         warmup_cycles=_WARMUP,
         distance=0.5 if quick else DISTANCE,
     )

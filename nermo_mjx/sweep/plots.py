@@ -59,7 +59,7 @@ from nermo_mjx.sweep.table import (
 #: A figure has no more panels than this; more values are thinned evenly.
 MAX_FIGURE_PANELS = 12
 #: A scatter has no more points than this; more are thinned evenly.
-MOST_POINTS = 50_000
+MAX_SCATTER_POINTS = 50_000
 #: Pairs are drawn among this many parameters: the first of a grid, the most influential of a sample.
 MOST_PAIRED = 4
 
@@ -402,9 +402,9 @@ def _chosen(results: Results, x: str, y: str, color: str | None, remark: str) ->
 def _drawn_of(side: str, values: np.ndarray) -> tuple[np.ndarray, str]:
     """Places of the points (n,) that a scatter draws, the best one among them, and how many these are of all."""
     places, note = np.arange(len(values)), f"{len(values):,} runs"
-    if len(values) > MOST_POINTS:
-        places = thinned(places, MOST_POINTS, [int(np.argmin(cost(side, values)))])
-        note = f"{MOST_POINTS:,} of {note}"
+    if len(values) > MAX_SCATTER_POINTS:
+        places = thinned(places, MAX_SCATTER_POINTS, [int(np.argmin(cost(side, values)))])
+        note = f"{MAX_SCATTER_POINTS:,} of {note}"
     return places, note
 
 
@@ -574,7 +574,7 @@ def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: s
 #: What a faster walk is weighed against.
 AGAINST: Final = "roll_std"
 #: Points of a trade-off that are drawn, and parameters that are told of a named one.
-_MAX_SCATTER_POINTS: Final = 20_000
+_MAX_FRONT_POINTS: Final = 20_000
 _MOST_TOLD: Final = 6
 
 
@@ -614,9 +614,9 @@ def trade_off_figure(
         remark += f"{len(names) - _MOST_TOLD} more parameters are in the table; "
     drawn = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))
     note = f"{remark}{points.what}; "
-    if len(drawn) > _MAX_SCATTER_POINTS:
-        drawn = thinned(drawn, _MAX_SCATTER_POINTS, best)
-        note = f"{remark}{_MAX_SCATTER_POINTS:,} of {points.what}, and the whole front; "
+    if len(drawn) > _MAX_FRONT_POINTS:
+        drawn = thinned(drawn, _MAX_FRONT_POINTS, best)
+        note = f"{remark}{_MAX_FRONT_POINTS:,} of {points.what}, and the whole front; "
     x, y = (dataclasses.replace(each, values=each.values[drawn]) for each in (x, y))
     best, named = np.searchsorted(drawn, best), np.searchsorted(drawn, named)
     told = list(zip(named.tolist(), lines, strict=True))

@@ -40,7 +40,7 @@ STRIDE = 0.8
 def line() -> CaseRuns:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(walks, "DISTANCE", LINE)
-        patch.setattr(walks, "_LONGEST_RUN_SECONDS", 30.0)
+        patch.setattr(walks, "_LONGEST_RUN_CYCLES", 30.0)
         patch.setattr(walks, "_record", lambda *_: {})
         return walks.walk_line(Settings(("exact",), repeats=1, engine="c", values=DAMPED))
 

@@ -285,7 +285,7 @@ def test_a_scatter_of_too_many_points_is_thinned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The note says how many of all are drawn; correlations and the star still count all of them."""
-    monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)
+    monkeypatch.setattr("nermo_mjx.sweep.plots.MAX_SCATTER_POINTS", 20)
     data = table(1000)
     well = np.array(data.column("status").to_pylist()) == "ok"
     speed, frequency = (data.column(name).to_numpy()[well] for name in ("speed", "frequency"))

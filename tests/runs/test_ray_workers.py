@@ -166,7 +166,7 @@ def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, nodes, simu
 def test_experiments_on_a_cluster_are_those_of_one_process(tmp_path, monkeypatch):
     """Real walks in MuJoCo C, bit for bit: tables of experiments and bodies."""
     monkeypatch.setattr(
-        "nermo_mjx.experiments.run.AT_ONCE", 1
+        "nermo_mjx.experiments.run.BATCH_BODIES", 1
     )  # as there; the seed follows a batch's first body
     report = told(started("real", tmp_path))
     names = ["balance", "body"]

@@ -193,7 +193,7 @@ def test_a_table_that_does_not_fit_is_read_column_by_column(tmp_path, monkeypatc
     }
     usual = run_sweep(spec, tmp_path, chunk=5, simulator=FakeSimulator(falls_above=0.11))
     figures = [path.read_bytes() for path in usual.plots]
-    monkeypatch.setattr("nermo_mjx.sweep.table.HELD", 1)
+    monkeypatch.setattr("nermo_mjx.sweep.table.MAX_HELD_NUMBERS", 1)
     frugal = run_sweep(spec, tmp_path, simulator=FakeSimulator())
     assert frugal.chunks_run == 0
     assert frugal.summary == usual.summary
