@@ -885,6 +885,7 @@ def comparison_figures(out: Path) -> Figures:
     return figures_of_comparison(report_table(out, "comparison"))
 
 
+# Long because one figure is laid out from top to bottom.
 def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     """The relative difference of each metric with its interval, and in numbers beside it."""
     known = [row for row in rows if row["relative"] is not None and np.isfinite(row["relative"])]

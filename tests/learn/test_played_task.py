@@ -17,6 +17,7 @@ from nermo_mjx.learn import PPO, Policy, Training, run_training
 from nermo_mjx.learn.directory import HISTORY_FILE, training_status
 from nermo_mjx.learn.evaluation import EVALUATION_OFFSET, Draws, played_task, unseen_bodies
 from nermo_mjx.learn.policy import RandomPolicy
+from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.view import Page
 
 #: Two checkpoints of one iteration.
@@ -163,10 +164,11 @@ def test_a_page_follows_a_training_until_it_has_ended(at_work, tmp_path, monkeyp
 
 
 def test_only_a_training_can_be_followed(tmp_path):
-    assert (
-        f"--follow is for the directory of a training, but {tmp_path} is none."
-        in call("view", tmp_path, "--follow").stderr
-    )
+    assert f"{tmp_path} is not a results directory" in call("view", tmp_path, "--follow").stderr
+    with RunDirectory(tmp_path / "sweep", "sweep") as directory:
+        directory.note_session({})
+    message = f"--follow is for the directory of a training, but {tmp_path / 'sweep'} is none."
+    assert message in call("view", tmp_path / "sweep", "--follow").stderr
 
 
 def test_a_policy_is_not_given_what_it_was_not_trained_with(training, tmp_path):
