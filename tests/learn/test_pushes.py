@@ -136,8 +136,12 @@ def test_an_evaluation_pushes_policy_and_controller_alike_unless_it_says_otherwi
     environment = Training.from_dict(TRAINING).environment("c")
     untrained = Policy.of(environment, PPO().begin(environment, 0))
 
+    simulators = {}  # of the same settings in all three evaluations
+
     def table(**changed):
-        return PolicyEvaluator(Training.from_dict(TRAINING | changed), "c")(untrained).to_pandas()
+        evaluator = PolicyEvaluator(Training.from_dict(TRAINING | changed), "c")
+        evaluator._simulators = simulators
+        return evaluator(untrained).to_pandas()
 
     pushed, calm = table(), table(evaluate={"bodies": 4, "set": {"push.force": 0.0}})
     never = table(task={}, randomize={})

@@ -152,7 +152,7 @@ def test_each_parameter_alone():
     assert len(accepted_worlds) > 0.9 * len(
         [world for world in worlds if "terrain" not in str(world)]
     )
-    check(setup, accepted_worlds, 0.3)
+    check(setup, accepted_worlds, 0.5)
 
 
 @pytest.mark.release
