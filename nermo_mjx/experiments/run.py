@@ -372,6 +372,11 @@ class Simulation:
         return outcome, time.monotonic() - begun
 
 
+def _set_aside(path: Path) -> None:
+    """Rename a file of rows that are replaced, so that an interruption loses no result."""
+    path.replace(path.with_suffix(".replaced"))
+
+
 @dataclasses.dataclass(frozen=True)
 class _Call:
     """What all experiments of one call share; `bodies` if any are requested."""
@@ -405,7 +410,7 @@ class _Call:
             yield self._work(chosen, [self.settings], record, stack)
         if self.again:
             for path in part_files(self.directory.folder(chosen.name, bodies=True)):
-                path.unlink()
+                _set_aside(path)
         if not self.bodies:
             return
         record |= {"bodies": len(next(iter(self.bodies.values()))), "drawn": self.drawn}
@@ -444,7 +449,7 @@ class _Call:
         work = Work(rows, held.out, rows.size, watch=self.watch, directory=held)
         if self.again or not len(work.unfinished):  # replaced, or without their recordings
             for part in (*work.runs.parts, *work.runs.others):
-                part.path.unlink()
+                _set_aside(part.path)
             work.runs.survey()
         return work
 

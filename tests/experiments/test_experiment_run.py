@@ -308,8 +308,12 @@ def test_the_same_experiment_with_other_settings_is_refused_before_anything_runs
         run_experiments(NAMES, tmp_path, video=False)
     assert not fakes["straight-line"].asked
     assert snapshot(tmp_path) == before
+    replaced = [path.read_bytes() for path in sorted(tmp_path.glob("*/results/part-*.parquet"))]
     assert not ran(tmp_path, again=True).kept
     assert report_of(tmp_path)["experiments"]["turning"]["settings"]["seed"] == 0
+    aside = sorted(tmp_path.glob("*/results/part-*.replaced"))
+    assert replaced
+    assert [path.read_bytes() for path in aside] == replaced, "an interruption loses no result"
 
 
 def test_a_damaged_table_is_kept_aside_and_it_or_a_lost_recording_is_run_again(fakes, tmp_path):
