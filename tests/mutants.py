@@ -279,14 +279,14 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # sweep
     "freedom": Mutant(
         "sweep/counting.py",
-        "np.fmin(welch, most), several - 1.0)",
-        "np.fmin(welch, most), several)",
+        "np.fmin(welch, largest_freedom), several - 1.0)",
+        "np.fmin(welch, largest_freedom), several)",
         "The interval of a mean over variants has one degree of freedom too many.",
     ),
     "unpaired_left_out": Mutant(
         "sweep/counting.py",
-        "[mean.index.isin(both) | ~mean.index.isin(paired, level=0)]",
-        "[mean.index.isin(both)]",
+        "[mean.index.isin(shared) | ~mean.index.isin(paired, level=0)]",
+        "[mean.index.isin(shared)]",
         "A comparison drops the variants whose runs have no common seed.",
     ),
     "truncated_normal": Mutant(
@@ -297,7 +297,7 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "fresh_runs_choose": Mutant(
         "sweep/selection.py",
-        "begin = asked.fresh + look * repeats",
+        "begin = question.fresh + look * repeats",
         "begin = look * repeats",
         "The runs that validate the optimum also choose it.",
     ),

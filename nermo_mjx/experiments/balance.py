@@ -144,11 +144,11 @@ class BalanceLoop:
         self, params: BalanceParameters, state: BalanceState, sensordata: Float[Array, "steps n"]
     ) -> tuple[BalanceState, Float[Array, " n_servos"]]:
         """See `Loop.step`."""
-        wanted = self.servos(params, state.tick * self.dt / params.clock_ratio).vector(
+        commanded = self.servos(params, state.tick * self.dt / params.clock_ratio).vector(
             self.robot.servos
         )
         reach = params.servo_speed * self.dt
-        ctrl = state.ctrl + jnp.clip(wanted - state.ctrl, -reach, reach)
+        ctrl = state.ctrl + jnp.clip(commanded - state.ctrl, -reach, reach)
         return BalanceState(state.tick + 1, ctrl), ctrl
 
     def spine_servo(self, params: BalanceParameters) -> Float[Array, ""]:
@@ -206,9 +206,9 @@ class Nudge:
 def nudge(seed: int, case: int, repeat: int) -> Nudge:
     """Uniform draws, which for a repeat do not depend on the rest of the batch."""
     draw = np.random.default_rng([seed, case, repeat])
-    place = draw.uniform(-PLACE, PLACE, 3)
-    place[2] = abs(place[2])
-    return Nudge(place, draw.uniform(-TURN, TURN, 3), draw.uniform(-TURN, TURN, (4, 2)))
+    position = draw.uniform(-PLACE, PLACE, 3)
+    position[2] = abs(position[2])
+    return Nudge(position, draw.uniform(-TURN, TURN, 3), draw.uniform(-TURN, TURN, (4, 2)))
 
 
 def start_pose(robot: Robot, start: Nudge) -> np.ndarray:
@@ -340,7 +340,7 @@ def measure(
     limb: int,
     time: Float[np.ndarray, " T"],
     sensors: Mapping[str, np.ndarray],
-    shown: Mapping[str, np.ndarray],
+    readings_shown: Mapping[str, np.ndarray],
     sole: float,
 ) -> dict[str, float | bool]:
     """All columns of one world that are measured; see `experiments.yaml`.
@@ -355,11 +355,15 @@ def measure(
     def within(begin: float, end: float) -> np.ndarray:
         return (time > begin + 1e-6) & (time < end + 1e-6)
 
-    force, pitch, margin = sensors["foot_force"], shown["pitch"], shown["com_margin"]
+    force, pitch, margin = (
+        sensors["foot_force"],
+        readings_shown["pitch"],
+        readings_shown["com_margin"],
+    )
     still = {name: within(*phase.still) for name, phase in PHASES.items()}
     swing = still["swing"] = within(PHASES["swing"].begin, PHASES["swing"].end)
     upright, clear = verdict(
-        force[swing, limb], shown["tilt"][within(PHASES["lift"].begin, math.inf)]
+        force[swing, limb], readings_shown["tilt"][within(PHASES["lift"].begin, math.inf)]
     )
     height = sensors["foot_position"][swing, limb, 2] - sole
     lifted = time > PHASES["lift"].begin
@@ -370,13 +374,13 @@ def measure(
         "clear": bool(clear),
         "contact_share": np.mean(force[swing, limb] > TOUCH),
         "clearance": height.min(),
-        "tilt_max": shown["tilt"][within(PHASES["lift"].begin, math.inf)].max(),
+        "tilt_max": readings_shown["tilt"][within(PHASES["lift"].begin, math.inf)].max(),
         "pitch_stand": pitch[still["stand"]].mean(),
         "pitch_rest": pitch[still["lift"]].mean(),
-        "roll_rest": shown["roll"][still["lift"]].mean(),
+        "roll_rest": readings_shown["roll"][still["lift"]].mean(),
         "pitch_swing_min": pitch[swing].min(),
         "pitch_swing_max": pitch[swing].max(),
-        "com_height": shown["centre_of_mass"][still["stand"], 2].mean(),
+        "com_height": readings_shown["centre_of_mass"][still["stand"], 2].mean(),
         **{
             f"com_margin_{phase}": margin[still[phase]].mean()
             for phase in ("stand", "shift", "lift")
@@ -385,8 +389,10 @@ def measure(
         "impact": time[np.argmax(down)] - PHASES["lift"].begin if down.any() else math.nan,
         "third_share": np.mean(force[swing, 3 - limb] > TOUCH),
     }
-    for phase, when in still.items():
-        values |= {f"force_{phase}_{name}": force[when, i].mean() for i, name in enumerate(LIMBS)}
+    for phase, is_still in still.items():
+        values |= {
+            f"force_{phase}_{name}": force[is_still, i].mean() for i, name in enumerate(LIMBS)
+        }
     return values
 
 
@@ -484,9 +490,9 @@ def _worlds(settings: Settings) -> _Worlds:
             if profile == "as_built"
             else {}
         )
-        drawn = {name: float(values[body - 1]) for name, values in bodies.items()}
-        own = body_values(profile) | built | dict(settings.values) | drawn
-        rows.append({"spine.offset_compensation": OFFSET_COMPENSATION} | own)
+        body_sample = {name: float(values[body - 1]) for name, values in bodies.items()}
+        parameters = body_values(profile) | built | dict(settings.values) | body_sample
+        rows.append({"spine.offset_compensation": OFFSET_COMPENSATION} | parameters)
         # The perturbation of a start is the same in all profiles.
         starts.append(nudge(settings.seed, 2 * limb + sbc, repeat + max(body - 1, 0)))
     defaults = dict(values_of(ModelParameters())) | {
@@ -535,17 +541,18 @@ def run(settings: Settings) -> CaseRuns:
     variation = Variation(robot).batch(worlds.body, len(ticks), worlds.on_body)
     session, blocks = engine.open(params, qpos, variation), []
     # Whole blocks only: a recorded block of another length would need another program.
-    for done in range(0, max(ticks), REPORT_TICKS):
+    for first_tick in range(0, max(ticks), REPORT_TICKS):
         blocks.append(session.record(REPORT_TICKS))
         if settings.progress:
-            settings.progress(min(1.0, (done + REPORT_TICKS) / max(ticks)))
+            settings.progress(min(1.0, (first_tick + REPORT_TICKS) / max(ticks)))
     traces = [
         np.concatenate([np.asarray(getattr(block, name), float) for block in blocks], axis=1)
         for name in ("qpos", "qvel", "ctrl", "sensordata")
     ]
-    read = robot.sensors(traces.pop()[:, : max(ticks)])
-    named = {
-        field.name: np.asarray(getattr(read, field.name)) for field in dataclasses.fields(read)
+    sensor_readings = robot.sensors(traces.pop()[:, : max(ticks)])
+    arrays = {
+        field.name: np.asarray(getattr(sensor_readings, field.name))
+        for field in dataclasses.fields(sensor_readings)
     }
 
     @functools.cache
@@ -559,9 +566,9 @@ def run(settings: Settings) -> CaseRuns:
         masses = [(name, column) for name, column in worlds.on_body.items() if name[:5] == "mass."]
         model = model_of(tuple((name, column[i]) for name, column in masses))
         limb, time = worlds.limbs[i], (1 + np.arange(length)) * loop.dt
-        sensors = {name: column[i, :length] for name, column in named.items()}
-        shown = readings(limb, model, traces[0][i, :length], sensors)
-        labels, row = row, row | measure(limb, time / ratio, sensors, shown, sole)
+        sensors = {name: column[i, :length] for name, column in arrays.items()}
+        limb_readings = readings(limb, model, traces[0][i, :length], sensors)
+        labels, row = row, row | measure(limb, time / ratio, sensors, limb_readings, sole)
         ground = np.asarray(kinematics.feet_positions(float(bends[i]), feet, Geometry()))
         com = np.asarray(kinematics.centre_of_mass(robot.mass_model, float(bends[i]), Geometry()))
         margin = inside(limb, com[None], ground[None])[0]  # (5.35)
@@ -574,7 +581,7 @@ def run(settings: Settings) -> CaseRuns:
                 ratio,
             )
             metadata |= {"setup": dataclasses.asdict(robot.config), "engine": engine.name}
-            world = {name: reading[None] for name, reading in (sensors | shown).items()}
+            world = {name: reading[None] for name, reading in (sensors | limb_readings).items()}
             poses, speeds, ctrl = (trace[i : i + 1, :length] for trace in traces)
             history = History(time, poses, speeds, ctrl, world)
             recordings[metadata["case"]] = recording_of(history, model, metadata=metadata)

@@ -61,12 +61,14 @@ class Column:
 
 def columns_about(experiment: str) -> dict[str, Column]:
     """Unit and meaning of the columns that an experiment may have: its labels, metrics, and what it measures itself."""
-    own, labels = (
-        {name: Column(*about) for name, about in texts("columns").get(key, {}).items()}
+    own_columns, labels = (
+        {name: Column(*fields) for name, fields in texts("columns").get(key, {}).items()}
         for key in (experiment, "labels")
     )
     return (
-        labels | {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()} | own
+        labels
+        | {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()}
+        | own_columns
     )
 
 
@@ -95,30 +97,32 @@ class CaseRuns:
         recordings: Mapping[str, Recording] | None = None,
     ) -> CaseRuns:
         """The outcome of a published experiment, whose columns have their known meanings."""
-        about = columns_about(experiment)
-        return cls(experiment, columns, {name: about[name] for name in columns}, recordings or {})
+        columns_info = columns_about(experiment)
+        return cls(
+            experiment, columns, {name: columns_info[name] for name in columns}, recordings or {}
+        )
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 
-    def where(self, **wanted: object) -> np.ndarray:
+    def where(self, **labels: object) -> np.ndarray:
         """Mask (n,) of the rows whose columns have these values."""
         mask = np.ones(len(self), bool)
-        for name, value in wanted.items():
+        for name, value in labels.items():
             column = self.columns[name]
             mask &= np.isclose(column, value) if isinstance(value, float) else column == value
         return mask
 
-    def mean(self, column: str, **wanted: object) -> float:
+    def mean(self, column: str, **labels: object) -> float:
         """Mean over the rows selected by `where`; NaN if there are none, or no such column."""
         if column not in self.columns:
             return float("nan")
-        values = np.asarray(self.columns[column], float)[self.where(**wanted)]
+        values = np.asarray(self.columns[column], float)[self.where(**labels)]
         return float(values.mean()) if len(values) else float("nan")
 
-    def only(self, **wanted: object) -> CaseRuns:
+    def only(self, **labels: object) -> CaseRuns:
         """The rows selected by `where`, without recordings."""
-        rows = self.where(**wanted)
+        rows = self.where(**labels)
         columns = {name: values[rows] for name, values in self.columns.items()}
         return dataclasses.replace(self, columns=columns, recordings={})
 
@@ -207,15 +211,17 @@ class Settings:
             raise ParameterError(
                 f"profiles is {self.profiles!r}: allowed is a list of {', '.join(PROFILES)}."
             )
-        named = {choice("profile", profile, PROFILES) for profile in self.profiles}
+        profile_names = {choice("profile", profile, PROFILES) for profile in self.profiles}
         check_whole("repeats", self.repeats, 1)
         check_whole("seed", self.seed, 0)
-        known = dict(quantities(WorldParameters))
+        declarations = dict(quantities(WorldParameters))
         for name, value in self.values.items():
             if isinstance(value, str) or np.ndim(value):
                 raise ParameterError(f"{name} is {value!r}: allowed is one number for all cases.")
-            known[choice("parameter", name, known)].check(name, value)
-        object.__setattr__(self, "profiles", tuple(name for name in PROFILES if name in named))
+            declarations[choice("parameter", name, declarations)].check(name, value)
+        object.__setattr__(
+            self, "profiles", tuple(name for name in PROFILES if name in profile_names)
+        )
         object.__setattr__(
             self, "values", {name: float(value) for name, value in sorted(self.values.items())}
         )
@@ -223,8 +229,13 @@ class Settings:
     def as_dict(self) -> dict[str, Any]:
         """The settings that determine the numbers, as written to files."""
         settings = {name: getattr(self, name) for name in ("repeats", "seed", "quick")}
-        other = {} if self.controller is None else {"controller": self.controller.name}
-        return {"profiles": list(self.profiles), **settings, "values": dict(self.values), **other}
+        controller_entry = {} if self.controller is None else {"controller": self.controller.name}
+        return {
+            "profiles": list(self.profiles),
+            **settings,
+            "values": dict(self.values),
+            **controller_entry,
+        }
 
     def setup(self, scene: str, **choices: Any) -> Setup:
         """The setup of a walk in a scene, with choices of the published controller, upon which another may act.
@@ -239,11 +250,11 @@ class Settings:
     @property
     def robot(self) -> dict[str, Any]:
         """Choices of the robot that the first profile makes; see `in_each_robot`."""
-        return {name: str(chosen) for name, chosen in robot_choices(self.profiles[0]).items()}
+        return {name: str(option) for name, option in robot_choices(self.profiles[0]).items()}
 
-    def but(self, **other: Any) -> Settings:
+    def but(self, **changes: Any) -> Settings:
         """The same, except for what is named."""
-        return dataclasses.replace(self, **other)
+        return dataclasses.replace(self, **changes)
 
     @property
     def body_count(self) -> int:
@@ -280,7 +291,9 @@ def in_each_robot(run: Callable[[Settings], CaseRuns], settings: Settings) -> Ca
     columns = {
         name: column[order] if len(parts) > 1 else column for name, column in columns.items()
     }
-    recordings = {name: made for part in reversed(parts) for name, made in part.recordings.items()}
+    recordings = {
+        name: recording for part in reversed(parts) for name, recording in part.recordings.items()
+    }
     return CaseRuns.of(parts[0].experiment, columns, recordings)
 
 

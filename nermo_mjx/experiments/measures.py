@@ -168,9 +168,11 @@ class ProfileOutcome:
         """Smallest radius: that of the path at full lock [m]."""
         return self.turn("turning_radius", gait, frequency, FULL_LOCK, strategy)
 
-    def tighter(self, gait: str, strategy: str, other: str, frequency: float = 0.67) -> Number:
+    def tighter(
+        self, gait: str, strategy: str, other_strategy: str, frequency: float = 0.67
+    ) -> Number:
         """By what share a strategy's smallest radius is below another's."""
-        return 1 - self.lock(gait, strategy, frequency) / self.lock(gait, other, frequency)
+        return 1 - self.lock(gait, strategy, frequency) / self.lock(gait, other_strategy, frequency)
 
     def followed(
         self, strategy: str, gait: str = "trot", frequency: float = 0.67, radius: float = 0.5
@@ -210,14 +212,14 @@ class ProfileOutcome:
 
     def compared(self, *strategies: str) -> list[tuple[Number, ...]]:
         """Speeds of strategies on every quarter circle that all of them followed."""
-        found = [
+        rows = [
             tuple(self.turn("speed", *circle, strategy) for strategy in strategies)
             for circle in self._circles()
             if all(self.followed(strategy, *circle) for strategy in strategies)
         ]
-        if not found:
+        if not rows:
             raise NotMeasured
-        return found
+        return rows
 
     def mirrored(self) -> bool:
         """Whether right equals left within the spread of the repeats, in speed and in the radius at full lock.
@@ -283,13 +285,13 @@ class ProfileOutcome:
 
     # the stand of the leg
 
-    def shortens(self, routing: str, other: str) -> bool:
+    def shortens(self, routing: str, other_routing: str) -> bool:
         """Whether a routing has a shorter lever arm on the knee than another one, in both pairs of legs."""
         force = [
-            [self.mean("force", pair=pair, routing=r, hinges=1) for r in (routing, other)]
+            [self.mean("force", pair=pair, routing=r, hinges=1) for r in (routing, other_routing)]
             for pair in LEGS
         ]
-        return all(one < another for one, another in force)
+        return all(first_force < second_force for first_force, second_force in force)
 
 
 def farthest(values: Sequence[Number], low: float, high: float) -> Number:
@@ -323,356 +325,437 @@ Measure = Callable[[ProfileOutcome], float | bool | str | np.generic]
 #: By experiment and figure, as in `published.yaml`.
 MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
     "straight-line": {
-        "theory: speed of trot, 0.8 Hz, no spine": lambda of: of.theory_speed("trot", 0.8),
-        "theory: speed of trot, 0.8 Hz, spine": lambda of: of.theory_speed("trot", 0.8, True),
+        "theory: speed of trot, 0.8 Hz, no spine": lambda measured: measured.theory_speed(
+            "trot", 0.8
+        ),
+        "theory: speed of trot, 0.8 Hz, spine": lambda measured: measured.theory_speed(
+            "trot", 0.8, True
+        ),
         "theory: longer stride by the spine": ProfileOutcome.stride_gain,
-        "theory: speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.theory_speed(
+        "theory: speed of the spine alone (stride 0), 0.8 Hz": lambda measured: (
+            measured.theory_speed("trot", 0.8, True, 0.0)
+        ),
+        "speed of the spine alone (stride 0), 0.8 Hz": lambda measured: measured.speed(
             "trot", 0.8, True, 0.0
         ),
-        "speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.speed("trot", 0.8, True, 0.0),
-        "speed of trot, 0.8 Hz, no spine": lambda of: of.speed("trot", 0.8),
-        "speed of trot over its theory, 0.8 Hz": lambda of: (
-            of.speed("trot", 0.8) / of.theory_speed("trot", 0.8)
+        "speed of trot, 0.8 Hz, no spine": lambda measured: measured.speed("trot", 0.8),
+        "speed of trot over its theory, 0.8 Hz": lambda measured: (
+            measured.speed("trot", 0.8) / measured.theory_speed("trot", 0.8)
         ),
-        "speed of walking trot over its theory, mean of the frequencies": lambda of: np.mean(
-            [of.speed("walking_trot", f) / of.theory_speed("walking_trot", f) for f in FREQUENCIES]
+        "speed of walking trot over its theory, mean of the frequencies": lambda measured: np.mean(
+            [
+                measured.speed("walking_trot", f) / measured.theory_speed("walking_trot", f)
+                for f in FREQUENCIES
+            ]
         ),
-        "speed of lateral walk over its theory, mean of the frequencies": lambda of: np.mean(
-            [of.speed("lateral_walk", f) / of.theory_speed("lateral_walk", f) for f in FREQUENCIES]
+        "speed of lateral walk over its theory, mean of the frequencies": lambda measured: np.mean(
+            [
+                measured.speed("lateral_walk", f) / measured.theory_speed("lateral_walk", f)
+                for f in FREQUENCIES
+            ]
         ),
-        "trot > walking trot > lateral walk at each frequency": lambda of: every(
-            falls(of.speed(g, f) for g in WALK_GAITS) for f in FREQUENCIES
+        "trot > walking trot > lateral walk at each frequency": lambda measured: every(
+            falls(measured.speed(g, f) for g in WALK_GAITS) for f in FREQUENCIES
         ),
-        "trot faster with the spine at each frequency": lambda of: min(of.gains("trot")) > 1,
-        "walking trot faster with the spine at each frequency": lambda of: (
-            min(of.gains("walking_trot")) > 1
+        "trot faster with the spine at each frequency": lambda measured: (
+            min(measured.gains("trot")) > 1
         ),
-        "speed of trot, 0.5 and 0.67 Hz, spine over none": lambda of: farthest(
-            of.gains("trot", FREQUENCIES[:2]), 1.05, 1.22
+        "walking trot faster with the spine at each frequency": lambda measured: (
+            min(measured.gains("walking_trot")) > 1
         ),
-        "speed of trot, 0.8 Hz, spine over none": lambda of: of.gain("trot", 0.8),
-        "speed of trot over lateral walk, 0.8 Hz, no spine": lambda of: (
-            of.speed("trot", 0.8) / of.speed("lateral_walk", 0.8)
+        "speed of trot, 0.5 and 0.67 Hz, spine over none": lambda measured: farthest(
+            measured.gains("trot", FREQUENCIES[:2]), 1.05, 1.22
         ),
-        "speed of trot with spine over lateral walk, 0.8 Hz": lambda of: (
-            of.speed("trot", 0.8, True) / of.speed("lateral_walk", 0.8)
+        "speed of trot, 0.8 Hz, spine over none": lambda measured: measured.gain("trot", 0.8),
+        "speed of trot over lateral walk, 0.8 Hz, no spine": lambda measured: (
+            measured.speed("trot", 0.8) / measured.speed("lateral_walk", 0.8)
         ),
-        "speed of trot linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("trot")),
-        "speed of walking trot linear in frequency": lambda of: on_a_line(
-            FREQUENCIES, of.speeds("walking_trot")
+        "speed of trot with spine over lateral walk, 0.8 Hz": lambda measured: (
+            measured.speed("trot", 0.8, True) / measured.speed("lateral_walk", 0.8)
         ),
-        "speed of lateral walk saturates with frequency": lambda of: saturates(
-            FREQUENCIES, of.speeds("lateral_walk")
+        "speed of trot linear in frequency": lambda measured: on_a_line(
+            FREQUENCIES, measured.speeds("trot")
         ),
-        "speed over stride, R^2 of a line": lambda of: of.stride_line(False),
-        "speed over stride with the spine: a line, above that without": lambda of: (
-            of.stride_line(True) >= LINEAR
+        "speed of walking trot linear in frequency": lambda measured: on_a_line(
+            FREQUENCIES, measured.speeds("walking_trot")
+        ),
+        "speed of lateral walk saturates with frequency": lambda measured: saturates(
+            FREQUENCIES, measured.speeds("lateral_walk")
+        ),
+        "speed over stride, R^2 of a line": lambda measured: measured.stride_line(False),
+        "speed over stride with the spine: a line, above that without": lambda measured: (
+            measured.stride_line(True) >= LINEAR
             and every(
-                of.speed("trot", 0.8, True, s) > of.speed("trot", 0.8, False, s)
+                measured.speed("trot", 0.8, True, s) > measured.speed("trot", 0.8, False, s)
                 for s in (0.0, 0.5, 0.8, 1.0)
             )
         ),
-        "roll std higher with the spine": lambda of: min(of.ratios("roll_std")) > 1,
-        "pitch std higher with the spine": lambda of: min(of.ratios("pitch_std")) > 1,
-        "yaw std higher with the spine": lambda of: min(of.ratios("yaw_std")) > 1,
-        "roll std, spine over none, trot and walking trot at each frequency": lambda of: farthest(
-            of.ratios("roll_std"), 1.25, 1.4
+        "roll std higher with the spine": lambda measured: min(measured.ratios("roll_std")) > 1,
+        "pitch std higher with the spine": lambda measured: min(measured.ratios("pitch_std")) > 1,
+        "yaw std higher with the spine": lambda measured: min(measured.ratios("yaw_std")) > 1,
+        "roll std, spine over none, trot and walking trot at each frequency": lambda measured: (
+            farthest(measured.ratios("roll_std"), 1.25, 1.4)
         ),
-        "roll std of trot grows with each frequency step": lambda of: (
-            min(of.growths("roll_std")) > 0
+        "roll std of trot grows with each frequency step": lambda measured: (
+            min(measured.growths("roll_std")) > 0
         ),
-        "growth of roll std of trot with a frequency step, mean": lambda of: np.mean(
-            of.growths("roll_std")
+        "growth of roll std of trot with a frequency step, mean": lambda measured: np.mean(
+            measured.growths("roll_std")
         ),
-        "yaw std of trot with the spine, 0.8 Hz": lambda of: of.walk("yaw_std", "trot", 0.8, True),
-        "yaw std of trot, 0.8 Hz, spine over none": lambda of: of.ratio("yaw_std"),
-        "yaw amplitude of trot, 0.8 Hz, spine over none": lambda of: (
-            of.amplitude("yaw", "trot", 0.8, True) / of.amplitude("yaw", "trot", 0.8, False)
+        "yaw std of trot with the spine, 0.8 Hz": lambda measured: measured.walk(
+            "yaw_std", "trot", 0.8, True
         ),
-        "yaw follows the spine's angle": lambda of: (
-            of.walk("yaw_spine_correlation", "trot", 0.8, True) >= 0.7
+        "yaw std of trot, 0.8 Hz, spine over none": lambda measured: measured.ratio("yaw_std"),
+        "yaw amplitude of trot, 0.8 Hz, spine over none": lambda measured: (
+            measured.amplitude("yaw", "trot", 0.8, True)
+            / measured.amplitude("yaw", "trot", 0.8, False)
         ),
-        "largest roll of trot, 0.8 Hz, spine": lambda of: of.largest_roll(True),
-        "largest roll of trot, 0.8 Hz, no spine": lambda of: of.largest_roll(False),
-        "roll std falls with duty, 0.8 Hz: trot > walking trot > lateral walk": lambda of: falls(
-            of.walk("roll_std", g, 0.8) for g in WALK_GAITS
+        "yaw follows the spine's angle": lambda measured: (
+            measured.walk("yaw_spine_correlation", "trot", 0.8, True) >= 0.7
         ),
-        "yaw std with the spine larger at the lower duty, trot > walking trot": lambda of: every(
-            of.walk("yaw_std", "trot", f, True) > of.walk("yaw_std", "walking_trot", f, True)
-            for f in FREQUENCIES
+        "largest roll of trot, 0.8 Hz, spine": lambda measured: measured.largest_roll(True),
+        "largest roll of trot, 0.8 Hz, no spine": lambda measured: measured.largest_roll(False),
+        "roll std falls with duty, 0.8 Hz: trot > walking trot > lateral walk": lambda measured: (
+            falls(measured.walk("roll_std", g, 0.8) for g in WALK_GAITS)
         ),
-        "roll std of trot, 0.67 Hz, spine, compensated over not": lambda of: of.compensated(
-            "roll_std"
-        ),
-        "roll amplitude of trot, 0.67 Hz, spine, compensated over not": lambda of: (
-            of.amplitude("roll", "trot", 0.67, True, True)
-            / of.amplitude("roll", "trot", 0.67, True)
-        ),
-        "compensation lowers the roll, and leaves pitch and yaw": lambda of: (
-            of.compensated("roll_std") < 1
-            and every(abs(of.compensated(a) - 1) <= 0.15 for a in ("pitch_std", "yaw_std"))
-        ),
-        "standing pitch": lambda of: of.walk("pitch_mean", "stand", 0.8, False, 0.0),
-        "mean pitch of trot, 0.8 Hz, no spine": lambda of: of.walk("pitch_mean", "trot", 0.8),
-        "largest pitch std of all cases": lambda of: np.nanmax(np.degrees(of.worlds("pitch_std"))),
-        "pitch std of trot, 0.8 Hz, spine minus none": lambda of: (
-            of.walk("pitch_std", "trot", 0.8, True) - of.walk("pitch_std", "trot", 0.8)
-        ),
-        "pitch std of trot, 0.8 Hz, stride 1.0 over 0.8": lambda of: max(
-            of.walk("pitch_std", "trot", 0.8, s, 1.0) / of.walk("pitch_std", "trot", 0.8, s, 0.8)
-            for s in (False, True)
-        ),
-        "upward pitch peak of trot, 0.8 Hz, spine over none": lambda of: of.ratio("pitch_peak_up"),
-        "upward pitch peak of trot, 0.8 Hz, stride 1.0 over 0.8": lambda of: (
-            of.walk("pitch_peak_up", "trot", 0.8)
-            / of.walk("pitch_peak_up", "trot", 0.8, False, 0.8)
-        ),
-        "pitch peaks in a gait cycle of trot, 0.8 Hz": lambda of: of.walk(
-            "pitch_peaks", "trot", 0.8
-        ),
-        "largest upward pitch of trot, 0.8 Hz": lambda of: max(
-            -of.walk("pitch_min", "trot", 0.8, s) for s in (False, True)
-        ),
-        "front feet carry more than rear feet": lambda of: (
-            of.walk("front_load_share", "trot", 0.8) > 0.5
-        ),
-        "rear feet slip most at lift-off": lambda of: (
-            of.walk("slip_rear_lift_off", "trot", 0.8)
-            > max(
-                of.walk(f"slip_rear_{part}", "trot", 0.8) for part in ("touch_down", "mid_stance")
+        "yaw std with the spine larger at the lower duty, trot > walking trot": lambda measured: (
+            every(
+                measured.walk("yaw_std", "trot", f, True)
+                > measured.walk("yaw_std", "walking_trot", f, True)
+                for f in FREQUENCIES
             )
         ),
-        "hardware: speed of trot, 0.67 Hz, no spine": lambda of: of.speed("trot", 0.67),
-        "hardware: speed of trot, 0.67 Hz, spine": lambda of: of.speed("trot", 0.67, True),
-        "hardware: speed of trot, 0.67 Hz, spine over none": lambda of: of.gain("trot", 0.67),
-        "hardware: speed of trot, 0.5 and 0.8 Hz, spine over none": lambda of: farthest(
-            of.gains("trot", (0.5, 0.8)), 1.15, 1.22
+        "roll std of trot, 0.67 Hz, spine, compensated over not": lambda measured: (
+            measured.compensated("roll_std")
         ),
-        "hardware: speed of trot over lateral walk, mean of the frequencies": lambda of: np.mean(
-            [of.speed("trot", f) / of.speed("lateral_walk", f) for f in FREQUENCIES]
+        "roll amplitude of trot, 0.67 Hz, spine, compensated over not": lambda measured: (
+            measured.amplitude("roll", "trot", 0.67, True, True)
+            / measured.amplitude("roll", "trot", 0.67, True)
         ),
-        "hardware below simulation, trot, no spine": lambda of: of.below_simulation("trot"),
-        "hardware below simulation, trot, spine": lambda of: of.below_simulation("trot", True),
-        "hardware below simulation, lateral walk": lambda of: of.below_simulation("lateral_walk"),
+        "compensation lowers the roll, and leaves pitch and yaw": lambda measured: (
+            measured.compensated("roll_std") < 1
+            and every(abs(measured.compensated(a) - 1) <= 0.15 for a in ("pitch_std", "yaw_std"))
+        ),
+        "standing pitch": lambda measured: measured.walk("pitch_mean", "stand", 0.8, False, 0.0),
+        "mean pitch of trot, 0.8 Hz, no spine": lambda measured: measured.walk(
+            "pitch_mean", "trot", 0.8
+        ),
+        "largest pitch std of all cases": lambda measured: np.nanmax(
+            np.degrees(measured.worlds("pitch_std"))
+        ),
+        "pitch std of trot, 0.8 Hz, spine minus none": lambda measured: (
+            measured.walk("pitch_std", "trot", 0.8, True) - measured.walk("pitch_std", "trot", 0.8)
+        ),
+        "pitch std of trot, 0.8 Hz, stride 1.0 over 0.8": lambda measured: max(
+            measured.walk("pitch_std", "trot", 0.8, s, 1.0)
+            / measured.walk("pitch_std", "trot", 0.8, s, 0.8)
+            for s in (False, True)
+        ),
+        "upward pitch peak of trot, 0.8 Hz, spine over none": lambda measured: measured.ratio(
+            "pitch_peak_up"
+        ),
+        "upward pitch peak of trot, 0.8 Hz, stride 1.0 over 0.8": lambda measured: (
+            measured.walk("pitch_peak_up", "trot", 0.8)
+            / measured.walk("pitch_peak_up", "trot", 0.8, False, 0.8)
+        ),
+        "pitch peaks in a gait cycle of trot, 0.8 Hz": lambda measured: measured.walk(
+            "pitch_peaks", "trot", 0.8
+        ),
+        "largest upward pitch of trot, 0.8 Hz": lambda measured: max(
+            -measured.walk("pitch_min", "trot", 0.8, s) for s in (False, True)
+        ),
+        "front feet carry more than rear feet": lambda measured: (
+            measured.walk("front_load_share", "trot", 0.8) > 0.5
+        ),
+        "rear feet slip most at lift-off": lambda measured: (
+            measured.walk("slip_rear_lift_off", "trot", 0.8)
+            > max(
+                measured.walk(f"slip_rear_{part}", "trot", 0.8)
+                for part in ("touch_down", "mid_stance")
+            )
+        ),
+        "hardware: speed of trot, 0.67 Hz, no spine": lambda measured: measured.speed("trot", 0.67),
+        "hardware: speed of trot, 0.67 Hz, spine": lambda measured: measured.speed(
+            "trot", 0.67, True
+        ),
+        "hardware: speed of trot, 0.67 Hz, spine over none": lambda measured: measured.gain(
+            "trot", 0.67
+        ),
+        "hardware: speed of trot, 0.5 and 0.8 Hz, spine over none": lambda measured: farthest(
+            measured.gains("trot", (0.5, 0.8)), 1.15, 1.22
+        ),
+        "hardware: speed of trot over lateral walk, mean of the frequencies": lambda measured: (
+            np.mean(
+                [measured.speed("trot", f) / measured.speed("lateral_walk", f) for f in FREQUENCIES]
+            )
+        ),
+        "hardware below simulation, trot, no spine": lambda measured: measured.below_simulation(
+            "trot"
+        ),
+        "hardware below simulation, trot, spine": lambda measured: measured.below_simulation(
+            "trot", True
+        ),
+        "hardware below simulation, lateral walk": lambda measured: measured.below_simulation(
+            "lateral_walk"
+        ),
     },
     "turning": {
-        "spine-based turning fastest wherever it follows the path": lambda of: every(
-            a > b for other in ("leg", "mix") for a, b in of.compared("spine", other)
+        "spine-based turning fastest wherever it follows the path": lambda measured: every(
+            a > b
+            for other_steering in ("leg", "mix")
+            for a, b in measured.compared("spine", other_steering)
         ),
-        "mix-based turning between leg- and spine-based": lambda of: every(
-            a < b < c for a, b, c in of.compared("leg", "mix", "spine")
+        "mix-based turning between leg- and spine-based": lambda measured: every(
+            a < b < c for a, b, c in measured.compared("leg", "mix", "spine")
         ),
-        "speed, spine- over leg-based, mean of all paths": lambda of: np.mean(
-            [a / b for a, b in of.compared("spine", "leg")]
+        "speed, spine- over leg-based, mean of all paths": lambda measured: np.mean(
+            [a / b for a, b in measured.compared("spine", "leg")]
         ),
-        "largest gain in speed, spine- over leg-based": lambda of: max(
-            a / b - 1 for a, b in of.compared("spine", "leg")
+        "largest gain in speed, spine- over leg-based": lambda measured: max(
+            a / b - 1 for a, b in measured.compared("spine", "leg")
         ),
-        "leg-based turning loses speed": lambda of: every(
-            a < b for a, b in of.compared("leg", "spine")
+        "leg-based turning loses speed": lambda measured: every(
+            a < b for a, b in measured.compared("leg", "spine")
         ),
-        "spine-based turning has the more limited range of radii": lambda of: every(
-            of.lock(g, "spine", f) > of.lock(g, "leg", f) for g in WALK_GAITS for f in FREQUENCIES
+        "spine-based turning has the more limited range of radii": lambda measured: every(
+            measured.lock(g, "spine", f) > measured.lock(g, "leg", f)
+            for g in WALK_GAITS
+            for f in FREQUENCIES
         ),
-        "speed, spine- over mix-based, trot, 1.0 m, 0.5 Hz": lambda of: (
-            of.turn("speed", "trot", 0.5, 1.0, "spine") / of.turn("speed", "trot", 0.5, 1.0, "mix")
+        "speed, spine- over mix-based, trot, 1.0 m, 0.5 Hz": lambda measured: (
+            measured.turn("speed", "trot", 0.5, 1.0, "spine")
+            / measured.turn("speed", "trot", 0.5, 1.0, "mix")
         ),
-        "speed, spine- over mix-based, walking trot, 1.0 m, 0.5 Hz": lambda of: (
-            of.turn("speed", "walking_trot", 0.5, 1.0, "spine")
-            / of.turn("speed", "walking_trot", 0.5, 1.0, "mix")
+        "speed, spine- over mix-based, walking trot, 1.0 m, 0.5 Hz": lambda measured: (
+            measured.turn("speed", "walking_trot", 0.5, 1.0, "spine")
+            / measured.turn("speed", "walking_trot", 0.5, 1.0, "mix")
         ),
-        "time for 0.5 m, trot, 0.67 Hz, spine- over leg-based": lambda of: (
-            of.turn_time("spine") / of.turn_time("leg")
+        "time for 0.5 m, trot, 0.67 Hz, spine- over leg-based": lambda measured: (
+            measured.turn_time("spine") / measured.turn_time("leg")
         ),
-        "time for 0.5 m, trot, 0.67 Hz, mix- over leg-based": lambda of: (
-            of.turn_time("mix") / of.turn_time("leg")
+        "time for 0.5 m, trot, 0.67 Hz, mix- over leg-based": lambda measured: (
+            measured.turn_time("mix") / measured.turn_time("leg")
         ),
         "paths not followed": ProfileOutcome.lost,
-        "time for 0.5 m, trot, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
-        "time for 0.5 m, trot, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
-        "time for 0.5 m, trot, 0.67 Hz, mix-based": lambda of: of.turn_time("mix"),
-        "smallest radius of trot, leg-based": lambda of: of.lock("trot", "leg"),
-        "smallest radius of trot, mix-based": lambda of: of.lock("trot", "mix"),
-        "smallest radius of all, mix-based": lambda of: np.nanmin(
-            of.worlds("turning_radius", strategy="mix", radius=0.0)
+        "time for 0.5 m, trot, 0.67 Hz, spine-based": lambda measured: measured.turn_time("spine"),
+        "time for 0.5 m, trot, 0.67 Hz, leg-based": lambda measured: measured.turn_time("leg"),
+        "time for 0.5 m, trot, 0.67 Hz, mix-based": lambda measured: measured.turn_time("mix"),
+        "smallest radius of trot, leg-based": lambda measured: measured.lock("trot", "leg"),
+        "smallest radius of trot, mix-based": lambda measured: measured.lock("trot", "mix"),
+        "smallest radius of all, mix-based": lambda measured: np.nanmin(
+            measured.worlds("turning_radius", strategy="mix", radius=0.0)
         ),
-        "smallest radius of lateral walk by the spine, 0.5 Hz": lambda of: of.lock(
+        "smallest radius of lateral walk by the spine, 0.5 Hz": lambda measured: measured.lock(
             "lateral_walk", "spine", 0.5
         ),
-        "smallest radius of lateral walk by the spine, 0.8 Hz, above 0.5 m": lambda of: (
-            of.lock("lateral_walk", "spine", 0.8) > 0.5
+        "smallest radius of lateral walk by the spine, 0.8 Hz, above 0.5 m": lambda measured: (
+            measured.lock("lateral_walk", "spine", 0.8) > 0.5
         ),
-        "smallest radius of lateral walk by the spine, 0.8 Hz": lambda of: of.lock(
+        "smallest radius of lateral walk by the spine, 0.8 Hz": lambda measured: measured.lock(
             "lateral_walk", "spine", 0.8
         ),
-        "smallest radius of trot, 0.5 Hz, mix- below spine-based": lambda of: of.tighter(
-            "trot", "mix", "spine", 0.5
+        "smallest radius of trot, 0.5 Hz, mix- below spine-based": lambda measured: (
+            measured.tighter("trot", "mix", "spine", 0.5)
         ),
-        "smallest radius of lateral walk, 0.8 Hz, mix- below spine-based": lambda of: of.tighter(
-            "lateral_walk", "mix", "spine", 0.8
+        "smallest radius of lateral walk, 0.8 Hz, mix- below spine-based": lambda measured: (
+            measured.tighter("lateral_walk", "mix", "spine", 0.8)
         ),
-        "theory: smallest radius, leg-based": lambda of: of.turn(
+        "theory: smallest radius, leg-based": lambda measured: measured.turn(
             "theory_radius", "trot", 0.67, 0.0, "leg"
         ),
-        "theory: smallest radius, mix-based": lambda of: of.turn(
+        "theory: smallest radius, mix-based": lambda measured: measured.turn(
             "theory_radius", "trot", 0.67, 0.0, "mix"
         ),
-        "theory: spine-based full lock (5.43)": lambda of: of.turn(
+        "theory: spine-based full lock (5.43)": lambda measured: measured.turn(
             "theory_radius", "trot", 0.67, 0.0, "spine"
         ),
-        "theory: spine-based full lock, two feet with equal strides": lambda of: of.turn(
-            "theory_equal_strides", "trot", 0.67, 0.0, "spine"
+        "theory: spine-based full lock, two feet with equal strides": lambda measured: (
+            measured.turn("theory_equal_strides", "trot", 0.67, 0.0, "spine")
         ),
-        "smallest radius of trot, mix-based below leg-based": lambda of: of.tighter(
+        "smallest radius of trot, mix-based below leg-based": lambda measured: measured.tighter(
             "trot", "mix", "leg"
         ),
-        "smallest radius of walking trot, mix-based below leg-based": lambda of: of.tighter(
-            "walking_trot", "mix", "leg"
+        "smallest radius of walking trot, mix-based below leg-based": lambda measured: (
+            measured.tighter("walking_trot", "mix", "leg")
         ),
-        "smallest radius of lateral walk, mix-based below leg-based": lambda of: of.tighter(
-            "lateral_walk", "mix", "leg"
+        "smallest radius of lateral walk, mix-based below leg-based": lambda measured: (
+            measured.tighter("lateral_walk", "mix", "leg")
         ),
-        "smallest radius of trot above theory, leg-based": lambda of: (
-            of.lock("trot", "leg") / of.turn("theory_radius", "trot", 0.67, 0.0, "leg") - 1
+        "smallest radius of trot above theory, leg-based": lambda measured: (
+            measured.lock("trot", "leg") / measured.turn("theory_radius", "trot", 0.67, 0.0, "leg")
+            - 1
         ),
-        "smallest radius of trot above theory, mix-based": lambda of: (
-            of.lock("trot", "mix") / of.turn("theory_radius", "trot", 0.67, 0.0, "mix") - 1
+        "smallest radius of trot above theory, mix-based": lambda measured: (
+            measured.lock("trot", "mix") / measured.turn("theory_radius", "trot", 0.67, 0.0, "mix")
+            - 1
         ),
-        "smallest radius off theory, mean of all cases": lambda of: np.mean(
+        "smallest radius off theory, mean of all cases": lambda measured: np.mean(
             abs(
-                of.worlds("turning_radius", radius=0.0, side="left")
-                / of.worlds("theory_radius", radius=0.0, side="left")
+                measured.worlds("turning_radius", radius=0.0, side="left")
+                / measured.worlds("theory_radius", radius=0.0, side="left")
                 - 1
             )
         ),
         "right turns as left turns": ProfileOutcome.mirrored,
-        "hardware: time for 0.5 m, trot, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
-        "hardware: time for 0.5 m, trot, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
-        "hardware: time for 0.5 m, trot, 0.67 Hz, mix-based": lambda of: of.turn_time("mix"),
-        "hardware: 0.5 m, trot, 0.67 Hz, followed, spine-based": lambda of: of.followed("spine"),
-        "hardware: 0.5 m, trot, 0.67 Hz, followed, leg-based": lambda of: of.followed("leg"),
-        "hardware: 0.5 m, trot, 0.67 Hz, followed, mix-based": lambda of: of.followed("mix"),
+        "hardware: time for 0.5 m, trot, 0.67 Hz, spine-based": lambda measured: measured.turn_time(
+            "spine"
+        ),
+        "hardware: time for 0.5 m, trot, 0.67 Hz, leg-based": lambda measured: measured.turn_time(
+            "leg"
+        ),
+        "hardware: time for 0.5 m, trot, 0.67 Hz, mix-based": lambda measured: measured.turn_time(
+            "mix"
+        ),
+        "hardware: 0.5 m, trot, 0.67 Hz, followed, spine-based": lambda measured: measured.followed(
+            "spine"
+        ),
+        "hardware: 0.5 m, trot, 0.67 Hz, followed, leg-based": lambda measured: measured.followed(
+            "leg"
+        ),
+        "hardware: 0.5 m, trot, 0.67 Hz, followed, mix-based": lambda measured: measured.followed(
+            "mix"
+        ),
     },
     "balance": {
-        "front left lifted, without balance compensation": lambda of: of.verdict(
+        "front left lifted, without balance compensation": lambda measured: measured.verdict(
             "front_left", False
         ),
-        "front right lifted, without balance compensation": lambda of: of.verdict(
+        "front right lifted, without balance compensation": lambda measured: measured.verdict(
             "front_right", False
         ),
-        "rear left lifted, without balance compensation": lambda of: of.verdict("rear_left", False),
-        "rear right lifted, without balance compensation": lambda of: of.verdict(
-            "rear_right", False
-        ),
-        "front left lifted, with balance compensation": lambda of: of.verdict("front_left", True),
-        "front right lifted, with balance compensation": lambda of: of.verdict("front_right", True),
-        "rear left lifted, with balance compensation": lambda of: of.verdict("rear_left", True),
-        "rear right lifted, with balance compensation": lambda of: of.verdict("rear_right", True),
-        "resting pitch reduced by compensation, front legs": lambda of: (
-            1 - of.rest("front", True) / of.rest("front", False)
-        ),
-        "resting pitch reduced by compensation, rear legs": lambda of: (
-            1 - of.rest("rear", True) / of.rest("rear", False)
-        ),
-        "height of the centre of mass": lambda of: (
-            1e3
-            * np.mean([of.lift("com_height", leg, sbc) for leg in LIMBS for sbc in (False, True)])
-        ),
-        "force of the rear left foot, without compensation": lambda of: of.force(
-            "rear_left", "rear_left", False
-        ),
-        "force of the rear left foot, with compensation": lambda of: of.force(
-            "rear_left", "rear_left", True
-        ),
-        "force of the front right foot, with compensation": lambda of: of.force(
-            "front_right", "rear_left", True
-        ),
-        "front left and rear right carry most, with compensation": lambda of: (
-            of.force("front_left", "rear_left", True) + of.force("rear_right", "rear_left", True)
-            > of.force("front_right", "rear_left", True) + of.force("rear_left", "rear_left", True)
-        ),
-        "impact of the rear right foot without compensation": lambda of: of.lift(
-            "impact", "rear_right", False
-        ),
-        "impact of the rear left foot without compensation": lambda of: of.lift(
-            "impact", "rear_left", False
-        ),
-        "hardware: front left lifted, without compensation": lambda of: of.verdict(
-            "front_left", False
-        ),
-        "hardware: front right lifted, without compensation": lambda of: of.verdict(
-            "front_right", False
-        ),
-        "hardware: rear left lifted, without compensation": lambda of: of.verdict(
+        "rear left lifted, without balance compensation": lambda measured: measured.verdict(
             "rear_left", False
         ),
-        "hardware: rear right lifted, without compensation": lambda of: of.verdict(
+        "rear right lifted, without balance compensation": lambda measured: measured.verdict(
             "rear_right", False
         ),
-        "hardware: front left lifted, with compensation": lambda of: of.verdict("front_left", True),
-        "hardware: front right lifted, with compensation": lambda of: of.verdict(
+        "front left lifted, with balance compensation": lambda measured: measured.verdict(
+            "front_left", True
+        ),
+        "front right lifted, with balance compensation": lambda measured: measured.verdict(
             "front_right", True
         ),
-        "hardware: rear left lifted, with compensation": lambda of: of.verdict("rear_left", True),
-        "hardware: rear right lifted, with compensation": lambda of: of.verdict("rear_right", True),
+        "rear left lifted, with balance compensation": lambda measured: measured.verdict(
+            "rear_left", True
+        ),
+        "rear right lifted, with balance compensation": lambda measured: measured.verdict(
+            "rear_right", True
+        ),
+        "resting pitch reduced by compensation, front legs": lambda measured: (
+            1 - measured.rest("front", True) / measured.rest("front", False)
+        ),
+        "resting pitch reduced by compensation, rear legs": lambda measured: (
+            1 - measured.rest("rear", True) / measured.rest("rear", False)
+        ),
+        "height of the centre of mass": lambda measured: (
+            1e3
+            * np.mean(
+                [measured.lift("com_height", leg, sbc) for leg in LIMBS for sbc in (False, True)]
+            )
+        ),
+        "force of the rear left foot, without compensation": lambda measured: measured.force(
+            "rear_left", "rear_left", False
+        ),
+        "force of the rear left foot, with compensation": lambda measured: measured.force(
+            "rear_left", "rear_left", True
+        ),
+        "force of the front right foot, with compensation": lambda measured: measured.force(
+            "front_right", "rear_left", True
+        ),
+        "front left and rear right carry most, with compensation": lambda measured: (
+            measured.force("front_left", "rear_left", True)
+            + measured.force("rear_right", "rear_left", True)
+            > measured.force("front_right", "rear_left", True)
+            + measured.force("rear_left", "rear_left", True)
+        ),
+        "impact of the rear right foot without compensation": lambda measured: measured.lift(
+            "impact", "rear_right", False
+        ),
+        "impact of the rear left foot without compensation": lambda measured: measured.lift(
+            "impact", "rear_left", False
+        ),
+        "hardware: front left lifted, without compensation": lambda measured: measured.verdict(
+            "front_left", False
+        ),
+        "hardware: front right lifted, without compensation": lambda measured: measured.verdict(
+            "front_right", False
+        ),
+        "hardware: rear left lifted, without compensation": lambda measured: measured.verdict(
+            "rear_left", False
+        ),
+        "hardware: rear right lifted, without compensation": lambda measured: measured.verdict(
+            "rear_right", False
+        ),
+        "hardware: front left lifted, with compensation": lambda measured: measured.verdict(
+            "front_left", True
+        ),
+        "hardware: front right lifted, with compensation": lambda measured: measured.verdict(
+            "front_right", True
+        ),
+        "hardware: rear left lifted, with compensation": lambda measured: measured.verdict(
+            "rear_left", True
+        ),
+        "hardware: rear right lifted, with compensation": lambda measured: measured.verdict(
+            "rear_right", True
+        ),
     },
     "maze": {
-        "end reached without spine": lambda of: of.maze("reached", False) == 1,
-        "end reached with spine": lambda of: of.maze("reached", True) == 1,
-        "no box touched without spine": lambda of: of.maze("touched", False) == 0,
-        "no box touched with spine": lambda of: of.maze("touched", True) == 0,
-        "time without spine": lambda of: of.maze("time", False),
-        "time with spine": lambda of: of.maze("time", True),
-        "time with spine over without": lambda of: of.maze_ratio("time"),
-        "mean speed without spine": lambda of: of.maze("mean_speed", False),
-        "mean speed with spine": lambda of: of.maze("mean_speed", True),
-        "mean speed with spine over without": lambda of: of.maze_ratio("mean_speed"),
-        "roll std higher with the spine": lambda of: of.maze_ratio("roll_std") > 1,
-        "pitch std higher with the spine": lambda of: of.maze_ratio("pitch_std") > 1,
-        "roll std without spine": lambda of: of.maze("roll_std", False),
-        "roll std with spine": lambda of: of.maze("roll_std", True),
-        "roll std with spine over without": lambda of: of.maze_ratio("roll_std"),
-        "pitch std without spine": lambda of: of.maze("pitch_std", False),
-        "pitch std with spine": lambda of: of.maze("pitch_std", True),
-        "pitch std with spine over without": lambda of: of.maze_ratio("pitch_std"),
-        "hardware: time saved with the spine": lambda of: 1 - of.maze_ratio("time"),
+        "end reached without spine": lambda measured: measured.maze("reached", False) == 1,
+        "end reached with spine": lambda measured: measured.maze("reached", True) == 1,
+        "no box touched without spine": lambda measured: measured.maze("touched", False) == 0,
+        "no box touched with spine": lambda measured: measured.maze("touched", True) == 0,
+        "time without spine": lambda measured: measured.maze("time", False),
+        "time with spine": lambda measured: measured.maze("time", True),
+        "time with spine over without": lambda measured: measured.maze_ratio("time"),
+        "mean speed without spine": lambda measured: measured.maze("mean_speed", False),
+        "mean speed with spine": lambda measured: measured.maze("mean_speed", True),
+        "mean speed with spine over without": lambda measured: measured.maze_ratio("mean_speed"),
+        "roll std higher with the spine": lambda measured: measured.maze_ratio("roll_std") > 1,
+        "pitch std higher with the spine": lambda measured: measured.maze_ratio("pitch_std") > 1,
+        "roll std without spine": lambda measured: measured.maze("roll_std", False),
+        "roll std with spine": lambda measured: measured.maze("roll_std", True),
+        "roll std with spine over without": lambda measured: measured.maze_ratio("roll_std"),
+        "pitch std without spine": lambda measured: measured.maze("pitch_std", False),
+        "pitch std with spine": lambda measured: measured.maze("pitch_std", True),
+        "pitch std with spine over without": lambda measured: measured.maze_ratio("pitch_std"),
+        "hardware: time saved with the spine": lambda measured: 1 - measured.maze_ratio("time"),
     },
     "body": {
-        "mass": lambda of: 1e3 * of.mean("mass"),
-        "servos": lambda of: of.mean("servos"),
-        "length": lambda of: 1e3 * of.mean("length"),
-        "height": lambda of: 1e3 * of.mean("height"),
-        "width": lambda of: 1e3 * of.mean("width"),
-        "shoulder to hip": lambda of: 1e3 * of.mean("scapula_pelvis"),
-        "bend of a front knee under load": lambda of: of.mean("bend_front_knee"),
-        "bend of a rear knee under load": lambda of: of.mean("bend_rear_knee"),
-        "bend of the spine under load": lambda of: of.mean("bend_spine"),
-        "largest angle of a spine joint": lambda of: of.mean("spine_joint_limit"),
+        "mass": lambda measured: 1e3 * measured.mean("mass"),
+        "servos": lambda measured: measured.mean("servos"),
+        "length": lambda measured: 1e3 * measured.mean("length"),
+        "height": lambda measured: 1e3 * measured.mean("height"),
+        "width": lambda measured: 1e3 * measured.mean("width"),
+        "shoulder to hip": lambda measured: 1e3 * measured.mean("scapula_pelvis"),
+        "bend of a front knee under load": lambda measured: measured.mean("bend_front_knee"),
+        "bend of a rear knee under load": lambda measured: measured.mean("bend_rear_knee"),
+        "bend of the spine under load": lambda measured: measured.mean("bend_spine"),
+        "largest angle of a spine joint": lambda measured: measured.mean("spine_joint_limit"),
     },
     "leg-stand": {
-        "bend of a front knee under load, 4 hinges": lambda of: of.mean(
+        "bend of a front knee under load, 4 hinges": lambda measured: measured.mean(
             "bend", pair="front", routing="type3", hinges=4
         ),
-        "bend of a rear knee under load, 4 hinges": lambda of: of.mean(
+        "bend of a rear knee under load, 4 hinges": lambda measured: measured.mean(
             "bend", pair="rear", routing="type3", hinges=4
         ),
-        "routing type 2 has a shorter lever arm on the knee than type 1": lambda of: of.shortens(
-            "type2", "type1"
+        "routing type 2 has a shorter lever arm on the knee than type 1": lambda measured: (
+            measured.shortens("type2", "type1")
         ),
-        "routing type 3 has a shorter lever arm on the knee than type 1": lambda of: of.shortens(
-            "type3", "type1"
+        "routing type 3 has a shorter lever arm on the knee than type 1": lambda measured: (
+            measured.shortens("type3", "type1")
         ),
-        "adjusted type 3 has the shortest lever arm": lambda of: of.shortens(
+        "adjusted type 3 has the shortest lever arm": lambda measured: measured.shortens(
             "type3_idler", "type3"
         ),
-        "only with type 3 the knee is independent of the hip": lambda of: every(
-            (abs(of.mean("coupling", pair=p, routing=r, hinges=1)) < 0.01) == (r == "type3")
+        "only with type 3 the knee is independent of the hip": lambda measured: every(
+            (abs(measured.mean("coupling", pair=p, routing=r, hinges=1)) < 0.01) == (r == "type3")
             for p in ("front", "rear")
             for r in ("type1", "type2", "type3")
         ),
     },
     "spine-stand": {
-        "bend of the spine under load, 4 hinges": lambda of: of.mean(
+        "bend of the spine under load, 4 hinges": lambda measured: measured.mean(
             "bend", robot="nermo_lite", hinges=4
         ),
     },

@@ -104,8 +104,8 @@ def times(factor: float, value: Published) -> float | None:
 
 def profiles(outcome: CaseRuns) -> list[str]:
     """The simulated profiles of an outcome, `as_published` first; the few cases of `as_built` stand in the report."""
-    found = set(map(str, outcome.columns["profile"]))
-    return [name for name in reversed(SIMULATED) if name in found] or sorted(found)
+    present = set(map(str, outcome.columns["profile"]))
+    return [name for name in reversed(SIMULATED) if name in present] or sorted(present)
 
 
 def tone(colour: str, profile: str) -> str:
@@ -355,10 +355,10 @@ def bar_page(
             else []
         ),
     ]
-    most = max((len(bar.values) for bar in bars), default=0)
+    largest_count = max((len(bar.values) for bar in bars), default=0)
     spread = (
-        f"mean of {most} repeats; error bars: one standard deviation"
-        if most > 1
+        f"mean of {largest_count} repeats; error bars: one standard deviation"
+        if largest_count > 1
         else "one run a case"
     )
     return page.finish(entries, note.format(spread=spread))
@@ -389,7 +389,7 @@ def by_gait(
             groups = {}
             for f in walked[gait, i]:
                 bars = [bar({"gait": gait, "frequency": f, **case, **kind}) for kind in kinds]
-                groups[f"{f:g}"] = [each for each in bars if len(each.values)]
+                groups[f"{f:g}"] = [bar_of_gait for bar_of_gait in bars if len(bar_of_gait.values)]
             head = "" if suffix is None else spoken(gait) + suffix
             foot = "gait frequency [Hz]" if i == len(rows) - 1 else ""
             panels[-1].append(Panel(groups, head, foot, "" if panels[-1] else label, len(kinds)))
@@ -471,10 +471,10 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
             if value is None or (line.judged_in == "as_built" and profile in SIMULATED):
                 continue
             share = (value - neutral) / reference
-            place = min(max(share, LEAST), MOST)
-            marker = "o" if share == place else (">" if share > place else "<")
+            position = min(max(share, LEAST), MOST)
+            marker = "o" if share == position else (">" if share > position else "<")
             ax.scatter(
-                place,
+                position,
                 y,
                 s=46,
                 marker=marker,
@@ -717,7 +717,10 @@ def _compensation(outcome: CaseRuns, lines: Lines) -> Figure | None:
                 [repeats(outcome, name, compensated=on, **case) for name in names]
                 for on in (False, True)
             ]
-            off, on = (each[0] if measure == "std" else 0.5 * (each[1] - each[0]) for each in ends)
+            off, on = (
+                end_values[0] if measure == "std" else 0.5 * (end_values[1] - end_values[0])
+                for end_values in ends
+            )
             mean = Bar(off).mean
             mark = times(mean, published(lines, figure)) if np.isfinite(mean) else None
             bars = [
@@ -750,19 +753,19 @@ def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
         {"strategy": name, "profile": profile} for name in walks.STRATEGIES for profile in names
     ]
 
-    def bar(column: str, case: Case, mark: Published = None, **more: Any) -> Bar:
+    def bar(column: str, case: Case, mark: Published = None, **options: Any) -> Bar:
         values = repeats(outcome, column, **case)
         return Bar(
-            values, tone(STRATEGY[case["strategy"]], case["profile"]), published=mark, **more
+            values, tone(STRATEGY[case["strategy"]], case["profile"]), published=mark, **options
         )
 
     def strayed(case: Case) -> bool:
         return not outcome.columns["followed"][outcome.where(**case)].all()
 
     def speed(case: Case) -> Bar:
-        at = (case["gait"], case["frequency"], case["radius"], case["profile"])
+        case_key = (case["gait"], case["frequency"], case["radius"], case["profile"])
         time = published(lines, TIME[case["strategy"]])
-        timed = at == ("trot", 0.67, 0.5, "as_published")
+        timed = case_key == ("trot", 0.67, 0.5, "as_published")
         mark = 1e3 * 0.5 * np.pi / 2 / time if timed and isinstance(time, float) else None
         return bar("speed", case, mark, hatched=strayed(case))
 
@@ -879,18 +882,18 @@ def _paths(outcome: CaseRuns) -> Figure | None:
     for run in runs:
         # Until the torso passes the end of the quarter circle, and the running mean over a gait cycle.
         labels = run.metadata["labels"]
-        colour, place = (
+        colour, points = (
             STRATEGY[str(labels["strategy"])],
             np.asarray(run.sensors["position"])[:, :2],
         )
-        past = np.flatnonzero(walks.TURN_SIGNS[str(labels["side"])] * place[:, 0] >= radius)
-        place = place[: past[0] + 1] if len(past) else place
+        past_radius = np.flatnonzero(walks.TURN_SIGNS[str(labels["side"])] * points[:, 0] >= radius)
+        points = points[: past_radius[0] + 1] if len(past_radius) else points
         ticks = round(
             clock(labels["profile"]) / labels["frequency"] / float(np.median(np.diff(run.time)))
         )
-        sums = np.cumsum(np.concatenate([np.zeros((1, 2)), place]), axis=0)
-        mean = (sums[ticks:] - sums[:-ticks]) / ticks if len(place) > ticks else place[:0]
-        ax.plot(*seen_from_above(ax, place), color=colour, lw=0.8, alpha=0.55, zorder=3)
+        sums = np.cumsum(np.concatenate([np.zeros((1, 2)), points]), axis=0)
+        mean = (sums[ticks:] - sums[:-ticks]) / ticks if len(points) > ticks else points[:0]
+        ax.plot(*seen_from_above(ax, points), color=colour, lw=0.8, alpha=0.55, zorder=3)
         ax.plot(*seen_from_above(ax, mean), color=colour, lw=2.2, zorder=4)
     ax.grid(color=GRID, lw=0.8)
     ax.margins(0.04)
@@ -991,14 +994,14 @@ def _verdicts(outcome: CaseRuns, lines: Lines) -> Figure:
                     else None
                 )
                 tiles.append((verdict, hardware if profile == "as_built" else simulated))
-            for column, (tile, wanted) in enumerate([*tiles, (hardware, hardware)]):
+            for column, (tile, outcome_wanted) in enumerate([*tiles, (hardware, hardware)]):
                 text = str(tile or "–")
                 ax.add_patch(
                     Rectangle(
                         (column - 0.46, row - 0.44), 0.92, 0.88, fc=_VERDICT.get(text, SHADE), lw=0
                     )
                 )
-                if wanted and tile and tile != wanted:
+                if outcome_wanted and tile and tile != outcome_wanted:
                     ax.add_patch(Rectangle((column - 0.45, row - 0.43), 0.9, 0.86, **frame))
                 ax.text(column, row, text, ha="center", va="center", fontsize=9, color=INK)
         ax.set_xticks(range(len(columns)), columns, fontsize=8.5)
@@ -1097,15 +1100,15 @@ _DOTS, _THINNED = 10.0, 4
 
 
 def _maze(outcome: CaseRuns, lines: Lines) -> Drawn:
-    found: dict[str, dict[bool, Recording]] = {}
+    recordings: dict[str, dict[bool, Recording]] = {}
     for run in outcome.recordings.values():
         labels = run.metadata.get("labels", {})
         if {"profile", "spine"} <= set(labels):
-            found.setdefault(str(labels["profile"]), {})[bool(labels["spine"])] = run
+            recordings.setdefault(str(labels["profile"]), {})[bool(labels["spine"])] = run
     runs = {
-        name: dict(sorted(found[name].items()))
+        name: dict(sorted(recordings[name].items()))
         for name in (*reversed(SIMULATED), "as_built")
-        if name in found
+        if name in recordings
     }
     yield "ways", _ways(outcome, runs) if runs else None
     yield "sway", _sway(outcome, runs) if runs else None
@@ -1137,7 +1140,7 @@ def _ways(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
         "Through the maze, seen from above", (0.9 + 5.2 * len(runs), 5.6), 1, len(runs), sharey=True
     )
     course = walks.maze_course()
-    drawn = np.stack([course.x, course.y], axis=-1)
+    course_line = np.stack([course.x, course.y], axis=-1)
     boxes = walks.box_outlines(load_robot(scene="maze"))
     name_at = {
         "textcoords": "offset points",
@@ -1147,13 +1150,13 @@ def _ways(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
         "color": INK,
     }
     arrived = True
-    for ax, (profile, ways) in zip(page.axes[0], runs.items(), strict=True):
+    for ax, (profile, paths) in zip(page.axes[0], runs.items(), strict=True):
         corners = np.stack(seen_from_above(ax, boxes), axis=-1)
         ax.add_collection(
             PolyCollection(list(corners), fc=MISSING_COLOUR, ec="white", lw=0.8, zorder=1)
         )
-        ax.plot(*seen_from_above(ax, drawn), color=INK, ls="--", lw=1.1, zorder=5)
-        for on, run in ways.items():
+        ax.plot(*seen_from_above(ax, course_line), color=INK, ls="--", lw=1.1, zorder=5)
+        for on, run in paths.items():
             end, time, colour = _arrival(outcome, profile, on), run.time / clock(profile), SPINE[on]
             walked = time <= end if np.isfinite(end) else np.full(len(time), True)
             right, ahead = seen_from_above(ax, np.asarray(run.sensors["position"])[walked, :2])
@@ -1164,8 +1167,8 @@ def _ways(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
                 last = {"color": colour, "ec": "white", "lw": 0.8, "zorder": 7, "gid": "failed"}
                 ax.scatter(right[-1], ahead[-1], s=80, marker="X", **last)
                 arrived = False
-        for name, place in (("start", drawn[0]), ("end", drawn[-1])):
-            right, ahead = seen_from_above(ax, place)
+        for name, point in (("start", course_line[0]), ("end", course_line[-1])):
+            right, ahead = seen_from_above(ax, point)
             ax.scatter(right, ahead, s=60, marker="o", fc="white", ec=INK, lw=1.6, zorder=6)
             ax.annotate(name, (float(right), float(ahead)), (9, 0), **name_at)
         ax.autoscale_view()
@@ -1221,27 +1224,30 @@ def _sway(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
 
 def _stand(outcome: CaseRuns, lines: Lines) -> Drawn:
     """A panel for each column, with a bar for each case of each group, as described in `experiments.yaml`."""
-    about, profile = texts("stand_figures")[outcome.experiment], outcome.columns["profile"][0]
+    figure_text, profile = texts("stand_figures")[outcome.experiment], outcome.columns["profile"][0]
     panels = []
-    for column, measure in about["columns"].items():
-        groups, shown = (
+    for column, measure in figure_text["columns"].items():
+        groups, shown_columns = (
             {},
             in_shown_unit(column, outcome.about[column].unit, outcome.columns[column]).values,
         )
-        for group, common in about["groups"].items():
-            chosen = [
-                outcome.where(profile=profile, **common, **{about["over"]: name})
-                for name in about["names"]
+        for group, common in figure_text["groups"].items():
+            selected = [
+                outcome.where(profile=profile, **common, **{figure_text["over"]: name})
+                for name in figure_text["names"]
             ]
             groups[group] = [
-                Bar(shown[rows], colour) for rows, colour in zip(chosen, SERIES, strict=False)
+                Bar(shown_columns[rows], colour)
+                for rows, colour in zip(selected, SERIES, strict=False)
             ]
         panels.append(Panel(groups, ylabel=axis_label(outcome, column, measure)))
-    handles = [swatch(name, colour) for name, colour in zip(about["names"], SERIES, strict=False)]
+    handles = [
+        swatch(name, colour) for name, colour in zip(figure_text["names"], SERIES, strict=False)
+    ]
     note = "on the test stand, without gravity; no such numbers are published"
     yield (
-        about["name"],
-        bar_page(about["title"], (7.2, 5.2), [panels[:2], panels[2:]], handles, note),
+        figure_text["name"],
+        bar_page(figure_text["title"], (7.2, 5.2), [panels[:2], panels[2:]], handles, note),
     )
 
 

@@ -131,7 +131,7 @@ class Figure:
         if value is None or self.rule == "none":
             return None
         if isinstance(value, list | tuple):  # of the author's model, over several cases
-            return all(self.holds(each) for each in value)
+            return all(self.holds(element) for element in value)
         if self.rule == "outcome":
             return value == self.reference
         if isinstance(value, bool | str):
@@ -160,11 +160,11 @@ class Figure:
         if isinstance(self.reference, list):
             low, high = self.reference
             nearer = min(max(value, low), high)
-            found = 1.0 if nearer == value else value / nearer if nearer else math.inf
+            quotient = 1.0 if nearer == value else value / nearer if nearer else math.inf
         else:
             size = self.reference - self.neutral
-            found = (value - self.neutral) / size if size else math.inf
-        return float(found) if math.isfinite(found) else None
+            quotient = (value - self.neutral) / size if size else math.inf
+        return float(quotient) if math.isfinite(quotient) else None
 
     def covered(self, low: float | None, high: float | None) -> bool | None:
         """Whether the published value lies in an interval; of a published interval, whether both overlap."""
@@ -172,10 +172,10 @@ class Figure:
             return None
         if self.rule == "at_most":
             return low <= self.reference + self.rounding
-        least, most = (
+        lowest, highest = (
             self.reference if isinstance(self.reference, list) else (self.reference, self.reference)
         )
-        return low <= most + self.rounding and least - self.rounding <= high
+        return low <= highest + self.rounding and lowest - self.rounding <= high
 
 
 @functools.cache
@@ -305,7 +305,7 @@ class Line:
 
 
 def published_lines(
-    outcome: CaseRuns, bodies: CaseRuns | None = None, chosen: Sequence[Figure] | None = None
+    outcome: CaseRuns, bodies: CaseRuns | None = None, figures: Sequence[Figure] | None = None
 ) -> list[Line]:
     """The lines of one experiment.
 
@@ -313,7 +313,7 @@ def published_lines(
         outcome: of the run; a profile that was not run gives None.
         bodies: of the identified bodies in it, if they were run: each of these with its start, and each start of the
             experiment's own body, is then a sample of the interval.
-        chosen: figures, by default those of the experiment.
+        figures: figures, by default those of the experiment.
     """
     samples: list[CaseRuns] = []
     if bodies is not None:
@@ -323,12 +323,12 @@ def published_lines(
         field.name for field in dataclasses.fields(Figure)
     }
     lines = []
-    for figure in published_figures(outcome.experiment) if chosen is None else chosen:
+    for figure in published_figures(outcome.experiment) if figures is None else figures:
         values: dict[str, Any] = {
             profile: figure.measured(outcome, profile) for profile in PROFILES
         }
-        own = values[figure.profile]
-        spread = [figure.measured(each, figure.profile) for each in samples]
+        profile_outcome = values[figure.profile]
+        spread = [figure.measured(sample, figure.profile) for sample in samples]
         # Measured numbers, by order statistics (Weibull), which end at the extremes.
         numbers = [
             float(value)
@@ -344,14 +344,14 @@ def published_lines(
                 experiment=outcome.experiment,
                 author_holds=figure.holds(figure.author) if figure.published is not None else None,
                 judged_in=figure.profile,
-                ratio=figure.ratio(own),
+                ratio=figure.ratio(profile_outcome),
                 low=low,
                 high=high,
                 covered=figure.covered(low, high),
                 ensemble=sum(figure.holds(value) is True for value in spread) / len(spread)
                 if judged
                 else None,
-                holds=figure.holds(own),
+                holds=figure.holds(profile_outcome),
                 **{name: getattr(figure, name) for name in copied},
                 **values,
             )

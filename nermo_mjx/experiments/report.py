@@ -43,7 +43,7 @@ def table_of(
     first_variant: int,
     seed: int,
     code: str,
-    about: Mapping[str, Any],
+    metadata: Mapping[str, Any],
 ) -> pa.Table:
     """The table of an outcome.
 
@@ -51,7 +51,7 @@ def table_of(
         first_row, first_variant: numbers of its first row and its first case.
         seed: of the starts.
         code: short name of the code that made it.
-        about: what to note in the schema's metadata.
+        metadata: what to note in the schema's metadata.
     """
     columns, cases, count = Columns(), case_columns(outcome), len(outcome)
     variants: dict[tuple[Any, ...], int] = {}
@@ -68,11 +68,11 @@ def table_of(
         columns.add(name, np.array(numbers), "index", "1", text)
     for name, measured in outcome.columns.items():
         values = np.asarray(measured)
-        named, logical = values.dtype.kind in "OU", values.dtype == bool
-        role = "varied" if name in cases else TEXT if named else "metric"
+        is_text, logical = values.dtype.kind in "OU", values.dtype == bool
+        role = "varied" if name in cases else TEXT if is_text else "metric"
         role = {REPEAT: "index", BODY: "index", "status": "status"}.get(name, role)
         column = outcome.about.get(name, Column("1", name.replace("_", " ")))
-        scale = ("structure" if named else "linear") if role == "varied" else None
+        scale = ("structure" if is_text else "linear") if role == "varied" else None
         numbers = values.astype(float) if logical else values
         columns.add(
             name,
@@ -88,8 +88,8 @@ def table_of(
     columns.add(CODE, np.full(count, code), CODE, "1", "the code that made the row, see run.json")
     profiles = " ".join(dict.fromkeys(outcome.columns[PROFILE].tolist()))
     names = json.dumps(list(outcome.columns))
-    own = {"experiment": outcome.experiment, "columns": names, "profile": profiles}
-    return columns.table({**own, **about})
+    table_metadata = {"experiment": outcome.experiment, "columns": names, "profile": profiles}
+    return columns.table({**table_metadata, **metadata})
 
 
 def outcome_of(content: pa.Table, recordings: Mapping[str, Recording]) -> CaseRuns:
@@ -103,11 +103,11 @@ def outcome_of(content: pa.Table, recordings: Mapping[str, Recording]) -> CaseRu
     columns = {name: np.array(content.column(name).to_pylist()) for name in fields}
     for name, field in fields.items():
         columns[name] = columns[name].astype(bool) if "logical" in meta(field) else columns[name]
-    about = {
+    columns_info = {
         name: Column(meta(field)["unit"], meta(field)["description"])
         for name, field in fields.items()
     }
-    return CaseRuns(metadata[b"experiment"].decode(), columns, about, recordings)
+    return CaseRuns(metadata[b"experiment"].decode(), columns, columns_info, recordings)
 
 
 def case_columns(outcome: CaseRuns) -> list[str]:
@@ -202,12 +202,12 @@ _OF_RECORD: Final = ("recordings", "rows", "bodies", "drawn")
 
 
 def entry_of(
-    title: str, outcome: CaseRuns, about: Mapping[str, Any], lines: Sequence[Line]
+    title: str, outcome: CaseRuns, metadata: Mapping[str, Any], lines: Sequence[Line]
 ) -> dict[str, Any]:
     """The stored entry of an experiment: its lines, its settings, and its size.
 
     Args:
-        about: its settings, engine, code, session and duration.
+        metadata: its settings, engine, code, session and duration.
     """
     cases = [name for name in case_columns(outcome) if name != PROFILE]
     status, number_of = np.unique(
@@ -221,7 +221,7 @@ def entry_of(
         if cases
         else 1,
         "status": dict(zip(status.tolist(), number_of.tolist(), strict=True)),
-        **{name: value for name, value in about.items() if name not in _OF_RECORD},
+        **{name: value for name, value in metadata.items() if name not in _OF_RECORD},
         "lines": [dataclasses.asdict(line) for line in lines],
     }
 
@@ -239,11 +239,13 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     def summary(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in LINE_KINDS}
         return line_counts(lines) | {
-            "by_kind": {kind: line_counts(found) for kind, found in by_kind.items() if found}
+            "by_kind": {
+                kind: line_counts(kind_lines) for kind, kind_lines in by_kind.items() if kind_lines
+            }
         }
 
     def conditions(entry: Mapping[str, Any]) -> dict[str, Any]:
-        made = {
+        conditions_made = {
             f"version of {name}": entry["versions"].get(name, "unknown")
             for name in ("nermo-mjx", "mujoco", "jax")
         }
@@ -251,7 +253,7 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
             **entry["settings"],
             "engine": entry["engine"],
             "code": entry.get("code", "unknown"),
-            **made,
+            **conditions_made,
         }
 
     lines = [line for entry in entries.values() for line in entry["lines"]]
@@ -259,8 +261,8 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     hidden, unlike = ("experiment", "lines", "finished"), []
     for name in list(entries)[1:]:
         first = next(iter(entries))
-        if found := differences(conditions(entries[name]), conditions(entries[first])):
-            unlike.append(f"{name} was run otherwise than {first}: {'; '.join(found)}.")
+        if changed := differences(conditions(entries[name]), conditions(entries[first])):
+            unlike.append(f"{name} was run otherwise than {first}: {'; '.join(changed)}.")
     return {
         "lines": lines,
         "summary": summary(lines)
@@ -293,9 +295,9 @@ def cells(line: Mapping[str, Any]) -> list[str]:
 def published_text(value: Any, *, at_most: bool = False) -> str:
     """A published figure with its published digits; an interval, or several values, in words."""
     if isinstance(value, list):
-        digits = max(len(f"{each:g}".partition(".")[2]) for each in value)
+        digits = max(len(f"{bound:g}".partition(".")[2]) for bound in value)
         ends = [value[0], value[-1]] if len(value) == 2 else [min(value), max(value)]
-        return " to ".join(f"{each:.{digits}f}" for each in ends)
+        return " to ".join(f"{bound:.{digits}f}" for bound in ends)
     text = (
         f"{value:g}"
         if isinstance(value, int | float) and not isinstance(value, bool)
@@ -310,13 +312,13 @@ def _value(value: Any) -> str:
     return rounded(value) if isinstance(value, int | float) else str(value)
 
 
-def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
+def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
     """Differences between settings, in words: "seed: 0 instead of 1"."""
     words = {"values": "parameters", "quick": "quick run"}
     return [
-        f"{words.get(name, name)}: {setting_text(one.get(name))} instead of {setting_text(other.get(name))}"
-        for name in dict.fromkeys((*one, *other))
-        if one.get(name) != other.get(name)
+        f"{words.get(name, name)}: {setting_text(first.get(name))} instead of {setting_text(second.get(name))}"
+        for name in dict.fromkeys((*first, *second))
+        if first.get(name) != second.get(name)
     ]
 
 
@@ -359,11 +361,11 @@ def report_page(
         experiments: in the order of the report.
         outcomes: by experiment; they give the cases.
     """
-    chosen = [experiments[name] for name in experiments if name in content["experiments"]]
-    parts = ["# The published experiments, simulated again\n", *_summary(content, chosen)]
-    for each in chosen:
-        parts += _experiment(content, each, outcomes.get(each.name))
-    parts += [*_what_was_run(content, chosen), "## Conventions\n"]
+    reported = [experiments[name] for name in experiments if name in content["experiments"]]
+    parts = ["# The published experiments, simulated again\n", *_summary(content, reported)]
+    for experiment in reported:
+        parts += _experiment(content, experiment, outcomes.get(experiment.name))
+    parts += [*_what_was_run(content, reported), "## Conventions\n"]
     parts += [f"- Author's model, `{name}`: {text}." for name, text in content["set_ups"].items()]
     parts.append(texts("report")["conventions"].format(faster=1 / PUBLISHED_CLOCK_RATIO))
     return "\n".join(parts).rstrip() + "\n"
@@ -385,15 +387,15 @@ def _judged(counted: Mapping[str, Any]) -> int:
     return int(counted["hold"] + counted["do_not_hold"])
 
 
-def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[str]:
+def _summary(content: Mapping[str, Any], reported: list[Experiment]) -> Iterator[str]:
     summary, by_kind = content["summary"], content["summary"]["by_kind"]
     yield (
         f"**{headline(summary)}.** In all, {summary['hold']} of {_judged(summary)} figures hold. Only predicted lines "
         f"count as evidence. Published figures: {_SOURCE}.\n"
     )
 
-    def counted(of: Mapping[str, Any]) -> list[str]:
-        return [str(of[name]) for name in _LINE_COUNTS]
+    def counted(line_count: Mapping[str, Any]) -> list[str]:
+        return [str(line_count[name]) for name in _LINE_COUNTS]
 
     headings = ["figures", "hold", "do not hold", "not judged or measured"]
     rows = [
@@ -403,43 +405,49 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
         ["kind", "what it is", *headings], [*rows, ["all", "", *counted(summary)]], "llrrrr"
     )
     rows = []
-    for each in chosen:
-        own = summary["by_experiment"][each.name]
-        held = [own["by_kind"].get(kind) for kind in LINE_KINDS]
+    for experiment in reported:
+        counts = summary["by_experiment"][experiment.name]
+        kind_counts = [counts["by_kind"].get(kind) for kind in LINE_KINDS]
         anchor = "".join(
-            c for c in each.title.lower().replace(" ", "-") if c.isalnum() or c == "-"
+            c for c in experiment.title.lower().replace(" ", "-") if c.isalnum() or c == "-"
         )  # as GitHub's
-        held_texts = [f"{of['hold']} of {_judged(of)}" if of else EMPTY_CELL for of in held]
-        rows.append([f"[{each.title}](#{anchor})", *held_texts, *counted(own)])
+        held_texts = [
+            f"{kind_count['hold']} of {_judged(kind_count)}" if kind_count else EMPTY_CELL
+            for kind_count in kind_counts
+        ]
+        rows.append([f"[{experiment.title}](#{anchor})", *held_texts, *counted(counts)])
     yield table(["experiment", *LINE_KINDS, *headings], rows, f"l{'r' * len(LINE_KINDS)}rrrr")
     yield texts("report")["legend"].format(agrees=AGREES)
-    settings = {each.title: content["experiments"][each.name]["settings"] for each in chosen}
-    if quick := [title for title, own in settings.items() if own["quick"]]:
+    settings = {
+        experiment.title: content["experiments"][experiment.name]["settings"]
+        for experiment in reported
+    }
+    if quick := [title for title, counts in settings.items() if counts["quick"]]:
         yield f"> **A quick run** of {', '.join(quick)}: fewer cases, and other figures than a full run's.\n"
-    for title, own in settings.items():
-        if own["values"]:
-            yield f"> {title} was run with other parameters than the default: {setting_text(own['values'])}.\n"
-        if walker := own.get("controller"):
+    for title, counts in settings.items():
+        if counts["values"]:
+            yield f"> {title} was run with other parameters than the default: {setting_text(counts['values'])}.\n"
+        if walker := counts.get("controller"):
             yield f"> In {title}, {walker} walked in place of the published controller, upon which it acts.\n"
     for sentence in content["differences"]:
         yield f"> **Run in different ways.** {sentence}\n"
 
 
 def _experiment(
-    content: Mapping[str, Any], each: Experiment, outcome: CaseRuns | None
+    content: Mapping[str, Any], experiment: Experiment, outcome: CaseRuns | None
 ) -> Iterator[str]:
-    about = content["experiments"][each.name]
-    lines = [line for line in content["lines"] if line["experiment"] == each.name]
-    yield f"## {each.title}\n"
-    yield each.description + "\n"
+    entry = content["experiments"][experiment.name]
+    lines = [line for line in content["lines"] if line["experiment"] == experiment.name]
+    yield f"## {experiment.title}\n"
+    yield experiment.description + "\n"
     rows = []
     for line in lines:
         *first, holds = cells(line)
         source = f"{line['section']}: {line['sentence']}" if line["sentence"] else line["section"]
         rows.append([*first, "**no**" if holds == "no" else holds, source])
     yield table([*(name for name, _ in LINE_HEADINGS), "source"], rows, "llrrrrrrlll")
-    if about.get("bodies"):
-        yield f"Intervals: the starts of the default body, and {about['bodies']} identified bodies, a start each.\n"
+    if entry.get("bodies"):
+        yield f"Intervals: the starts of the default body, and {entry['bodies']} identified bodies, a start each.\n"
     if reasons := [line for line in lines if line["reason"] or line["holds"] is False]:
         yield "What does not hold, and where a rule has a reason:\n"
         for line in reasons:
@@ -450,57 +458,57 @@ def _experiment(
         yield "### Simulation and theory\n"
         yield "Mean ± standard deviation over the repeats, in simulated time.\n"
         for profile in dict.fromkeys(outcome.columns[PROFILE].tolist()):
-            text, count = case_table(outcome, profile, each.metrics, each.needs)
+            text, count = case_table(outcome, profile, experiment.metrics, experiment.needs)
             yield f"<details><summary>{profile.replace('_', ' ')}, {count} cases</summary>\n"
             yield text
             yield "</details>\n"
-    for path in map(PurePosixPath, about["plots"]):
+    for path in map(PurePosixPath, entry["plots"]):
         if path.suffix == ".png":
-            caption = path.stem.removeprefix(f"{each.name}-").replace("-", " ")
-            yield f"![{each.title}: {caption}]({path})\n"
-    for video in about["videos"]:
+            caption = path.stem.removeprefix(f"{experiment.name}-").replace("-", " ")
+            yield f"![{experiment.title}: {caption}]({path})\n"
+    for video in entry["videos"]:
         pace = (
             "in real time"
             if video["speed"] == 1
             else f"{video['speed']:g} times as fast as real time"
         )
         yield f"Video: [{video['file']}]({video['file']}), {video['shows']}, {pace}.\n"
-    yield from (f"{note}\n" for note in about["notes"])
-    recordings = ", ".join(f"[{path}]({path})" for path in about["recordings"])
+    yield from (f"{note}\n" for note in entry["notes"])
+    recordings = ", ".join(f"[{path}]({path})" for path in entry["recordings"])
     files = f" Recordings: {recordings}." if recordings else ""
-    yield f"Every world: [{about['table']}]({about['table']}).{files}\n"
+    yield f"Every world: [{entry['table']}]({entry['table']}).{files}\n"
 
 
-def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[str]:
+def _what_was_run(content: Mapping[str, Any], reported: list[Experiment]) -> Iterator[str]:
     yield "## What was run\n"
     rows = []
-    for each in chosen:
-        about = content["experiments"][each.name]
-        settings = about["settings"]
+    for experiment in reported:
+        entry = content["experiments"][experiment.name]
+        settings = entry["settings"]
         row = {
-            "experiment": each.name,
-            "cases": about["cases"],
+            "experiment": experiment.name,
+            "cases": entry["cases"],
             "profiles": setting_text([n for n in PROFILES if n in settings["profiles"]]).replace(
                 "_", " "
             ),
             "repeats": settings["repeats"],
             "seed": settings["seed"],
-            "worlds": about["worlds"],
-            "went": ", ".join(f"{count} {status}" for status, count in about["status"].items())
+            "worlds": entry["worlds"],
+            "went": ", ".join(f"{count} {status}" for status, count in entry["status"].items())
             or EMPTY_CELL,
-            "engine": about["engine"],
-            "code": about.get("code", EMPTY_CELL),
+            "engine": entry["engine"],
+            "code": entry.get("code", EMPTY_CELL),
             "parameters": setting_text(settings["values"]),
-            "took": f"{about['wall_seconds']:.0f} s",
-            "on": local_time(about["started"]),
+            "took": f"{entry['wall_seconds']:.0f} s",
+            "on": local_time(entry["started"]),
         }
         rows.append(row)
     yield table(
         list(rows[0]) if rows else [], [[*map(str, row.values())] for row in rows], "lrlrrrllllrl"
     )
-    for each in chosen:
-        if content["experiments"][each.name]["settings"]["quick"]:
-            yield f"- {each.name} was a quick run: {each.quick}."
+    for experiment in reported:
+        if content["experiments"][experiment.name]["settings"]["quick"]:
+            yield f"- {experiment.name} was a quick run: {experiment.quick}."
     shift = (
         f"{1e3 * START_SPREAD['start.x']:g} mm, {math.degrees(START_SPREAD['start.yaw']):g} degree"
     )
@@ -508,7 +516,9 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
         f"- Repeats differ by a seeded shift of the start: at most {shift} and {START_SPREAD['start.phase']:g} of a "
         "gait cycle; in the balance test, of pose and servo angles. All profiles have the same starts."
     )
-    for command in dict.fromkeys(content["experiments"][each.name]["command"] for each in chosen):
+    for command in dict.fromkeys(
+        content["experiments"][experiment.name]["command"] for experiment in reported
+    ):
         yield f"- Command: `{command}`"
     yield f"- Versions of the latest run: {listed(content['versions'])}"
     yield f"- Machine of the latest run: {listed(content['machine'])}\n"

@@ -86,10 +86,12 @@ def _catalogue() -> Iterator[Experiment]:
             stands.STAND_SETTABLE,
         ),
     }.items():
-        about = cases.texts("catalogue")[name]
+        catalogue_texts = cases.texts("catalogue")[name]
         walks_here = name in ("straight-line", "turning", "maze")
-        shot = Shot(**about.get("shot", {}))
-        yield Experiment(name, run, rows, settable, walks=walks_here, **about | {"shot": shot})
+        shot = Shot(**catalogue_texts.get("shot", {}))
+        yield Experiment(
+            name, run, rows, settable, walks=walks_here, **catalogue_texts | {"shot": shot}
+        )
 
 
 EXPERIMENTS: Final[dict[str, Experiment]] = {
@@ -103,34 +105,49 @@ def experiments_status(out: Path) -> Status:
     """The experiments in a directory, out of the requested ones."""
     directory, sessions = Directory(out), read_record(out).get("sessions", [])
     directory.refuse_former_layout()
-    found = {name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
-    bodies = {
-        name: stored for name in found if (stored := directory.load(name, bodies=True)) is not None
+    stored_experiments = {
+        name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None
     }
-    requested = {name: None for each in sessions for name in each.get("experiments", [])} or found
+    bodies = {
+        name: stored
+        for name in stored_experiments
+        if (stored := directory.load(name, bodies=True)) is not None
+    }
+    requested = {
+        name: None for entry in sessions for name in entry.get("experiments", [])
+    } or stored_experiments
     # Files derived from the tables are made last.
-    missing = [
+    missing_names = [
         name
         for name in requested
-        if name not in found or not (directory.entry(name) or {}).get("finished")
+        if name not in stored_experiments or not (directory.entry(name) or {}).get("finished")
     ]
     notes = []
-    for name, stored in found.items():
-        about, runs = stored.about, f"{name}: {len(stored.outcome)} runs"
+    for name, stored in stored_experiments.items():
+        metadata, runs = stored.about, f"{name}: {len(stored.outcome)} runs"
         runs += f", and {len(bodies[name].outcome)} of identified bodies" if name in bodies else ""
-        code = f", code {about['code']}" if "code" in about else ""
-        notes.append(f"{runs}, of {local_time(about['started'])}, engine {about['engine']}{code}.")
-    rows = sum(len(stored.outcome) for stored in (*found.values(), *bodies.values()))
-    complete = bool(found) and not missing
+        code = f", code {metadata['code']}" if "code" in metadata else ""
+        notes.append(
+            f"{runs}, of {local_time(metadata['started'])}, engine {metadata['engine']}{code}."
+        )
+    rows = sum(len(stored.outcome) for stored in (*stored_experiments.values(), *bodies.values()))
+    complete = bool(stored_experiments) and not missing_names
     command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
     engine = ", ".join(
-        dict.fromkeys(stored.about["engine"] for stored in found.values())
+        dict.fromkeys(stored.about["engine"] for stored in stored_experiments.values())
     ) or engine_of(out)
-    notes += [f"{name} is not finished." for name in missing]
-    made = [stored.about for stored in found.values()]
+    notes += [f"{name} is not finished." for name in missing_names]
+    all_metadata = [stored.about for stored in stored_experiments.values()]
     total = rows if complete else None
     return Status(
-        "runs", rows, total, complete, command, engine=engine, sessions=made, notes=tuple(notes)
+        "runs",
+        rows,
+        total,
+        complete,
+        command,
+        engine=engine,
+        sessions=all_metadata,
+        notes=tuple(notes),
     )
 
 
@@ -153,17 +170,17 @@ def images(out: Path) -> Figures:
 
     directory = Directory(out)
     directory.refuse_former_layout()
-    found = {
+    stored_experiments = {
         name: stored.outcome for name in EXPERIMENTS if (stored := directory.load(name)) is not None
     }
-    if not found:
+    if not stored_experiments:
         raise DirectoryError(
             f"{out} holds no experiment whose table and recordings can be read: run it again."
         )
     return (
-        named
-        for name, outcome in found.items()
-        for named in figures_of_experiment(
+        image
+        for name, outcome in stored_experiments.items()
+        for image in figures_of_experiment(
             outcome, published_lines(outcome, None, EXPERIMENTS[name].figures)
         )
     )
@@ -315,16 +332,16 @@ def run_experiments(
 
 def _check_values(requested: Sequence[Experiment], settings: Settings) -> None:
     """Refuse a controller or values that do not apply to an experiment."""
-    for chosen in requested:
-        if settings.controller is not None and not chosen.walks:
-            walking = ", ".join(name for name, other in EXPERIMENTS.items() if other.walks)
+    for experiment in requested:
+        if settings.controller is not None and not experiment.walks:
+            walking = ", ".join(name for name, candidate in EXPERIMENTS.items() if candidate.walks)
             raise ParameterError(
-                f"controller does not apply to {chosen.name}, where nothing walks: allowed is {walking}."
+                f"controller does not apply to {experiment.name}, where nothing walks: allowed is {walking}."
             )
         for name in settings.values:
-            if name not in chosen.settable:
+            if name not in experiment.settable:
                 raise ParameterError(
-                    f"{name} cannot be set for {chosen.name}, whose cases decide it or do not use it."
+                    f"{name} cannot be set for {experiment.name}, whose cases decide it or do not use it."
                 )
 
 
@@ -389,38 +406,38 @@ class _Call:
     video: bool
     watch: Watch
 
-    def stored(self, chosen: Experiment) -> Stored | None:
+    def stored(self, experiment: Experiment) -> Stored | None:
         """The directory's results of an experiment, if they match the request; raises otherwise."""
-        stored = self.directory.load(chosen.name)
+        stored = self.directory.load(experiment.name)
         if stored is not None and (
             differing := differences(stored.about["settings"], self.settings.as_dict())
         ):
             raise ParameterError(
-                f"{self.directory.out} holds {chosen.name} run with other settings ({'; '.join(differing)}): choose "
+                f"{self.directory.out} holds {experiment.name} run with other settings ({'; '.join(differing)}): choose "
                 "another directory, or replace it with --again (again=True)."
             )
         return stored
 
     def works(
-        self, chosen: Experiment, stored: Stored | None, stack: contextlib.ExitStack
+        self, experiment: Experiment, stored: Stored | None, stack: contextlib.ExitStack
     ) -> Iterator[Work]:
         """The rows of an experiment to simulate: its own, those of identified bodies, both or neither."""
         record = session() | {"settings": self.settings.as_dict()}
         if stored is None:
-            yield self._work(chosen, [self.settings], record, stack)
+            yield self._work(experiment, [self.settings], record, stack)
         if self.again:
-            for path in part_files(self.directory.folder(chosen.name, bodies=True)):
+            for path in part_files(self.directory.folder(experiment.name, bodies=True)):
                 _set_aside(path)
         if not self.bodies:
             return
         record |= {"bodies": len(next(iter(self.bodies.values()))), "drawn": self.drawn}
-        several = self.directory.load(chosen.name, bodies=True)
+        several = self.directory.load(experiment.name, bodies=True)
         if several is None or several.about["drawn"] != self.drawn:
-            yield self._work(chosen, self._body_parts(chosen), record, stack)
+            yield self._work(experiment, self._body_parts(experiment), record, stack)
 
-    def _body_parts(self, chosen: Experiment) -> list[Settings]:
+    def _body_parts(self, experiment: Experiment) -> list[Settings]:
         """Each body runs once in the profiles in which the figures are judged, in batches."""
-        judged = {figure.profile for figure in chosen.figures}
+        judged = {figure.profile for figure in experiment.figures}
         profiles = [name for name in self.settings.profiles if name in judged]
         return [
             self.settings.but(
@@ -438,15 +455,15 @@ class _Call:
 
     def _work(
         self,
-        chosen: Experiment,
+        experiment: Experiment,
         parts: Sequence[Settings],
         record: Mapping[str, Any],
         stack: contextlib.ExitStack,
     ) -> Work:
-        rows = ExperimentRows(chosen, parts, self.directory, self.written, record)
-        held = stack.enter_context(RunDirectory(rows.folder, "experiment"))
+        rows = ExperimentRows(experiment, parts, self.directory, self.written, record)
+        run_directory = stack.enter_context(RunDirectory(rows.folder, "experiment"))
         rows.write_record()
-        work = Work(rows, held.out, rows.size, watch=self.watch, directory=held)
+        work = Work(rows, run_directory.out, rows.size, watch=self.watch, directory=run_directory)
         if self.again or not len(work.unfinished):  # replaced, or without their recordings
             for part in (*work.runs.parts, *work.runs.others):
                 _set_aside(part.path)
@@ -456,7 +473,10 @@ class _Call:
     @property
     def drawn(self) -> str:
         """Hash of the bodies, to identify those in a directory."""
-        values = {name: np.asarray(of, float).tolist() for name, of in sorted(self.bodies.items())}
+        values = {
+            name: np.asarray(samples, float).tolist()
+            for name, samples in sorted(self.bodies.items())
+        }
         content = dict.fromkeys(sorted(PROFILES), values)
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
@@ -510,53 +530,55 @@ class _Call:
             notes=tuple(entry["notes"]),
         )
 
-    def _warn_of_code(self, name: str, kept: Stored, code: CodeStamp) -> None:
+    def _warn_of_code(self, name: str, former: Stored, code: CodeStamp) -> None:
         """Say that results are kept, and of which code they are, if of another."""
-        made = codes_of(self.directory.out).get(kept.about["code"])
-        unlike = "" if made is None else made.unlike(code)
-        other = f" by other code ({unlike})" if unlike else ""
-        other = " by code that is not known" if made is None else other
+        former_code = codes_of(self.directory.out).get(former.about["code"])
+        unlike = "" if former_code is None else former_code.unlike(code)
+        code_note = f" by other code ({unlike})" if unlike else ""
+        code_note = " by code that is not known" if former_code is None else code_note
         self.watch.warn(
-            f"{name}: kept as run on {local_time(kept.about['started'])}{other}; --again reruns it."
+            f"{name}: kept as run on {local_time(former.about['started'])}{code_note}; --again reruns it."
         )
 
-    def _plots(self, chosen: Experiment, outcome: CaseRuns, lines: Sequence[Line]) -> list[Path]:
+    def _plots(
+        self, experiment: Experiment, outcome: CaseRuns, lines: Sequence[Line]
+    ) -> list[Path]:
         from nermo_mjx.experiments.plots import figures_of_experiment
         from nermo_mjx.plotting.files import write_figures
 
-        self._tell(f"{chosen.name}, plots", 0.0)
+        self._tell(f"{experiment.name}, plots", 0.0)
         figures = figures_of_experiment(outcome, lines)
         return write_figures(figures, self.directory.out / "plots", self.written.write)
 
     def _tell(self, what: str, share: float) -> None:
         self.watch.progress(Progress(share, what=what))
 
-    def _publish(self, chosen: Experiment, entry: dict[str, Any]) -> None:
+    def _publish(self, experiment: Experiment, entry: dict[str, Any]) -> None:
         """Store an experiment's entry, and the report of the whole directory."""
-        self.directory.write_entry(chosen.name, entry)
+        self.directory.write_entry(experiment.name, entry)
         self.directory.report(self.written, EXPERIMENTS)
 
     def _videos(
-        self, chosen: Experiment, outcome: CaseRuns, made: list[dict[str, Any]]
+        self, experiment: Experiment, outcome: CaseRuns, videos: list[dict[str, Any]]
     ) -> tuple[list[dict[str, Any]], list[str]]:
         """The video's file, content and speed, and a note if it should exist but does not."""
-        if made and all((self.directory.out / video["file"]).exists() for video in made):
-            return made, []
-        shows = chosen.shot.choose(outcome)
+        if videos and all((self.directory.out / video["file"]).exists() for video in videos):
+            return videos, []
+        shows = experiment.shot.choose(outcome)
         if not self.video or shows is None:
             return [], []
-        path = self.directory.out / "videos" / f"{chosen.name}.mp4"
-        partial = path.with_name(f".{chosen.name}{TEMPORARY_SUFFIX}.mp4")
+        path = self.directory.out / "videos" / f"{experiment.name}.mp4"
+        partial = path.with_name(f".{experiment.name}{TEMPORARY_SUFFIX}.mp4")
         try:
             speed = shoot(
                 outcome,
-                chosen.shot,
+                experiment.shot,
                 partial,
-                lambda share: self._tell(f"{chosen.name}, video", share),
+                lambda share: self._tell(f"{experiment.name}, video", share),
             )
             self.written.write(path, read_bytes(partial, MAX_FILE_BYTES))
         except (VideoError, RecordingError) as error:
-            note = f"There is no video of {chosen.name}. {error}"
+            note = f"There is no video of {experiment.name}. {error}"
             self.watch.warn(note)
             return [], [note]
         finally:
@@ -586,8 +608,8 @@ def shoot(
         end = reached if math.isfinite(reached) else end
     speed = max(shot.speed, float(math.ceil(end / LONGEST)) if math.isfinite(end) else 0.0)
     began = float(recording.time[0])
-    shown = recording.between(began, began + min(speed * LONGEST, end))
-    report = None if progress is None else lambda done, frames: progress(done / frames)
+    excerpt = recording.between(began, began + min(speed * LONGEST, end))
+    report = None if progress is None else lambda frame, frames: progress(frame / frames)
     look: dict[str, Any] = {
         "fps": FPS,
         "width": WIDTH,
@@ -595,5 +617,5 @@ def shoot(
         "camera": shot.camera,
         "speed": speed,
     }
-    render(shown, robot_of(recording).model, path, progress=report, **look)
+    render(excerpt, robot_of(recording).model, path, progress=report, **look)
     return speed

@@ -92,8 +92,8 @@ class Stand:
     def angle(self, joint: str) -> float:
         """Of a joint, the sum over its hinges [rad]."""
         model = self.model
-        own = [i for i in range(model.njnt) if chain_of(model.joint(i).name) == joint]
-        return float(sum(self.data.qpos[model.jnt_qposadr[i]] for i in own))
+        joint_ids = [i for i in range(model.njnt) if chain_of(model.joint(i).name) == joint]
+        return float(sum(self.data.qpos[model.jnt_qposadr[i]] for i in joint_ids))
 
     def held(self, site: str, direction: Sequence[float], most: float) -> float:
         """The force along a direction at a site [N], growing slowly, at which a servo reaches its torque limit.
@@ -222,15 +222,15 @@ def _dimensions() -> dict[str, float]:
     visible = (model.geom_bodyid > 0) & (model.geom_group == VISUAL_GROUP)
     ends = []  # smallest and largest coordinates of the visible parts [m]
     for geom in np.flatnonzero(visible).tolist():
-        turned, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+        turned, position = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
             mesh = model.mesh(model.geom_dataid[geom])
             first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-            points = place + model.mesh_vert[first : first + count] @ turned.T
+            points = position + model.mesh_vert[first : first + count] @ turned.T
             ends.append([points.min(axis=0), points.max(axis=0)])
         else:
             centre, half = (
-                place + turned @ model.geom_aabb[geom][:3],
+                position + turned @ model.geom_aabb[geom][:3],
                 np.abs(turned) @ model.geom_aabb[geom][3:],
             )
             ends.append([centre - half, centre + half])
@@ -308,7 +308,7 @@ def swing_of(pair: str, routing: str) -> Any:
     share = np.linspace(0.0, 1.0, 101)
     foot = np.stack([_STRIDE * (0.5 - share), 4.0 * _LIFT * share * (1.0 - share)], axis=-1)
     servo = servo_angles(pair, foot + LEGS[pair].neutral_foot, routing)
-    return lambda at: [np.interp(at, share, angle) for angle in servo.T]
+    return lambda time_share: [np.interp(time_share, share, angle) for angle in servo.T]
 
 
 # --- the spine: lateral, vertical and combined bends of both robots
@@ -334,13 +334,13 @@ def run_spine(settings: Settings) -> CaseRuns:
     ) -> dict[str, float]:
         # The robot's masses, unless they are set.
         default, now = dict(values_of(ModelParameters())), dict(values_of(parameters))
-        own = {
+        parameters_of_case = {
             name: np.asarray(value)
             for name, value in mass_values(robot).items()
             if now[name] == default[name]
         }
-        parameters = replace_quantities(parameters, own)
-        shares, joints, way = PLANES[plane]
+        parameters = replace_quantities(parameters, parameters_of_case)
+        shares, joints, direction = PLANES[plane]
         share = np.array(shares[: 2 if robot == "nermo_41" else 1])
 
         def settled(servo: Any) -> Stand:
@@ -351,12 +351,12 @@ def run_spine(settings: Settings) -> CaseRuns:
         return {
             "joint_angle": float(np.mean([ends[0].angle(joint) for joint in joints])),
             "range": float(np.linalg.norm(ends[0].site("spine_end") - ends[1].site("spine_end"))),
-            "force": settled(0.0 * share).held("spine_end", way, _MOST_SPINE),
+            "force": settled(0.0 * share).held("spine_end", direction, _MOST_SPINE),
             "speed": float(
                 np.linalg.norm(near[0] - near[1]) / (2 * _STEP) * parameters.servo.speed
             ),
             "work": settled(0.0 * share).work(
-                lambda at: at * SPINE_GEOMETRY.max_servo_angle * share
+                lambda time_share: time_share * SPINE_GEOMETRY.max_servo_angle * share
             )[0],
             "bend": bend(assemble_spine(parameters, robot, hinges), joints),
         }

@@ -123,25 +123,25 @@ class Directory:
         Those of bodies belong to a run of the experiment with the same settings.
         """
         folder = self.folder(experiment, bodies=bodies)
-        about = self.record(experiment, bodies=bodies)
-        own = self.record(experiment) if bodies else about
-        if not about or about["settings"] != own.get("settings"):
+        record = self.record(experiment, bodies=bodies)
+        own_record = self.record(experiment) if bodies else record
+        if not record or record["settings"] != own_record.get("settings"):
             return None
         try:
             table = read_table(folder)
-            files = {name: folder / file for name, file in about["recordings"].items()}
-            if table.num_rows < about["rows"] or not all(map(Path.exists, files.values())):
+            files = {name: folder / file for name, file in record["recordings"].items()}
+            if table.num_rows < record["rows"] or not all(map(Path.exists, files.values())):
                 return None
             outcome = outcome_of(table, _Recordings(files))
             parts = list(map(_part, part_files(folder)))
         except (KeyError, FileError):
             return None
-        made = {
+        columns_made = {
             "engine": parts[0].engine,
             "code": table["code"][0].as_py(),
             "wall_seconds": sum(part.seconds for part in parts),
         }
-        return Stored(outcome, about | made, folder / "results", tuple(files.values()))
+        return Stored(outcome, record | columns_made, folder / "results", tuple(files.values()))
 
     def write_entry(self, experiment: str, entry: Mapping[str, Any]) -> None:
         """Store an experiment's lines, its settings, and whether all derived files exist (`finished`).
@@ -232,8 +232,8 @@ class ExperimentRows(RowJob):
     ) -> tuple[pa.Table, None]:
         """See `RowJob`; the recordings are written before the rows, which make them valid."""
         outcome, seconds = result
-        at = int(self.structures[index[0]])
-        part, begin = self._parts[at], int(self._begins[at])
+        part_index = int(self.structures[index[0]])
+        part, begin = self._parts[part_index], int(self._begins[part_index])
         if self._bodies:  # each part is numbered from the position of its first body
             first = part.seed - self._parts[0].seed
             columns = {**outcome.columns, BODY: outcome.columns[BODY] + first}
@@ -241,9 +241,11 @@ class ExperimentRows(RowJob):
         else:
             self._keep(outcome)
         # Variants of a profile have the same numbers in all of its parts.
-        profile = next(i for i, other in enumerate(self._parts) if other.profiles == part.profiles)
-        about = {"engine": stamp.engine, "steps": 0, "wall_seconds": seconds}
-        table = table_of(outcome, begin, int(self._begins[profile]), part.seed, stamp.id, about)
+        profile = next(
+            i for i, other_part in enumerate(self._parts) if other_part.profiles == part.profiles
+        )
+        metadata = {"engine": stamp.engine, "steps": 0, "wall_seconds": seconds}
+        table = table_of(outcome, begin, int(self._begins[profile]), part.seed, stamp.id, metadata)
         return table.take(index - begin), None
 
     def failure(self, index: np.ndarray, error: BaseException, out: Path) -> Exception:

@@ -65,9 +65,9 @@ _WARMUP: Final = 2.0
 _RECORDED: Final = 8.0
 
 
-def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **other: Any) -> Case:
+def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **options: Any) -> Case:
     """A case of the straight line; `other`: whether it is `compensated`, and its `profiles`."""
-    compensated = other.get("compensated", False)
+    compensated = options.get("compensated", False)
     labels: dict[str, Label] = {
         "gait": gait,
         "frequency": frequency,
@@ -81,14 +81,14 @@ def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **other
         "pilot.error_gain": 0.0,
         "pilot.change_gain": 0.0,
     }
-    profiles = other.get("profiles", SIMULATED)
+    profiles = options.get("profiles", SIMULATED)
     return Case(labels | {"compensated": compensated}, gait, values=values, profiles=profiles)
 
 
 def line_cases(quick: bool = False) -> tuple[Case, ...]:
     """The published cases, and a robot that stands; `quick` keeps those at 0.8 Hz and the compensation's."""
     frequencies = FREQUENCIES[-1:] if quick else FREQUENCIES
-    both = (False, True)
+    spine_values = (False, True)
     still = {"stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
     stands = _line("trot", 0.8, False, 0.0)  # on its neutral feet
     stands = Case(
@@ -101,10 +101,12 @@ def line_cases(quick: bool = False) -> tuple[Case, ...]:
         _line(gait, f, spine)
         for f in frequencies
         for gait in ("trot", "walking_trot")
-        for spine in both
+        for spine in spine_values
     ]
     lateral = [_line("lateral_walk", f, False) for f in frequencies]
-    strides = [_line("trot", 0.8, spine, stride) for stride in (0.0, 0.5, 0.8) for spine in both]
+    strides = [
+        _line("trot", 0.8, spine, stride) for stride in (0.0, 0.5, 0.8) for spine in spine_values
+    ]
     compensated = [_line("trot", 0.67, True, compensated=True)] + (
         [_line("trot", 0.67, True)] if quick else []
     )
@@ -147,9 +149,11 @@ def walk_line(settings: Settings) -> CaseRuns:
     columns |= gait_cycle(
         simulator, batch, looked_into, Run(_WARMUP + (4.0 if quick else _RECORDED), _WARMUP)
     )
-    names = [f"trot, 0.67 Hz, {which} spine" for which in ("without", "with")]
-    shown = [_line("trot", 0.67, spine) for spine in (False, True)]
-    recordings = _record(simulator, shown, settings, Run(cycles=4.0 if quick else _RECORDED), names)
+    names = [f"trot, 0.67 Hz, {spine_word} spine" for spine_word in ("without", "with")]
+    shown_cases = [_line("trot", 0.67, spine) for spine in (False, True)]
+    recordings = _record(
+        simulator, shown_cases, settings, Run(cycles=4.0 if quick else _RECORDED), names
+    )
     return CaseRuns.of("straight-line", columns, recordings)
 
 
@@ -177,23 +181,23 @@ CYCLE: Final = ("pitch_peaks", "pitch_peak_up", "pitch_lift_off", "yaw_spine_cor
 
 
 def gait_cycle(
-    simulator: Simulator, batch: Worlds, wanted: np.ndarray, run: Run
+    simulator: Simulator, batch: Worlds, row_numbers: np.ndarray, run: Run
 ) -> dict[str, np.ndarray]:
     """`CYCLE` of the wanted worlds of a batch, which are simulated again and recorded; NaN for the others.
 
     Args:
-        wanted: mask (n,).
+        row_numbers: mask (n,).
         run: its warm-up is excluded, and the rest is whole gait cycles.
     """
-    columns = {name: np.full(len(wanted), np.nan) for name in CYCLE}
-    everything, rows = batch.all_values(simulator.setup.defaults()), np.flatnonzero(wanted)
+    columns = {name: np.full(len(row_numbers), np.nan) for name in CYCLE}
+    everything, rows = batch.all_values(simulator.setup.defaults()), np.flatnonzero(row_numbers)
     for begin in range(0, len(rows), _RECORDED_WORLDS):
-        chosen = rows[begin : begin + _RECORDED_WORLDS]
+        batch_rows = rows[begin : begin + _RECORDED_WORLDS]
         result = simulator.run(
-            {name: values[chosen] for name, values in batch.values.items()}, run, record=True
+            {name: values[batch_rows] for name, values in batch.values.items()}, run, record=True
         )
         assert result.trace is not None
-        for i, row in enumerate(chosen):
+        for i, row in enumerate(batch_rows):
             if result.status[i] == "ok":
                 values = {name: float(column[row]) for name, column in everything.items()}
                 for name, value in of_world(result.trace, i, values, run).items():
@@ -268,7 +272,7 @@ def rear_slip(
     offsets: Mapping[str, float],
 ) -> dict[str, float]:
     """The slip's part of `CYCLE`: mean horizontal speed of the loaded rear feet in three parts of their stance."""
-    speed, ways = np.linalg.norm(velocity[..., :2], axis=-1), np.zeros((3, 2))
+    speed, distances = np.linalg.norm(velocity[..., :2], axis=-1), np.zeros((3, 2))
     for i, limb in enumerate(LIMBS):
         if not limb.startswith("rear"):
             continue
@@ -276,9 +280,11 @@ def rear_slip(
         loaded = force[:, i] > LOADED_FOOT_NEWTONS
         bounds = (0.0, duty / 3, LAST_OF_STANCE * duty, duty + AFTER_STANCE)
         for part, (begin, end) in enumerate(itertools.pairwise(bounds)):
-            chosen = loaded & (since >= begin) & (since < end)
-            ways[part] += speed[chosen, i].sum(), chosen.sum()
-    means = np.divide(ways[:, 0], ways[:, 1], out=np.full(3, np.nan), where=ways[:, 1] > 0)
+            is_counted = loaded & (since >= begin) & (since < end)
+            distances[part] += speed[is_counted, i].sum(), is_counted.sum()
+    means = np.divide(
+        distances[:, 0], distances[:, 1], out=np.full(3, np.nan), where=distances[:, 1] > 0
+    )
     return dict(zip(_SLIP, means.tolist(), strict=True))
 
 
@@ -305,7 +311,7 @@ def _turn(
     strategy: str,
     side: str = "left",
     stride: float = 1.0,
-    **other: Any,
+    **options: Any,
 ) -> Case:
     """A case of the turning test; `other`: its `profiles`."""
     values = {
@@ -325,7 +331,7 @@ def _turn(
         "strategy": strategy,
     }
     labels |= {"side": side, "stride": stride}
-    return Case(labels, gait, strategy, values, other.get("profiles", SIMULATED))
+    return Case(labels, gait, strategy, values, options.get("profiles", SIMULATED))
 
 
 def turn_cases(quick: bool = False) -> tuple[Case, ...]:
@@ -364,21 +370,21 @@ def walk_turns(settings: Settings) -> CaseRuns:
     recordings: dict[str, Recording] = {}
     walked = walked_turns(settings)
     locks = any(case.labels["radius"] == FULL_LOCK for case in walked)
-    before = 0.0
+    previous_length = 0.0
     for pilot, share in (("arc", 0.8), ("open_loop", 0.2)) if locks else (("arc", 1.0),):
-        chosen = [
+        turn_cases = [
             case
             for case in walked
             if (case.labels["radius"] == FULL_LOCK) == (pilot == "open_loop")
             and set(case.profiles) & set(settings.profiles)
         ]
-        if not chosen:
+        if not turn_cases:
             continue
         simulator = Simulator(
             settings.setup("quarter_circles", pilot=pilot), engine=settings.engine
         )
         defaults = simulator.setup.defaults()
-        batch = cases.worlds(chosen, defaults, settings)
+        batch = cases.worlds(turn_cases, defaults, settings)
         # Right turns are mirror images of left ones: they also start on the other pair of legs. Only trot and walking
         # trot turn right, whose two diagonal pairs are half a cycle apart.
         right = batch.labels["side"] == "right"
@@ -391,7 +397,7 @@ def walk_turns(settings: Settings) -> CaseRuns:
         values = batch.all_values(defaults)
         length = _turn_length(values, batch.labels["radius"])
 
-        def tell(done: float, before: float = before, share: float = share) -> None:
+        def tell(done: float, before: float = previous_length, share: float = share) -> None:
             settings.progress(before + share * done) if settings.progress else None
 
         result = simulator.run(batch.values, length, progress=tell)
@@ -399,19 +405,21 @@ def walk_turns(settings: Settings) -> CaseRuns:
         parts.append(
             _judged(cases.measured(batch, result), end - warmup, values["stance.max_stride"])
         )
-        before += share
+        previous_length += share
         if pilot == "arc":
             stride = HARDWARE_STRIDE if settings.profiles[0] == "as_built" else 1.0
-            shown = [
+            shown_cases = [
                 _turn("trot", 0.67, 0.5, name, "left", stride, profiles=settings.profiles)
                 for name in STRATEGIES
             ]
             names = [f"trot, 0.67 Hz, R = 0.5 m, {name}" for name in STRATEGIES]
 
-            def length_of(one: Worlds, defaults: Mapping[str, float] = defaults) -> Run:
-                return _turn_length(one.all_values(defaults), one.labels["radius"])
+            def length_of(worlds_of_case: Worlds, defaults: Mapping[str, float] = defaults) -> Run:
+                return _turn_length(
+                    worlds_of_case.all_values(defaults), worlds_of_case.labels["radius"]
+                )
 
-            recordings = _record(simulator, shown, settings, length_of, names)
+            recordings = _record(simulator, shown_cases, settings, length_of, names)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return CaseRuns.of("turning", columns, recordings)
 
@@ -479,7 +487,7 @@ def maze_cases() -> tuple[Case, ...]:
 
     Path and pilot are this project's: with the author's, `as_published` runs into a box at the first bends.
     """
-    chosen = []
+    cases = []
     for profiles, stride in ((SIMULATED, 1.0), (_BUILT, HARDWARE_STRIDE)):
         for spine, steering in ((False, "leg"), (True, "mix")):
             values = {
@@ -488,8 +496,8 @@ def maze_cases() -> tuple[Case, ...]:
                 "stride": stride,
                 **_GUIDED,
             }
-            chosen.append(Case({"spine": spine}, "trot", steering, values, profiles))
-    return tuple(chosen)
+            cases.append(Case({"spine": spine}, "trot", steering, values, profiles))
+    return tuple(cases)
 
 
 def walk_maze(settings: Settings) -> CaseRuns:
@@ -514,10 +522,10 @@ def walk_maze(settings: Settings) -> CaseRuns:
     if settings.quick:
         columns["reached"] = np.full(len(columns["reached"]), np.nan)
     labels = batch.labels
-    shown = np.flatnonzero((labels["repeat"] == 0) & (settings.bodies is None)).tolist()
+    shown_rows = np.flatnonzero((labels["repeat"] == 0) & (settings.bodies is None)).tolist()
     names = {
         i: f"{labels['profile'][i]}, {'with' if labels['spine'][i] else 'without'} spine"
-        for i in shown
+        for i in shown_rows
     }
     return CaseRuns.of("maze", columns, cases.recordings_of(simulator, batch, result, names))
 

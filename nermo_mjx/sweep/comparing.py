@@ -79,9 +79,9 @@ class Arm:
     results: Results
     runs: pd.DataFrame
 
-    def where(self, chosen: Any) -> Arm:
+    def where(self, selection: Any) -> Arm:
         """The runs where a mask (n,) holds."""
-        return dataclasses.replace(self, runs=self.runs[np.asarray(chosen)])
+        return dataclasses.replace(self, runs=self.runs[np.asarray(selection)])
 
 
 def opened_table(source: Source) -> tuple[str, Results, SweepRecord | None, list[str]]:
@@ -106,10 +106,10 @@ def opened_table(source: Source) -> tuple[str, Results, SweepRecord | None, list
     return str(source), results, sweep, notes
 
 
-def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
+def two_tables(base: Source, other_source: Source) -> tuple[list[Arm], list[str]]:
     """All runs of two tables, and notes on how their sweeps differ."""
     arms, notes, sweeps = [], [], []
-    for source in (base, other):
+    for source in (base, other_source):
         name, results, sweep, incomplete = opened_table(source)
         arms.append(Arm(name, results, _runs_of(results)))
         sweeps.append(sweep)
@@ -134,18 +134,25 @@ def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
             arm.runs[name] = math.nan if value is None else value
     if all(sweeps):
         first, second = (
-            {**each.fields, **each.fields["set"]} for each in sweeps if each is not None
+            {**sweep_fields.fields, **sweep_fields.fields["set"]}
+            for sweep_fields in sweeps
+            if sweep_fields is not None
         )
         varied = {
             "set",
             *names,
-            *(name for each in sweeps if each is not None for name in each.labelled),
+            *(
+                name
+                for sweep_fields in sweeps
+                if sweep_fields is not None
+                for name in sweep_fields.labelled
+            ),
         }
         for name in {**first, **second}:
             if name not in varied and first.get(name) != second.get(name):
                 values = (
-                    "the default" if each.get(name) is None else each[name]
-                    for each in (first, second)
+                    "the default" if sweep_fields.get(name) is None else sweep_fields[name]
+                    for sweep_fields in (first, second)
                 )
                 notes.append("They differ in {}: {} and {}.".format(name, *values))
     return arms, notes
@@ -179,12 +186,12 @@ def _runs_of(results: Results) -> pd.DataFrame:
     """All runs of a table with their varied columns."""
     import pandas as pd
 
-    found: dict[str, Any] = {}
+    columns: dict[str, Any] = {}
     for name, values in results.columns(columns_of(results, "varied")):
         text = values.dtype == object
-        texts = ["" if each is None else str(each) for each in values] if text else []
-        found[name] = np.array(texts, object) if text else same_values(values.astype(float))
-    return pd.DataFrame(found, index=range(results.rows))
+        texts = ["" if cell is None else str(cell) for cell in values] if text else []
+        columns[name] = np.array(texts, object) if text else same_values(values.astype(float))
+    return pd.DataFrame(columns, index=range(results.rows))
 
 
 def _absent(values: Any) -> Any:
@@ -198,21 +205,21 @@ def _values(column: pd.Series) -> list[Value]:
     return values
 
 
-def check_name(name: str, known: Sequence[str], option: str) -> None:
+def check_name(name: str, allowed: Sequence[str], option: str) -> None:
     """Refuse a column that is not varied."""
-    if name not in known:
-        raise ParameterError(f"{option} is {name!r}, {not_varied(name, known)}")
+    if name not in allowed:
+        raise ParameterError(f"{option} is {name!r}, {not_varied(name, allowed)}")
 
 
-def value_among(wanted: Value, values: Sequence[Value], option: str, column: pa.Field) -> Value:
+def value_among(target: Value, values: Sequence[Value], option: str, column: pa.Field) -> Value:
     """The requested value, as in the column; numbers may differ in their last digits, and texts have units."""
     number = Quantity(
         0.0, meta(column).get("unit", "1"), -math.inf, math.inf, "of a column"
-    ).number(str(wanted))
+    ).number(str(target))
     number = math.nan if number is None else number
     for value in values:
         close = (
-            value in (wanted, GAIT_CODES.get(str(wanted)))
+            value in (target, GAIT_CODES.get(str(target)))
             if isinstance(value, str)
             else math.isclose(number, value, abs_tol=1e-12)
         )
@@ -221,8 +228,8 @@ def value_among(wanted: Value, values: Sequence[Value], option: str, column: pa.
     listed = ", ".join(map(value_text, values[:12])) + (
         f" and {len(values) - 12} more" if len(values) > 12 else ""
     )
-    hint = did_you_mean(str(wanted), list(map(value_text, values)))
-    raise ParameterError(f"{option} is {wanted!r}: the table has {listed}{hint or '.'}")
+    hint = did_you_mean(str(target), list(map(value_text, values)))
+    raise ParameterError(f"{option} is {target!r}: the table has {listed}{hint or '.'}")
 
 
 def value_text(value: Value) -> str:
@@ -268,34 +275,36 @@ class Pairing:
         for side in self.sides:
             values = {name: keys[name].to_numpy()[side.runs["variant"]] for name in shared}
             runs.append(side.runs.assign(place=side.runs.index, **values))
-        for at in (0, 1):
-            if alone := [name for name in names if self.alone.get(name) == at]:
-                known = runs[at][~_absent(runs[at][alone]).any(axis=1)][
-                    [*shared, *alone]
-                ].drop_duplicates()
-                runs[1 - at] = (
-                    runs[1 - at].drop(columns=alone, errors="ignore").merge(known, on=shared)
+        for side_index in (0, 1):
+            if single_names := [name for name in names if self.alone.get(name) == side_index]:
+                known_values = runs[side_index][
+                    ~_absent(runs[side_index][single_names]).any(axis=1)
+                ][[*shared, *single_names]].drop_duplicates()
+                runs[1 - side_index] = (
+                    runs[1 - side_index]
+                    .drop(columns=single_names, errors="ignore")
+                    .merge(known_values, on=shared)
                 )
-        both = pd.concat([each[["all", *names]] for each in runs], ignore_index=True)
-        code = _numbered(both)
+        all_runs = pd.concat([side_runs[["all", *names]] for side_runs in runs], ignore_index=True)
+        code = _numbered(all_runs)
         parts = np.split(code, [len(runs[0])])
         common = np.intersect1d(parts[0], parts[1])
         labels = (
-            both.assign(code=code)
+            all_runs.assign(code=code)
             .drop_duplicates("code")
             .set_index("code")
             .loc[common, list(names)]
         )
-        numbered = zip((each.set_index("place") for each in runs), parts, strict=True)
+        numbered = zip((side_runs.set_index("place") for side_runs in runs), parts, strict=True)
         return labels, [
-            each[np.isin(part, common)].assign(
+            side_runs[np.isin(part, common)].assign(
                 group=np.searchsorted(common, part[np.isin(part, common)])
             )
-            for each, part in numbered
+            for side_runs, part in numbered
         ]
 
 
-def pair(base: Arm, other: Arm) -> Pairing:
+def pair(base: Arm, other_arm: Arm) -> Pairing:
     """Match the variants of two sides by their keys; what only one side has is left out.
 
     Raises:
@@ -303,9 +312,9 @@ def pair(base: Arm, other: Arm) -> Pairing:
     """
     import pandas as pd
 
-    sides, notes, alone = (base, other), list[str](), dict[str, int]()
+    sides, notes, single_side = (base, other_arm), list[str](), dict[str, int]()
     keys = pd.concat(
-        [base.runs, other.runs], ignore_index=True
+        [base.runs, other_arm.runs], ignore_index=True
     )  # NaN in a column that a side lacks
     for name in keys.select_dtypes("number"):
         keys[name] = same_values(keys[name].to_numpy())
@@ -315,31 +324,31 @@ def pair(base: Arm, other: Arm) -> Pairing:
         if any(lacking):
             del keys[name]
             if not all(lacking):
-                alone[name] = lacking.index(False)
-                one = sides[alone[name]].name
+                single_side[name] = lacking.index(False)
+                side_name = sides[single_side[name]].name
                 notes.append(
-                    f"{name} varies in {one} alone, and is averaged there, but for groups by it."
+                    f"{name} varies in {side_name} alone, and is averaged there, but for groups by it."
                 )
     code = _numbered(keys)
     common = np.intersect1d(code[:split], code[split:])
     if not len(common):
         raise ParameterError(
-            f"{base.name} and {other.name} have no variant in common: {_first_apart(base, other)}"
+            f"{base.name} and {other_arm.name} have no variant in common: {_first_apart(base, other_arm)}"
         )
-    known = all("seed" in arm.results.schema.names for arm in sides)
+    has_seeds = all("seed" in arm.results.schema.names for arm in sides)
     paired = []
-    for i, (arm, own) in enumerate(zip(sides, (code[:split], code[split:]), strict=True)):
-        there = np.isin(own, common)
-        if not there.all():
-            left = len(np.unique(own[~there]))
+    for i, (arm, side_codes) in enumerate(zip(sides, (code[:split], code[split:]), strict=True)):
+        is_common = np.isin(side_codes, common)
+        if not is_common.all():
+            left_count = len(np.unique(side_codes[~is_common]))
             notes.append(
-                f"{left:,} variants are in {arm.name} alone, and left out ({int((~there).sum()):,} runs)."
+                f"{left_count:,} variants are in {arm.name} alone, and left out ({int((~is_common).sum()):,} runs)."
             )
-        seed = arm.results.column("seed")[arm.runs.index] if known else 2 * arm.runs.index + i
-        runs = arm.runs.assign(variant=np.searchsorted(common, own), seed=seed)
-        paired.append(dataclasses.replace(arm, runs=runs).where(there))
+        seed = arm.results.column("seed")[arm.runs.index] if has_seeds else 2 * arm.runs.index + i
+        runs = arm.runs.assign(variant=np.searchsorted(common, side_codes), seed=seed)
+        paired.append(dataclasses.replace(arm, runs=runs).where(is_common))
     first = np.unique(code, return_index=True)[1][np.isin(np.unique(code), common)]
-    return Pairing((paired[0], paired[1]), keys.iloc[first], alone, tuple(notes))
+    return Pairing((paired[0], paired[1]), keys.iloc[first], single_side, tuple(notes))
 
 
 def _numbered(keys: pd.DataFrame) -> np.ndarray:
@@ -444,15 +453,15 @@ def _measured(
     sides: Sequence[pd.DataFrame], paired: pd.Index, variants: int, parts: int
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The `_NUMBERS` of each part and metric, (parts, m), and how many variants each part has, (parts,)."""
-    found = {name: np.full((parts, sides[0].shape[1]), np.nan) for name in _NUMBERS}
+    numbers = {name: np.full((parts, sides[0].shape[1]), np.nan) for name in _NUMBERS}
     units = sides[0].index.unique(0)
     several = np.bincount(units // variants, minlength=parts)
     if not len(units):
-        return found, several
-    there, group = np.unique(units // variants, return_inverse=True)
-    unit = [units.get_indexer(own.index.get_level_values(0)) for own in sides]
-    pairs = [own.index.isin(paired, level=0) for own in sides]
-    first, second = (own.to_numpy() for own in sides)
+        return numbers, several
+    present, group = np.unique(units // variants, return_inverse=True)
+    unit = [units.get_indexer(side_means.index.get_level_values(0)) for side_means in sides]
+    pairs = [side_means.index.isin(paired, level=0) for side_means in sides]
+    first, second = (side_means.to_numpy() for side_means in sides)
     values = np.concatenate(
         [second[pairs[1]] - first[pairs[0]], -first[~pairs[0]], second[~pairs[1]]]
     )
@@ -461,28 +470,31 @@ def _measured(
         len(units) + unit[0][~pairs[0]],
         2 * len(units) + unit[1][~pairs[1]],
     ]
-    cell, place = np.unique(np.concatenate(cells), return_inverse=True)
-    interval = two_stage(values, place, cell % len(units), group)
-    means = [own.groupby(level=0).mean().groupby(group).mean().to_numpy() for own in sides]
+    cell, cell_index = np.unique(np.concatenate(cells), return_inverse=True)
+    interval = two_stage(values, cell_index, cell % len(units), group)
+    means = [
+        side_means.groupby(level=0).mean().groupby(group).mean().to_numpy() for side_means in sides
+    ]
     # Where the base's mean is nothing but noise, no share of it says anything.
     of_base = sides[0].groupby(group[unit[0]])
     noise = 2 * (of_base.std(ddof=0) / np.sqrt(of_base.count())).to_numpy()
     scale = np.where(np.abs(means[0]) > noise, np.abs(means[0]), np.nan)
-    relative = (each / scale for each in interval[:3])
+    relative = (bound / scale for bound in interval[:3])
     for into, part in zip(
-        found.values(), (*means, *interval[:3], *relative, interval.p), strict=True
+        numbers.values(), (*means, *interval[:3], *relative, interval.p), strict=True
     ):
-        into[there] = part
-    return found, several
+        into[present] = part
+    return numbers, several
 
 
-def _first_apart(base: Arm, other: Arm) -> str:
+def _first_apart(base: Arm, other_arm: Arm) -> str:
     """The first key of which they share no value, in words."""
     for name in base.runs:
-        values = [sorted(_values(arm.runs[name])) for arm in (base, other) if name in arm.runs]
+        values = [sorted(_values(arm.runs[name])) for arm in (base, other_arm) if name in arm.runs]
         if len(values) == 2 and all(values) and not set(values[0]) & set(values[1]):
             first, second = (
-                ", ".join(map(value_text, each[:4])) + ", ..." * (len(each) > 4) for each in values
+                ", ".join(map(value_text, side_values[:4])) + ", ..." * (len(side_values) > 4)
+                for side_values in values
             )
             return f"{name} is {first} in the one and {second} in the other."
     return "each combination of values is in one of them alone."
@@ -552,11 +564,13 @@ class Comparison:
     notes: tuple[str, ...]
     lost: tuple[str, ...]
 
-    def rows(self, other: str, *, grouped: bool = False) -> list[dict[str, Any]]:
+    def rows(self, other_name: str, *, grouped: bool = False) -> list[dict[str, Any]]:
         """Rows of the table about one other side: those over all variants, or those of the groups."""
-        group, about = pc.field("group"), pc.field("other")
-        chosen = self.table.filter((about == other) & (group >= 0 if grouped else group < 0))
-        return chosen.to_pylist()
+        group, other_field = pc.field("group"), pc.field("other")
+        selected = self.table.filter(
+            (other_field == other_name) & (group >= 0 if grouped else group < 0)
+        )
+        return selected.to_pylist()
 
     def about(self, only: Sequence[str] = ()) -> dict[str, Any]:
         """All of it for JSON: `metrics` by name; with groups, `groups`; with several others, `comparisons` of each.
@@ -716,24 +730,24 @@ def compare(
 
 def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Where the sides lost different shares of their runs, a sentence on the metrics that lost the same ones."""
-    found = dict[tuple[Any, ...], list[str]]()
+    arms_by_reason = dict[tuple[Any, ...], list[str]]()
     for line in lines:
         words = [(line[f"lost_{side}"], line[f"failed_{side}"]) for side in ("base", "other")]
-        found.setdefault(tuple(words), []).append(spoken(line["metric"]))
-    for (base, other), names in found.items():
-        each, table = list[str](), list[tuple[int, int]]()
-        for side, (share, failed) in zip(pairing.sides, (base, other), strict=True):
+        arms_by_reason.setdefault(tuple(words), []).append(spoken(line["metric"]))
+    for (base, other_arm), names in arms_by_reason.items():
+        arm_names, table = list[str](), list[tuple[int, int]]()
+        for side, (share, failed) in zip(pairing.sides, (base, other_arm), strict=True):
             index, runs = side.runs.index, len(side.runs)
-            why, lost = (
+            why, lost_text = (
                 losses(side.results.column("status")[index], side.results.well[index]),
                 round(share * runs),
             )
-            why |= {NO_NUMBER: lost - failed} if lost > failed else {}
-            each.append(f"{lost:,} of {runs:,} runs of {side.name}{told(why)}")
-            table.append((lost, runs - lost))
-        if base[0] != other[0]:
+            why |= {NO_NUMBER: lost_text - failed} if lost_text > failed else {}
+            arm_names.append(f"{lost_text:,} of {runs:,} runs of {side.name}{told(why)}")
+            table.append((lost_text, runs - lost_text))
+        if base[0] != other_arm[0]:
             yield (
-                f"Lost for {', '.join(names)}: {' and '.join(each)} (p {stats.fisher_exact(table).pvalue:.2g} by "
+                f"Lost for {', '.join(names)}: {' and '.join(arm_names)} (p {stats.fisher_exact(table).pvalue:.2g} by "
                 "Fisher's exact test); what is left on the two sides may not be the same robots."
             )
 
@@ -755,17 +769,17 @@ def _lines(
 ) -> list[dict[str, Any]]:
     """Rows of the table about all variants, whose metrics form one family of tests, or about each group, where
     the tests of one metric form a family."""
-    found = difference_rows(pairing, groups, metrics, progress)
-    lines: list[dict[str, Any]] = [{"other": pairing.sides[1].name, **line} for line in found]
+    rows = difference_rows(pairing, groups, metrics, progress)
+    lines: list[dict[str, Any]] = [{"other": pairing.sides[1].name, **line} for line in rows]
     families = (
         [[line for line in lines if line["metric"] == name] for name in metrics]
         if groups
         else [lines]
     )
     for family in families:
-        known = [line for line in family if math.isfinite(line["p"])]
-        adjusted = stats.false_discovery_control([line["p"] for line in known]) if known else []
-        for line, p in zip(known, adjusted, strict=True):
+        tested = [line for line in family if math.isfinite(line["p"])]
+        adjusted = stats.false_discovery_control([line["p"] for line in tested]) if tested else []
+        for line, p in zip(tested, adjusted, strict=True):
             line["beyond_noise"] = bool(p <= FALSE_SHARE)
     return lines
 
@@ -775,34 +789,36 @@ def _table(
     base: Arm,
     by: str,
     groups: Sequence[str],
-    named: Mapping[str, Sequence[str]],
+    label_columns: Mapping[str, Sequence[str]],
 ) -> pa.Table:
     """The lines as a table with described fields; its metadata have what is named."""
     columns = Columns()
 
-    def add(name: str, role: str, about: str, unit: str = "1", scale: str = "linear") -> None:
+    def add(name: str, role: str, description: str, unit: str = "1", scale: str = "linear") -> None:
         columns.add(
-            name, np.array([line.get(name) for line in lines]), role, unit, about, scale=scale
+            name, np.array([line.get(name) for line in lines]), role, unit, description, scale=scale
         )
 
     add("other", "index", "what is compared with the base")
     add("group", "index", "number of the group; -1: over all variants")
     for name in groups:
-        known = meta(base.results.schema.field(name)) if name in base.results.schema.names else {}
+        metadata = (
+            meta(base.results.schema.field(name)) if name in base.results.schema.names else {}
+        )
         add(
             name,
             "varied",
-            known.get("description", name),
-            known.get("unit", "1"),
-            scale=known.get("scale", "linear"),
+            metadata.get("description", name),
+            metadata.get("unit", "1"),
+            scale=metadata.get("scale", "linear"),
         )
     add("metric", "index", "which metric differs")
     add("metric_unit", "index", "unit of its means and of their difference")
-    for name, about in _NUMBERS.items():
+    for name, description in _NUMBERS.items():
         add(
             name,
             "metric",
-            about,
+            description,
             "1" if name.startswith("relative") or name == "p" else "that of metric_unit",
         )
     add(
@@ -816,9 +832,9 @@ def _table(
         "index",
         "whether high or low is better, or what is nearer to zero; empty if none is",
     )
-    for name, about in _COUNT_MEANINGS.items():
-        add(name, "metric", about)
-    words = {key: " ".join(names) for key, names in named.items()}
+    for name, description in _COUNT_MEANINGS.items():
+        add(name, "metric", description)
+    words = {key: " ".join(names) for key, names in label_columns.items()}
     return columns.table({"comparison": base.name, "by": by, **words})
 
 
@@ -850,30 +866,30 @@ _MARKS: Final = "filled: beyond noise; hollow: within it; bars: 95 % intervals"
 
 def figures_of_comparison(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of a comparison's table, for each other side; by groups, of the metrics that it names."""
-    about = table.schema.metadata or {}
-    base, metrics = about[b"comparison"].decode(), about[b"drawn"].decode().split()
+    metadata = table.schema.metadata or {}
+    base, metrics = metadata[b"comparison"].decode(), metadata[b"drawn"].decode().split()
     groups = columns_of(table, "varied")
     profile = profile_text(profiles_of(table))
     lines = table.to_pylist()
-    for other in dict.fromkeys(line["other"] for line in lines):
-        own = [line for line in lines if line["other"] == other]
+    for other_name in dict.fromkeys(line["other"] for line in lines):
+        arm_lines = [line for line in lines if line["other"] == other_name]
         # Directories may have long names, and one figure is of two values of a column at most.
-        by = about.get(b"by", b"").decode()
+        by = metadata.get(b"by", b"").decode()
         against = (
-            f"{spoken(by)} {_text(other)} against {_text(base)}"
+            f"{spoken(by)} {_text(other_name)} against {_text(base)}"
             if by
-            else f"{_last(other)} against {_last(base)}"
+            else f"{_last(other_name)} against {_last(base)}"
         )
-        tail = "" if len({line["other"] for line in lines}) == 1 else f"-{_last(other)}"
+        tail = "" if len({line["other"] for line in lines}) == 1 else f"-{_last(other_name)}"
         yield (
             f"differences{tail}",
-            _forest([line for line in own if line["group"] < 0], against, profile),
+            _forest([line for line in arm_lines if line["group"] < 0], against, profile),
         )
         if groups:
-            rows = [line for line in own if line["group"] >= 0 and line["metric"] in metrics]
-            what = f"{metrics[0]}-gain" if len(metrics) == 1 else "gains"
-            drawn = _by_groups(rows, metrics, table.schema, groups, against, profile)
-            yield f"{what}-by-{'-and-'.join(groups)}{tail}", drawn
+            rows = [line for line in arm_lines if line["group"] >= 0 and line["metric"] in metrics]
+            figure_name = f"{metrics[0]}-gain" if len(metrics) == 1 else "gains"
+            figure = _by_groups(rows, metrics, table.schema, groups, against, profile)
+            yield f"{figure_name}-by-{'-and-'.join(groups)}{tail}", figure
 
 
 def comparison_figures(out: Path) -> Figures:
@@ -888,19 +904,25 @@ def comparison_figures(out: Path) -> Figures:
 # Long because one figure is laid out from top to bottom.
 def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     """The relative difference of each metric with its interval, and in numbers beside it."""
-    known = [row for row in rows if row["relative"] is not None and np.isfinite(row["relative"])]
-    listed = [row for row in known if row["metric"] in MAIN_METRICS or row["beyond_noise"]] or known
-    order = {name: place for place, name in enumerate(MAIN_METRICS)}
-    drawn = sorted(
+    finite_rows = [
+        row for row in rows if row["relative"] is not None and np.isfinite(row["relative"])
+    ]
+    listed = [
+        row for row in finite_rows if row["metric"] in MAIN_METRICS or row["beyond_noise"]
+    ] or finite_rows
+    order = {name: rank for rank, name in enumerate(MAIN_METRICS)}
+    shown_rows = sorted(
         listed, key=lambda row: (not row["better"], order.get(row["metric"], len(order)))
     )[:_MOST_METRICS]
-    page = FigurePage(f"Relative differences: {against}", (7.6, 0.24 * len(drawn) + 1.5))
+    page = FigurePage(f"Relative differences: {against}", (7.6, 0.24 * len(shown_rows) + 1.5))
     ax = page.axes[0, 0]
     # An outlier would leave the others no room.
-    ends = np.abs([[row["relative_low"], row["relative_high"]] for row in drawn] or [[0.1, 0.1]])
+    ends = np.abs(
+        [[row["relative_low"], row["relative_high"]] for row in shown_rows] or [[0.1, 0.1]]
+    )
     far = float(min(max(1.12 * np.nanmax(ends, initial=0.02), 0.02), _FAR))
     ax.axvline(0, color=MUTED_INK, lw=0.8)
-    for place, row in enumerate(drawn):
+    for rank, row in enumerate(shown_rows):
         low, middle, high = (
             float(row[name]) for name in ("relative_low", "relative", "relative_high")
         )
@@ -915,7 +937,7 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
         )
         ax.plot(
             np.clip([low, high], -far, far),
-            [place, place],
+            [rank, rank],
             color=colour,
             lw=1.4,
             solid_capstyle="butt",
@@ -923,39 +945,39 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
         out = abs(middle) > far
         ax.plot(
             np.clip(middle, -far, far),
-            place,
+            rank,
             marker=("<" if middle < 0 else ">") if out else "o",
             ms=5.5,
             color=colour,
             mfc=colour if row["beyond_noise"] else "white",
             clip_on=False,
         )
-        about = "no interval" if np.isnan(low) else f"[{_percent(low)}, {_percent(high)}]"
+        interval = "no interval" if np.isnan(low) else f"[{_percent(low)}, {_percent(high)}]"
         ax.text(
             1.02,
-            place,
-            f"{_percent(middle)} %  {about}",
+            rank,
+            f"{_percent(middle)} %  {interval}",
             transform=ax.get_yaxis_transform(),
             va="center",
             fontsize=8,
             color=INK if row["beyond_noise"] else MUTED_INK,
         )
-    ax.set_yticks(range(len(drawn)), [titled(row["metric"]) for row in drawn])
+    ax.set_yticks(range(len(shown_rows)), [titled(row["metric"]) for row in shown_rows])
     ax.set(
-        ylim=(len(drawn) - 0.4, -0.6),
+        ylim=(len(shown_rows) - 0.4, -0.6),
         xlim=(-far, far),
         xlabel="difference relative to the base's mean [%]",
     )
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(value)))
     ax.grid(axis="x", color=GRID, lw=0.8)
-    left = len(rows) - len(drawn)
-    more = f"\n{left} more metrics are in the table" if left else ""
+    hidden_count = len(rows) - len(shown_rows)
+    hidden_note = f"\n{hidden_count} more metrics are in the table" if hidden_count else ""
     handles = [
         _mark(LINE_COLOUR, "better"),
         _mark(BEST_COLOUR, "worse"),
         _mark(MUTED_INK, "neither"),
     ]
-    return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{more}")
+    return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{hidden_note}")
 
 
 # Long because one figure is laid out from top to bottom.
@@ -1076,7 +1098,11 @@ def _runs(rows: Sequence[Row]) -> str:
     groups = {row["group"]: row for row in rows}.values()
     base, other = (
         sum(
-            max(own["runs_" + side] for own in rows if own["group"] == row["group"])
+            max(
+                group_row["runs_" + side]
+                for group_row in rows
+                if group_row["group"] == row["group"]
+            )
             for row in groups
         )
         for side in ("base", "other")
@@ -1087,13 +1113,14 @@ def _runs(rows: Sequence[Row]) -> str:
         if any(failed)
         else "; none fell"
     )
-    some = any(
+    has_losses = any(
         row[f"lost_{side}"] and not row[f"failed_{side}"]
         for row in rows
         for side in ("base", "other")
     )
     return (
-        f"{base:,} runs of the base, {other:,} of the other{fell}" + "; some have no number" * some
+        f"{base:,} runs of the base, {other:,} of the other{fell}"
+        + "; some have no number" * has_losses
     )
 
 

@@ -38,14 +38,20 @@ def losses(status: np.ndarray, good: np.ndarray) -> dict[str, int]:
     """Why runs (n,) do not count, and how many: their status, or `NO_NUMBER` where they ended well."""
     return dict(
         sorted(
-            Counter(NO_NUMBER if each == "ok" else each for each in status[~good].tolist()).items()
+            Counter(
+                NO_NUMBER if reason == "ok" else reason for reason in status[~good].tolist()
+            ).items()
         )
     )
 
 
-def told(lost: Mapping[str, int]) -> str:
+def told(losses_by_reason: Mapping[str, int]) -> str:
     """Losses in brackets, empty without any: (3 fell, 1 no number)."""
-    return f" ({', '.join(f'{many:,} {why}' for why, many in lost.items())})" if lost else ""
+    return (
+        f" ({', '.join(f'{count:,} {why}' for why, count in losses_by_reason.items())})"
+        if losses_by_reason
+        else ""
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,18 +111,22 @@ class Variants:
     @classmethod
     def of(cls, variant: np.ndarray) -> Variants:
         """Of the variant of each run, (rows,)."""
-        number, first, place = np.unique(variant, return_index=True, return_inverse=True)
-        return cls(int(variant.max()) + 1, number, first, place)
+        number, first, variant_index = np.unique(variant, return_index=True, return_inverse=True)
+        return cls(int(variant.max()) + 1, number, first, variant_index)
 
     def tally(self, values: np.ndarray, good: np.ndarray) -> Tally:
         """A metric over the repeats, of its values (runs,) and which runs count, (runs,)."""
-        here, own, size = self.place[good], np.asarray(values[good], float), len(self.number)
-        count = np.bincount(here, minlength=size)
+        good_index, good_values, size = (
+            self.place[good],
+            np.asarray(values[good], float),
+            len(self.number),
+        )
+        count = np.bincount(good_index, minlength=size)
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.bincount(here, own, size) / count
-            square = np.bincount(here, (own - mean[here]) ** 2, size) / np.where(
-                count > 1, count - 1.0, np.nan
-            )
+            mean = np.bincount(good_index, good_values, size) / count
+            square = np.bincount(
+                good_index, (good_values - mean[good_index]) ** 2, size
+            ) / np.where(count > 1, count - 1.0, np.nan)
         return Tally(np.bincount(self.place, minlength=size), count, mean, np.sqrt(square))
 
 
@@ -126,18 +136,18 @@ def same_values(values: np.ndarray) -> np.ndarray:
     >>> len(set(same_values(np.array([0.7, 7 * 0.1, 0.8])).tolist()))
     2
     """
-    distinct, place = np.unique(values, return_inverse=True)
+    distinct, distinct_index = np.unique(values, return_inverse=True)
     with np.errstate(invalid="ignore"):
-        apart = ~(np.diff(distinct) <= 1e-12 * np.abs(distinct[1:]) + 1e-15)
-    first = np.append(True, apart)[: len(distinct)]
-    return np.asarray(distinct[first][np.cumsum(first) - 1][place])
+        is_new = ~(np.diff(distinct) <= 1e-12 * np.abs(distinct[1:]) + 1e-15)
+    first = np.append(True, is_new)[: len(distinct)]
+    return np.asarray(distinct[first][np.cumsum(first) - 1][distinct_index])
 
 
-def sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
+def sums(values: np.ndarray, index: np.ndarray, places: int) -> np.ndarray:
     """Sums of rows (n, m) by their place, (places, m), in the order of the rows."""
-    rows = np.arange(len(place))
+    rows = np.arange(len(index))
     return np.asarray(
-        sparse.csr_matrix((np.ones(len(place)), (place, rows)), (places, len(place))) @ values
+        sparse.csr_matrix((np.ones(len(index)), (index, rows)), (places, len(index))) @ values
     )
 
 
@@ -168,11 +178,18 @@ def matched(
         Both sides, sorted, indexed by unit and seed; and the units whose runs are pairs, or would be.
     """
     paired = sides[0].index.intersection(sides[1].index).unique(0)
-    means = [side[own].groupby(level=[0, 1]).mean() for side, own in zip(sides, good, strict=True)]
-    both = means[0].index.intersection(means[1].index)
-    kept = [mean[mean.index.isin(both) | ~mean.index.isin(paired, level=0)] for mean in means]
-    there = kept[0].index.unique(0).intersection(kept[1].index.unique(0))
-    return [each[each.index.isin(there, level=0)] for each in kept], paired
+    means = [
+        side[is_good].groupby(level=[0, 1]).mean()
+        for side, is_good in zip(sides, good, strict=True)
+    ]
+    shared = means[0].index.intersection(means[1].index)
+    kept_means = [
+        mean[mean.index.isin(shared) | ~mean.index.isin(paired, level=0)] for mean in means
+    ]
+    common_groups = kept_means[0].index.unique(0).intersection(kept_means[1].index.unique(0))
+    return [
+        side_means[side_means.index.isin(common_groups, level=0)] for side_means in kept_means
+    ], paired
 
 
 # ---
@@ -214,41 +231,44 @@ def two_stage(
         group: the group of each variant, (v,), from 0 to g - 1; none is empty. Without it, all are one.
     """
     cells, variants = len(variant), int(variant.max()) + 1
-    at = np.zeros(variants, int) if group is None else group
-    groups, owner = int(at.max()) + 1, at[variant]
+    owner_group = np.zeros(variants, int) if group is None else group
+    groups, owner = int(owner_group.max()) + 1, owner_group[variant]
     count, several = (
         np.bincount(cell, minlength=cells)[:, None],
-        np.bincount(at, minlength=groups)[:, None],
+        np.bincount(owner_group, minlength=groups)[:, None],
     )
-    freedom, one = np.maximum(count - 1, 1), several == 1
+    freedom, single = np.maximum(count - 1, 1), several == 1
     mean = sums(values, cell, cells) / count
     rounding = 1e-12 * np.abs(values).max(axis=0)
     noise = sums(_without(values - mean[cell], rounding) ** 2, cell, cells) / (count * freedom)
-    each = _without(sums(mean, variant, variants), rounding)
-    estimate = sums(each, at, groups) / several
-    across = sums(_without(each - estimate[at], rounding) ** 2, at, groups) / (
-        several * np.maximum(several - 1, 1)
-    )
-    within = sums(noise, owner, groups)
+    rest_sums = _without(sums(mean, variant, variants), rounding)
+    estimate = sums(rest_sums, owner_group, groups) / several
+    across = sums(
+        _without(rest_sums - estimate[owner_group], rounding) ** 2, owner_group, groups
+    ) / (several * np.maximum(several - 1, 1))
+    within_variance = sums(noise, owner, groups)
     with np.errstate(divide="ignore", invalid="ignore"):
-        welch, most = (
+        welch, largest_freedom = (
             sums(squares, owner, groups) ** 2 / sums(squares**2 / freedom, owner, groups)
             for squares in (noise, 1.0 / count)
         )
-        degrees = np.where(one, np.fmin(welch, most), several - 1.0)
-        error, least = np.sqrt(np.where(one, within, across)), np.sqrt(within) / several
+        degrees = np.where(single, np.fmin(welch, largest_freedom), several - 1.0)
+        error, smallest_error = (
+            np.sqrt(np.where(single, within_variance, across)),
+            np.sqrt(within_variance) / several,
+        )
         half = np.maximum(
             stats.t.ppf((1 + CONFIDENCE_LEVEL) / 2, degrees) * error,
-            stats.norm.ppf((1 + CONFIDENCE_LEVEL) / 2) * least,
+            stats.norm.ppf((1 + CONFIDENCE_LEVEL) / 2) * smallest_error,
         )
-        far = np.abs(estimate) / error, np.abs(estimate) / least
+        far = np.abs(estimate) / error, np.abs(estimate) / smallest_error
         p = 2 * np.where(
             estimate == 0, 0.5, np.maximum(stats.t.sf(far[0], degrees), stats.norm.sf(far[1]))
         )
-    unknown = one & (sums((count == 1) * 1.0, owner, groups) > 0)
+    unknown = single & (sums((count == 1) * 1.0, owner, groups) > 0)
     half, p = np.where(unknown, np.nan, half), np.where(unknown, np.nan, p)
-    found = (estimate, estimate - half, estimate + half, p)
-    return Interval(*((part[0] for part in found) if group is None else found))
+    estimates = (estimate, estimate - half, estimate + half, p)
+    return Interval(*((part[0] for part in estimates) if group is None else estimates))
 
 
 def _without(values: np.ndarray, rounding: np.ndarray) -> np.ndarray:

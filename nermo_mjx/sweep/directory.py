@@ -41,17 +41,17 @@ _ROWS: Final = ("vary", "rows", "sample", "randomize.repeats")
 _NAMED: Final = 3
 
 
-def fixed_differences(there: Sweep, here: Sweep) -> str:
+def fixed_differences(former: Sweep, current: Sweep) -> str:
     """How two sweeps differ apart from their rows, as `seed is 0 there and 5 here`; empty if they do not.
 
     What one of them fixes may be varied by the other.
     """
-    free = {*there.labelled, *here.labelled}
-    free |= {f"set.{name}" for name in (*there.varied, *here.varied)}
+    free = {*former.labelled, *current.labelled}
+    free |= {f"set.{name}" for name in (*former.varied, *current.varied)}
     free |= {f"randomize.{name}" for name in START_SPREAD}  # come with repeats
     if "physics" in free:
         free.add("timestep")
-    apart = _apart(there, here)
+    apart = _apart(former, current)
     for name in list(apart):
         varied = name.split(".")[0] in free & set(STRUCTURES)
         if varied or name in free or any(f"{name}.".startswith(f"{field}.") for field in _ROWS):
@@ -59,30 +59,30 @@ def fixed_differences(there: Sweep, here: Sweep) -> str:
     return _sentence(apart)
 
 
-def sweep_differences(there: Sweep, here: Sweep) -> str:
+def sweep_differences(former: Sweep, current: Sweep) -> str:
     """How two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
     # The same values, but another row 0.
-    return _sentence(_apart(there, here)) or (
+    return _sentence(_apart(former, current)) or (
         "the parameters under vary or randomize stand in another order"
     )
 
 
-def refusal(there: Sweep, here: Sweep) -> str:
+def refusal(former: Sweep, current: Sweep) -> str:
     """Why a directory's sweep cannot be extended to another one, in words; empty if it can."""
-    if fixed := fixed_differences(there, here):
+    if fixed := fixed_differences(former, current):
         return f"{fixed}: what is not varied stays as it is"
-    if there.sampler == here.sampler == "latin_hypercube" and there.samples != here.samples:
+    if former.sampler == current.sampler == "latin_hypercube" and former.samples != current.samples:
         return (
-            f"a Latin hypercube of {there.samples} points is not part of one of {here.samples}: use a Sobol sample, "
+            f"a Latin hypercube of {former.samples} points is not part of one of {current.samples}: use a Sobol sample, "
             "which can be extended, or repeats"
         )
     return ""
 
 
-def _apart(there: Sweep, here: Sweep) -> dict[str, tuple[Any, Any]]:
+def _apart(former: Sweep, current: Sweep) -> dict[str, tuple[Any, Any]]:
     """The fields in which they differ; what stands in an empty section has a name of its own."""
-    apart = differing(there.decisive(), here.decisive())
-    return {name: values for name, values in apart.items() if {} not in values}
+    differences = differing(former.decisive(), current.decisive())
+    return {name: values for name, values in differences.items() if {} not in values}
 
 
 def _sentence(apart: Mapping[str, tuple[Any, Any]]) -> str:
@@ -114,11 +114,11 @@ _DERIVED_TABLES: Final = (
 _MADE: Final = ("summary.json", *_DERIVED_TABLES, "plots", RECORDINGS)
 
 
-def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
+def claim(directory: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
     """Make a directory this sweep's, or refuse.
 
     Args:
-        held: the directory.
+        directory: the directory.
         sweep: what it is to be for.
         extend: whether a sweep there that differs only in its rows may become this one.
 
@@ -128,46 +128,46 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
     Raises:
         DirectoryError: the directory holds another sweep, or cannot be written.
     """
-    out, path, folder = held.out, held.out / "sweep.yaml", held.out.resolve()
+    out, path, folder = directory.out, directory.out / "sweep.yaml", directory.out.resolve()
     with clear_errors(out):
         if not path.exists():
             if any(out.glob("results/*.parquet")):
                 raise DirectoryError(
                     f"{out} holds results of an unknown sweep (it has no sweep.yaml); choose another directory."
                 )
-            sweep = _with_files(held, sweep)
+            sweep = _with_files(directory, sweep)
             create_file(path, sweep.to_yaml(folder).encode())
         # Even if it was just written: another shard may have been faster, and have chosen another size.
         try:
-            same = read_bytes(path, MAX_JSON_BYTES) == sweep.to_yaml(folder).encode()
-            begun = sweep if same else Sweep.from_directory(out)
+            is_same = read_bytes(path, MAX_JSON_BYTES) == sweep.to_yaml(folder).encode()
+            former_sweep = sweep if is_same else Sweep.from_directory(out)
         except SpecError as error:
             raise DirectoryError(
                 f"{out} holds a sweep that cannot be read ({error}); choose another directory."
             ) from None
-        sweep = dataclasses.replace(sweep, chunk=begun.chunk or sweep.chunk)
-        if begun.digest() != sweep.digest():
-            sweep = _extended(held, begun, sweep, extend=extend)
-        elif held.shard is None and (begun.compare, begun.optimum) != (
+        sweep = dataclasses.replace(sweep, chunk=former_sweep.chunk or sweep.chunk)
+        if former_sweep.digest() != sweep.digest():
+            sweep = _extended(directory, former_sweep, sweep, extend=extend)
+        elif directory.shard is None and (former_sweep.compare, former_sweep.optimum) != (
             sweep.compare,
             sweep.optimum,
         ):
-            again = dataclasses.replace(
-                begun, compare=sweep.compare, optimum=sweep.optimum
+            repeated = dataclasses.replace(
+                former_sweep, compare=sweep.compare, optimum=sweep.optimum
             )  # no row depends on them
-            held.write(path.name, again.to_yaml(folder).encode())
+            directory.write(path.name, repeated.to_yaml(folder).encode())
         record = _record_of(sweep)
-        if held.shard is not None:
+        if directory.shard is not None:
             create_file(out / SWEEP_RECORD_FILE, record)
         elif content_of(out / SWEEP_RECORD_FILE) != record:
-            held.write(SWEEP_RECORD_FILE, record)
+            directory.write(SWEEP_RECORD_FILE, record)
     return sweep
 
 
-def _extended(held: RunDirectory, begun: Sweep, sweep: Sweep, *, extend: bool) -> Sweep:
+def _extended(directory: RunDirectory, former_sweep: Sweep, sweep: Sweep, *, extend: bool) -> Sweep:
     """Turn the sweep of a directory into another one, or refuse; what was made of the former rows moves aside."""
-    out, path = held.out, held.out / "sweep.yaml"
-    why = refusal(begun, sweep)
+    out, path = directory.out, directory.out / "sweep.yaml"
+    why = refusal(former_sweep, sweep)
     if extend and why:
         raise DirectoryError(
             f"{out} holds a sweep that cannot be extended to this one: {why}; choose another directory."
@@ -175,17 +175,19 @@ def _extended(held: RunDirectory, begun: Sweep, sweep: Sweep, *, extend: bool) -
     if not extend:
         also = "" if why else ", or add these rows to it with --extend"
         raise DirectoryError(
-            f"{out} holds the results of another sweep: {sweep_differences(begun, sweep)}; choose another "
+            f"{out} holds the results of another sweep: {sweep_differences(former_sweep, sweep)}; choose another "
             f"directory, or resume with {path}{also}."
         )
     # Killed at any moment, the results are in one of two folders, and both sweeps find them there.
     (out / FORMER).mkdir(exist_ok=True)
-    held.write(f"{FORMER}/sweep-{begun.digest()}.yaml", read_bytes(path, MAX_JSON_BYTES))
-    retire(held, sweep.digest())
+    directory.write(
+        f"{FORMER}/sweep-{former_sweep.digest()}.yaml", read_bytes(path, MAX_JSON_BYTES)
+    )
+    retire(directory, sweep.digest())
     for name in _MADE:
-        held.move_aside(name, FORMER)
-    sweep = _with_files(held, sweep)
-    held.write(path.name, sweep.to_yaml(out.resolve()).encode())
+        directory.move_aside(name, FORMER)
+    sweep = _with_files(directory, sweep)
+    directory.write(path.name, sweep.to_yaml(out.resolve()).encode())
     return sweep
 
 
@@ -193,31 +195,34 @@ def _record_of(sweep: Sweep) -> bytes:
     """The content of sweep.json."""
     values = dict[str, set[float]]()
     for walk in sweep.structures:
-        own = walk.setup.defaults() | walk.constants
+        fixed_values = walk.setup.defaults() | walk.constants
         for name in sweep.parameters:
             values.setdefault(name, set()).update(
-                [own[name]] if unread(walk.setup, name) is None else []
+                [fixed_values[name]] if unread(walk.setup, name) is None else []
             )
-    asked: Any = None if sweep.compare is None else sweep.compare.written()
-    read = SweepRecord(
+    comparison: Any = None if sweep.compare is None else sweep.compare.written()
+    record = SweepRecord(
         rows=sweep.variants * sweep.repeats,
         fields=sweep.walk_fields() | code_identity(sweep.setup),
         labelled=sweep.labelled,
-        parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
-        comparison=asked,
+        parameters={
+            name: distinct_values.pop() if len(distinct_values) == 1 else None
+            for name, distinct_values in values.items()
+        },
+        comparison=comparison,
         optimum=None if sweep.optimum is None else sweep.optimum.written(),
         variants=sweep.variants,
         repeats=sweep.repeats,
     )
-    return to_json(dataclasses.asdict(read))
+    return to_json(dataclasses.asdict(record))
 
 
-def _with_files(held: RunDirectory, sweep: Sweep) -> Sweep:
+def _with_files(directory: RunDirectory, sweep: Sweep) -> Sweep:
     """The sweep with the files that it names copied into the directory."""
     if sweep.rows is not None:
-        held.write(*sweep.kept_rows())
+        directory.write(*sweep.kept_rows())
     return dataclasses.replace(
-        sweep, setup=with_code_copied(sweep.setup, held.out.resolve(), held.write)
+        sweep, setup=with_code_copied(sweep.setup, directory.out.resolve(), directory.write)
     )
 
 
@@ -228,8 +233,8 @@ def sweep_in(source: Path) -> Sweep:
         DirectoryError: it is none of a sweep, or its sweep cannot be read.
     """
     if not (source / "sweep.yaml").exists():
-        there = "not the directory of a sweep" if source.is_dir() else "no such directory"
-        raise DirectoryError(f"{source}: {there}; allowed is one with a file sweep.yaml.")
+        problem = "not the directory of a sweep" if source.is_dir() else "no such directory"
+        raise DirectoryError(f"{source}: {problem}; allowed is one with a file sweep.yaml.")
     try:
         return Sweep.from_directory(source)
     except SpecError as error:

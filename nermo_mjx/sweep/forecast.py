@@ -76,10 +76,12 @@ def sweep_forecast(
     sources = [Path(source) for source in use]
     check_source_sweeps(sources, sweep)
     folder = None if out is None else Path(out)
-    begun = None if folder is None else _begun(folder, sweep, extend)
+    former_directory = None if folder is None else _begun(folder, sweep, extend)
     engine = (engine_of(folder) if folder is not None and engine == "auto" else None) or engine
     name = resolve_engine(engine)
-    size = (begun.chunk if begun is not None else None) or chunk or sweep.chunk
+    size = (
+        (former_directory.chunk if former_directory is not None else None) or chunk or sweep.chunk
+    )
     size = size or chunk_rows_here(
         name, sweep.variants * sweep.repeats, parts * (1 if shard is None else shard[1])
     )
@@ -87,30 +89,32 @@ def sweep_forecast(
     rows = SweepRows(sweep)
     work = Work(rows, folder or Path(), size, sources, shard, Watch(warn=notes.append))
     unfinished = work.unfinished
-    left = np.setdiff1d(
+    remaining = np.setdiff1d(
         unfinished, np.concatenate([np.empty(0, int), *(index for index, _ in work.known())])
     )
-    left = unfinished[np.isin(unfinished, left)]
-    batches = work.batches(left, len(unfinished) - len(left))
+    remaining = unfinished[np.isin(unfinished, remaining)]
+    batches = work.batches(remaining, len(unfinished) - len(remaining))
     # Each batch lasts as long as its longest row, in all of its worlds.
     seconds = np.array([batch.worlds * float(work.seconds[batch.rows].max()) for batch in batches])
     timesteps = [float(sweep.structures[batch.structure].setup.timestep) for batch in batches]
     steps = float(sum(seconds / timesteps))
     if sweep.optimum is not None:  # rows beyond the sweep's own last as long as those do on average
-        more = _further(sweep, work)
-        steps += more * float(work.seconds.mean()) / float(sweep.setup.timestep)
-        notes.append(f"The optimum takes up to {more:,} further runs, which the time contains.")
-    there = [
+        further_text = _further(sweep, work)
+        steps += further_text * float(work.seconds.mean()) / float(sweep.setup.timestep)
+        notes.append(
+            f"The optimum takes up to {further_text:,} further runs, which the time contains."
+        )
+    existing = [
         part
         for part in (*work.runs.parts, *work.runs.others)
         if folder is not None and part.directory == folder
     ]
-    rate, rate_from = _rate(sweep, name, there, steps, measure)
-    disk = _disk_bytes(sweep, rows, there, len(left), size)
+    rate, rate_from = _rate(sweep, name, existing, steps, measure)
+    disk = _disk_bytes(sweep, rows, existing, len(remaining), size)
     notes += _room(sweep, rows, batches, name, disk, (folder or Path.cwd()).absolute())
     counts = {
         "rows": len(rows.sample),
-        "rows_left": len(left),
+        "rows_left": len(remaining),
         "chunks": len(work.layout),
         "batches": len(batches),
         "structures": len({batch.structure for batch in batches}),
@@ -136,8 +140,8 @@ def _further(sweep: Sweep, work: Work) -> int:
     values = varied_values(sweep)
     assert sweep.optimum is not None
     groups = math.prod(len(values[name] or ()) for name in sweep.optimum.grouped(values))
-    more = groups * (sweep.optimum.budget + 2 * sweep.optimum.fresh)
-    return max(more - int((work.runs.numbers >= len(work.seconds)).sum()), 0)
+    further_runs = groups * (sweep.optimum.budget + 2 * sweep.optimum.fresh)
+    return max(further_runs - int((work.runs.numbers >= len(work.seconds)).sum()), 0)
 
 
 def _rate(
@@ -206,7 +210,7 @@ def _room(
 ) -> Iterator[str]:
     """What is free on the disk, and the memory that the sweep takes, in sentences."""
     free = shutil.disk_usage(
-        next(place for place in (folder, *folder.parents) if place.is_dir())
+        next(parent for parent in (folder, *folder.parents) if parent.is_dir())
     ).free
     yield f"{'There is no room for it: ' if disk > free else ''}{free / 1e9:,.1f} GB are free."
     worlds, count = max((batch.worlds for batch in batches), default=0), len(rows.sample)

@@ -53,12 +53,12 @@ def merge_sweeps(
         DirectoryError: they differ in more than their rows, or cannot be read.
         OtherCode: different code made them.
     """
-    about = "a list of directories"
-    listed = of_type("sources", sources, (list, tuple), about)
-    places = [Path(of_type("sources", source, (str, os.PathLike), about)) for source in listed]
+    expected = "a list of directories"
+    listed = of_type("sources", sources, (list, tuple), expected)
+    places = [Path(of_type("sources", source, (str, os.PathLike), expected)) for source in listed]
     if len(places) < 2:
         raise SpecError("merge takes two directories or more.")
-    if Path(out).resolve() in [place.resolve() for place in places]:
+    if Path(out).resolve() in [folder.resolve() for folder in places]:
         raise SpecError(f"{out} is one of the directories that are merged: choose another one.")
     with only_reading():
         return run_sweep(
@@ -77,26 +77,26 @@ def merged(places: Sequence[Path]) -> Sweep:
     Raises:
         DirectoryError: they differ in more than their rows, or have draws that do not go together.
     """
-    sweeps = [sweep_in(place) for place in places]
-    for place, sweep in zip(places, sweeps, strict=True):
-        if apart := fixed_differences(sweeps[0], sweep):
-            raise DirectoryError(f"{places[0]} and {place} cannot be merged: {apart}.")
-        alone = set(sweep.varied) ^ set(sweeps[0].varied)
-        if alone and any(each.draws or each.bodies for each in sweeps):
+    sweeps = [sweep_in(folder) for folder in places]
+    for folder, sweep in zip(places, sweeps, strict=True):
+        if differences := fixed_differences(sweeps[0], sweep):
+            raise DirectoryError(f"{places[0]} and {folder} cannot be merged: {differences}.")
+        unshared = set(sweep.varied) ^ set(sweeps[0].varied)
+        if unshared and any(source_sweep.draws or source_sweep.bodies for source_sweep in sweeps):
             raise DirectoryError(
-                f"{places[0]} and {place} cannot be merged: only one of them varies "
-                f"{', '.join(sorted(alone))}, on which the draws depend."
+                f"{places[0]} and {folder} cannot be merged: only one of them varies "
+                f"{', '.join(sorted(unshared))}, on which the draws depend."
             )
     labelled = list(dict.fromkeys(name for sweep in sweeps for name in sweep.labelled))
     varied = list(dict.fromkeys(name for sweep in sweeps for name in sweep.varied))
     rows: dict[str, dict[str, Any]] = {}
-    for place, sweep in zip(places, sweeps, strict=True):
-        for row in _rows(place, sweep, labelled, varied):
-            same = {
+    for folder, sweep in zip(places, sweeps, strict=True):
+        for row in _rows(folder, sweep, labelled, varied):
+            identical = {
                 name: f"{value:.12g}" if isinstance(value, float) else value
                 for name, value in row.items()
             }
-            rows.setdefault(json.dumps(same), row)
+            rows.setdefault(json.dumps(identical), row)
     repeats = max(sweep.repeats for sweep in sweeps)
     data = {
         name: value
@@ -112,28 +112,30 @@ def merged(places: Sequence[Path]) -> Sweep:
 
 
 def _rows(
-    place: Path, sweep: Sweep, labelled: Sequence[str], varied: Sequence[str]
+    folder: Path, sweep: Sweep, labelled: Sequence[str], varied: Sequence[str]
 ) -> list[dict[str, Any]]:
     """The variants of a sweep as rows that name all structures and parameters that any of them varies."""
     variants = Sample(sweep).take(np.arange(sweep.variants) * sweep.repeats)
     fixed = []
-    for each in sweep.structures:
-        whole: dict[str, Any] = {name: each.written(name) for name in labelled}
+    for structure in sweep.structures:
+        labels: dict[str, Any] = {name: structure.written(name) for name in labelled}
         for name in varied:
-            if name not in sweep.varied and unread(each.setup, name) is None:
-                if name not in each.fixed:
+            if name not in sweep.varied and unread(structure.setup, name) is None:
+                if name not in structure.fixed:
                     raise DirectoryError(
-                        f"{place} cannot be merged: it neither varies nor sets {name}, which another one varies."
+                        f"{folder} cannot be merged: it neither varies nor sets {name}, which another one varies."
                     )
-                whole[name] = each.fixed[name]
-        fixed.append(whole)
-    own = {name: variants.values[name].tolist() for name in sweep.varied}
+                labels[name] = structure.fixed[name]
+        fixed.append(labels)
+    variant_values = {name: variants.values[name].tolist() for name in sweep.varied}
     result = []
-    for i, at in enumerate(variants.structure.tolist()):
-        values = {name: column[i] for name, column in own.items() if column[i] == column[i]}
+    for i, structure_index in enumerate(variants.structure.tolist()):
+        values = {
+            name: column[i] for name, column in variant_values.items() if column[i] == column[i]
+        }
         values = {
             name: value
-            for name, value in (fixed[at] | values).items()
+            for name, value in (fixed[structure_index] | values).items()
             if name in labelled or value == value
         }
         result.append({name: values[name] for name in (*labelled, *varied) if name in values})

@@ -60,8 +60,8 @@ class OptimumAnswer:
     def at(self) -> dict[str, Any]:
         """The best point; empty without one."""
         return {
-            name: each[self.judged.best]
-            for name, each in self.points.items()
+            name: column[self.judged.best]
+            for name, column in self.points.items()
             if self.judged.best >= 0
         }
 
@@ -88,15 +88,15 @@ class FoundOptimum:
     def further(self) -> np.ndarray:
         """Numbers of all rows that are to be run, (m,)."""
         return np.unique(
-            np.concatenate([np.empty(0, int), *(each.further for each in self.answers)])
+            np.concatenate([np.empty(0, int), *(answer.further for answer in self.answers)])
         )
 
     @property
     def title(self) -> str:
         """What was sought, in words."""
-        most = "Highest" if self.asked.side == "max" else "Lowest"
+        direction = "Highest" if self.asked.side == "max" else "Lowest"
         over = " and ".join(map(spoken, self.asked.over))
-        return f"{most} {spoken(self.asked.metric)} over {over}, against {self.base}"
+        return f"{direction} {spoken(self.asked.metric)} over {over}, against {self.base}"
 
     @property
     def base(self) -> str:
@@ -127,30 +127,36 @@ class FoundOptimum:
         if line is None:
             return "–", "–", ""
         unit = meta(self.results.schema.field(metric))["unit"]
-        own = shown(metric, unit, [line["mean"], line["mean_high"] - line["mean"]])
-        digits = max(0, 1 - math.floor(math.log10(own.values[1]))) if own.values[1] > 0 else 2
-        mean = f"{own.values[0]:.{digits}f} ± {own.values[1]:.{digits}f} {own.unit}".rstrip()
+        shown_values = shown(metric, unit, [line["mean"], line["mean_high"] - line["mean"]])
+        digits = (
+            max(0, 1 - math.floor(math.log10(shown_values.values[1])))
+            if shown_values.values[1] > 0
+            else 2
+        )
+        mean = f"{shown_values.values[0]:.{digits}f} ± {shown_values.values[1]:.{digits}f} {shown_values.unit}".rstrip()
         return mean, *(_gain(line) if math.isfinite(line["relative"]) else ("–", ""))
 
     def region(self, answer: OptimumAnswer) -> str:
         """The region in words: 3 of 48 points: amplitude 0.3 to 0.4 rad, ..."""
-        kept, parts = answer.judged.region, list[str]()
+        in_region, parts = answer.judged.region, list[str]()
         for name, values in answer.points.items():
-            own = values[kept].tolist()
-            low, high = (self.text(name, each) for each in (min(own), max(own)))
-            same = low.partition(" ")[2] == high.partition(" ")[2]  # the unit
-            parts.append(
-                high if low == high else f"{low.partition(' ')[0] if same else low} to {high}"
+            region_values = values[in_region].tolist()
+            low, high = (
+                self.text(name, bound) for bound in (min(region_values), max(region_values))
             )
-        return f"{kept.sum()} of {len(kept)}: {', '.join(parts)}"
+            same_unit = low.partition(" ")[2] == high.partition(" ")[2]  # the unit
+            parts.append(
+                high if low == high else f"{low.partition(' ')[0] if same_unit else low} to {high}"
+            )
+        return f"{in_region.sum()} of {len(in_region)}: {', '.join(parts)}"
 
     def how(self) -> list[str]:
         """What the answers rest on, in sentences."""
-        said = [
+        sentences = [
             f"Gains and costs are of fresh runs, which chose nothing, with 95 % intervals over {self.over}."
         ]
         for answer in self.answers:
-            found, name = answer.judged, self.called(answer) or "All"
+            verdict, name = answer.judged, self.called(answer) or "All"
             why = {
                 "few": f"no more than {self.asked.until} may be the best",
                 "budget": "the budget is spent"
@@ -158,25 +164,25 @@ class FoundOptimum:
                 else "no second stage was asked for",
                 "lost": "of no two repeats all contenders have a number",
                 "": f"{len(answer.further):,} more runs are needed",
-            }[found.ended]
-            out = int((~found.contenders).sum()) if found.ended and not found.spent else 0
-            lost = f"; {out} points are out, because they lost runs" if out else ""
+            }[verdict.ended]
+            out = int((~verdict.contenders).sum()) if verdict.ended and not verdict.spent else 0
+            lost_note = f"; {out} points are out, because they lost runs" if out else ""
             fresh = ", no fresh runs yet"
             if answer.lines:
                 pairs = next(iter(answer.lines.values()))["pairs"]
-                alone = (
+                single_note = (
                     f"{self.asked.fresh} fresh runs each, no pairs (randomize.paired makes them)"
                 )
-                fresh = f", {f'{pairs} fresh pairs' if pairs else alone}{told(answer.lost)}"
+                fresh = f", {f'{pairs} fresh pairs' if pairs else single_note}{told(answer.lost)}"
             fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
-            said.append(f"{name}: {found.runs} runs a point{fresh}; {why}{lost}.")
+            sentences.append(f"{name}: {verdict.runs} runs a point{fresh}; {why}{lost_note}.")
             for column, ends in self.ends(answer).items():
-                said.append(f"{name}: the best {spoken(column)} is the {ends} that was tried.")
-        return said
+                sentences.append(f"{name}: the best {spoken(column)} is the {ends} that was tried.")
+        return sentences
 
     def ends(self, answer: OptimumAnswer) -> dict[str, str]:
         """Columns in which the best point is the `largest` or `smallest` of all; angles all around have no ends."""
-        found = dict[str, str]()
+        texts = dict[str, str]()
         for name, values in answer.points.items():
             if not answer.at or values.dtype.kind != "f":
                 continue
@@ -185,8 +191,8 @@ class FoundOptimum:
                 meta(self.results.schema.field(name))["unit"] == "rad" and high - low > 1.5 * np.pi
             )
             if low < high and not around_all and answer.at[name] in (low, high):
-                found[name] = "largest" if answer.at[name] == high else "smallest"
-        return found
+                texts[name] = "largest" if answer.at[name] == high else "smallest"
+        return texts
 
     def shown_rows(self) -> dict[int, str]:
         """A typical fresh run of each best point and its partner in the base, and what each is."""
@@ -199,25 +205,27 @@ class FoundOptimum:
 
     def about(self) -> dict[str, Any]:
         """All of it for JSON, SI units."""
-        each = []
+        answers = []
         for answer in self.answers:
-            found = answer.judged
-            places = np.flatnonzero(found.region).tolist() if found.best >= 0 else []
+            verdict = answer.judged
+            places = np.flatnonzero(verdict.region).tolist() if verdict.best >= 0 else []
             region = [{name: column[i] for name, column in answer.points.items()} for i in places]
-            about = {
+            fields = {
                 "for": answer.group,
                 "at": answer.at,
                 "region": region,
-                "points": len(found.region),
+                "points": len(verdict.region),
             }
-            about |= {"ended": found.ended, "spent": found.spent, "runs": found.runs}
-            each.append(about | {"lost": answer.lost, "rows": answer.rows, "metrics": answer.lines})
-        asked = {"metric": self.asked.metric, "side": self.asked.side, "base": self.asked.base}
+            fields |= {"ended": verdict.ended, "spent": verdict.spent, "runs": verdict.runs}
+            answers.append(
+                fields | {"lost": answer.lost, "rows": answer.rows, "metrics": answer.lines}
+            )
+        question = {"metric": self.asked.metric, "side": self.asked.side, "base": self.asked.base}
         return {
-            **asked,
+            **question,
             "intervals_over": self.over,
             "profiles": profiles_of(self.results),
-            "answers": each,
+            "answers": answers,
         }
 
 
@@ -248,33 +256,33 @@ class _Runs:
 
 
 def find_optimum(
-    results: Results, asked: SoughtOptimum, repeats: int, variants: int
+    results: Results, question: SoughtOptimum, repeats: int, variants: int
 ) -> FoundOptimum:
     """Where a table says that a metric is best, as far as its runs are there.
 
     Args:
         results: the table of a sweep.
-        asked: what is sought.
+        question: what is sought.
         repeats, variants: of the sweep, before further runs of some variants.
     """
-    names, ((by, base),) = columns_of(results, "varied"), asked.base.items()
+    names, ((by, base),) = columns_of(results, "varied"), question.base.items()
     metrics = tuple(
-        dict.fromkeys([asked.metric, *(name for name in _COSTS if name in results.schema.names)])
+        dict.fromkeys([question.metric, *(name for name in _COSTS if name in results.schema.names)])
     )
     columns = dict(results.columns(["row", "variant", "repeat", "seed", *names, *metrics]))
-    found, repeat = Variants.of(columns["variant"]), columns["repeat"]
-    value = {name: columns[name][found.first] for name in names}
+    variant_set, repeat = Variants.of(columns["variant"]), columns["repeat"]
+    value = {name: columns[name][variant_set.first] for name in names}
     runs = _Runs(
         row=columns["row"],
         repeat=repeat,
         seed=columns["seed"],
-        variants=found,
+        variants=variant_set,
         metrics={name: columns[name] for name in metrics},
         good={name: counts(name, columns[name], results.well) for name in metrics},
         status=results.column("status"),
-        chose=(repeat < repeats) | (repeat >= repeats + asked.fresh),
+        chose=(repeat < repeats) | (repeat >= repeats + question.fresh),
     )
-    groups = asked.grouped(names)
+    groups = question.grouped(names)
     of_base = np.array([same_value(number, base) for number in value[by]])
     labels: list[tuple[Any, ...]] = [()]
     if groups:
@@ -286,26 +294,30 @@ def find_optimum(
         group = dict(zip(groups, label, strict=True))
         # A base that does not read a column is the base of all of its values.
         alike = [
-            np.array([same_value(number, own) or number != number for number in value[name]])
-            for name, own in group.items()
+            np.array(
+                [same_value(number, group_values) or number != number for number in value[name]]
+            )
+            for name, group_values in group.items()
         ]
-        here = np.logical_and.reduce([np.full(len(of_base), True), *alike])
-        points, bases = np.flatnonzero(here & ~of_base), np.flatnonzero(here & of_base)
-        axes = {name: value[name][points] for name in dict.fromkeys((*asked.over, by))}
+        in_group = np.logical_and.reduce([np.full(len(of_base), True), *alike])
+        points, bases = np.flatnonzero(in_group & ~of_base), np.flatnonzero(in_group & of_base)
+        axes = {name: value[name][points] for name in dict.fromkeys((*question.over, by))}
         axes = {
-            name: axis for name, axis in axes.items() if name in asked.over or len(set(axis)) > 1
+            name: axis for name, axis in axes.items() if name in question.over or len(set(axis)) > 1
         }
-        answers.append(_answer(runs, asked, group, axes, (points, bases), (repeats, variants)))
-    drawn = columns_of(results, "randomized")
-    over = dict.fromkeys("starts" if name.startswith("start.") else spoken(name) for name in drawn)
+        answers.append(_answer(runs, question, group, axes, (points, bases), (repeats, variants)))
+    randomized = columns_of(results, "randomized")
+    over = dict.fromkeys(
+        "starts" if name.startswith("start.") else spoken(name) for name in randomized
+    )
     if "body" in results.schema.names:
         over = {"bodies": None, **{name: None for name in over if name == "starts"}}
-    return FoundOptimum(asked, results, tuple(answers), metrics, ", ".join(over) or "starts")
+    return FoundOptimum(question, results, tuple(answers), metrics, ", ".join(over) or "starts")
 
 
 def _answer(
     runs: _Runs,
-    asked: SoughtOptimum,
+    question: SoughtOptimum,
     group: Mapping[str, Any],
     axes: Mapping[str, np.ndarray],
     places: tuple[np.ndarray, np.ndarray],
@@ -319,37 +331,40 @@ def _answer(
         size: repeats and variants of the sweep.
     """
     (points, bases), (repeats, variants) = places, size
-    found, repeat, metric = runs.variants, runs.repeat, runs.metrics[asked.metric]
-    place = np.full(len(found.first), -1)
-    place[points] = np.arange(len(points))
-    own = np.flatnonzero(place[found.place] >= 0)
+    variant_set, repeat, metric = runs.variants, runs.repeat, runs.metrics[question.metric]
+    point_of_variant = np.full(len(variant_set.first), -1)
+    point_of_variant[points] = np.arange(len(points))
+    point_rows = np.flatnonzero(point_of_variant[variant_set.place] >= 0)
     shape = int(repeat.max()) + 1, len(points)
-    values, there = np.full(shape, np.nan), np.full(shape, False)
-    cell, sign = (repeat[own], place[found.place[own]]), 1 if asked.side == "max" else -1
-    good = runs.good[asked.metric]
-    values[cell] = np.where(good[own], sign * metric[own], np.nan)
-    there[cell] = True
-    verdict = judged(values, there, asked, repeats)
-    tally = found.tally(np.where(runs.chose, metric, np.nan), good & runs.chose)
-    of_bases = np.isin(found.place, bases) & good & runs.chose
+    values, is_there = np.full(shape, np.nan), np.full(shape, False)
+    cell, sign = (
+        (repeat[point_rows], point_of_variant[variant_set.place[point_rows]]),
+        1 if question.side == "max" else -1,
+    )
+    good = runs.good[question.metric]
+    values[cell] = np.where(good[point_rows], sign * metric[point_rows], np.nan)
+    is_there[cell] = True
+    verdict = judged(values, is_there, question, repeats)
+    tally = variant_set.tally(np.where(runs.chose, metric, np.nan), good & runs.chose)
+    of_bases = np.isin(variant_set.place, bases) & good & runs.chose
     base_mean = float(metric[of_bases].mean()) if of_bases.any() else math.nan
-    further = verdict.wanted[0] * variants + found.number[points[verdict.wanted[1]]]
-    lines, lost, rows = dict[str, dict[str, float]](), dict[str, int](), tuple[int, ...]()
+    further_rows = verdict.wanted[0] * variants + variant_set.number[points[verdict.wanted[1]]]
+    lines, lost_counts, rows = dict[str, dict[str, float]](), dict[str, int](), tuple[int, ...]()
     if verdict.best >= 0 and len(bases):
         sides = [bases[0], points[verdict.best]]
-        fresh = [np.flatnonzero((found.place == side) & ~runs.chose) for side in sides]
-        numbers = np.arange(repeats, repeats + asked.fresh)
+        fresh = [np.flatnonzero((variant_set.place == side) & ~runs.chose) for side in sides]
+        numbers = np.arange(repeats, repeats + question.fresh)
         ahead = [np.setdiff1d(numbers, repeat[side]) for side in fresh]
-        further = np.concatenate(
+        further_rows = np.concatenate(
             [
-                lacking * variants + found.number[side]
+                lacking * variants + variant_set.number[side]
                 for lacking, side in zip(ahead, sides, strict=True)
             ]
         )
         if min(map(len, fresh)) > 1:
-            lines, lost, rows = _fresh(runs, asked.metric, fresh)
+            lines, lost_counts, rows = _fresh(runs, question.metric, fresh)
     return OptimumAnswer(
-        group, axes, tally.mean[points], base_mean, verdict, lines, lost, rows, further
+        group, axes, tally.mean[points], base_mean, verdict, lines, lost_counts, rows, further_rows
     )
 
 
@@ -362,15 +377,15 @@ def _fresh(
         for name, values in runs.metrics.items()
         if (line := _measured(values, runs.good[name], runs.seed, fresh))
     }
-    both = np.concatenate(fresh)
-    lost = losses(runs.status[both], runs.good[metric][both])
+    fresh_rows = np.concatenate(fresh)
+    lost_counts = losses(runs.status[fresh_rows], runs.good[metric][fresh_rows])
     if not lines:
-        return lines, lost, ()
+        return lines, lost_counts, ()
     # The run that is nearest to the mean, and its partner in the base, or another one of it.
     base, best = (side[runs.good[metric][side]] for side in fresh)
     typical = best[np.abs(runs.metrics[metric][best] - lines[metric]["mean"]).argmin()]
     partner = base[np.argmax(runs.seed[base] == runs.seed[typical])]
-    return lines, lost, (int(runs.row[typical]), int(runs.row[partner]))
+    return lines, lost_counts, (int(runs.row[typical]), int(runs.row[partner]))
 
 
 def optimum_in(out: Path) -> FoundOptimum | None:
@@ -386,11 +401,11 @@ def optimum_in(out: Path) -> FoundOptimum | None:
     )
 
 
-def same_value(value: Any, wanted: Any) -> bool:
+def same_value(value: Any, target: Any) -> bool:
     """Whether a value of a column is the wanted one; numbers may differ in their last digits."""
-    if isinstance(value, str) or isinstance(wanted, str):
-        return bool(value == wanted)
-    return bool(value is not None and math.isclose(value, wanted, rel_tol=1e-12, abs_tol=1e-12))
+    if isinstance(value, str) or isinstance(target, str):
+        return bool(value == target)
+    return bool(value is not None and math.isclose(value, target, rel_tol=1e-12, abs_tol=1e-12))
 
 
 def _measured(

@@ -42,9 +42,9 @@ class _Values(OneOf):
     _range: tuple[float, float] = PrivateAttr((-np.inf, np.inf))
     _implied: bool = PrivateAttr(False)
 
-    def of(self, name: str, about: Quantity, implied: bool = False) -> Self:
+    def of(self, name: str, declaration: Quantity, implied: bool = False) -> Self:
         """With what its section's key says, and the range of the parameter."""
-        self._name, self._range, self._implied = name, (about.low, about.high), implied
+        self._name, self._range, self._implied = name, (declaration.low, declaration.high), implied
         return self
 
     name = property(lambda self: self._name)
@@ -63,14 +63,16 @@ class Axis(_Values):
     linspace: _Steps = optional("evenly spaced, both ends included")
     logspace: _Steps = optional("evenly in the logarithm; the ends are values, not exponents")
     values: Annotated[
-        list[float], Numbers("[a, b, ...]", 1), AfterValidator(lambda given: [*map(settled, given)])
+        list[float],
+        Numbers("[a, b, ...]", 1),
+        AfterValidator(lambda listed: [*map(settled, listed)]),
     ] = optional("these")
     uniform: _Bounds = optional("between the bounds, with a sampler")
     loguniform: _Bounds = optional("evenly in the logarithm, with a sampler")
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
-        return {"values": given} if isinstance(given, list) else super().written_out(given)
+    def written_out(cls, value: Any) -> Any:
+        return {"values": value} if isinstance(value, list) else super().written_out(value)
 
     def listed(self) -> np.ndarray:
         """The values of the axis on a grid, shape (n,)."""
@@ -143,9 +145,9 @@ class Draw(_Values):
         return {self.form: list(self.numbers)}
 
 
-def read_axis(doc: Document, name: str, given: Axis, about: Quantity, *, grid: bool) -> Axis:
+def read_axis(doc: Document, name: str, axis: Axis, declaration: Quantity, *, grid: bool) -> Axis:
     """Check the entry `vary.name`; `grid` tells whether the sampler needs listed values or only bounds."""
-    form, numbers = given.chosen
+    form, numbers = axis.chosen
     path = ("vary", name, form)
     if grid and form in ("uniform", "loguniform"):
         doc.fail(
@@ -160,11 +162,11 @@ def read_axis(doc: Document, name: str, given: Axis, about: Quantity, *, grid: b
         if len(set(numbers)) < len(numbers):
             twice = next(number for i, number in enumerate(numbers) if number in numbers[:i])
             doc.fail(path, f"lists {twice:g} twice: every variant would be run twice.", name)
-        check_value(doc, path, name, about, numbers)
-        return given.of(name, about)
+        check_value(doc, path, name, declaration, numbers)
+        return axis.of(name, declaration)
     if grid and len(numbers) != 3:
         doc.fail(path, f"is {form} with {len(numbers)} numbers: expected [from, to, count].", name)
-    check_value(doc, path, name, about, numbers[:2])
+    check_value(doc, path, name, declaration, numbers[:2])
     count = numbers[2] if len(numbers) == 3 else 2.0
     if not 1 <= count <= _LARGEST_AXIS or count != int(count):
         empty = ", so the grid is empty" if count == 0 else ""
@@ -191,21 +193,21 @@ def read_axis(doc: Document, name: str, given: Axis, about: Quantity, *, grid: b
             f"is {form} from {numbers[0]:g} to {numbers[1]:g}: both are end values (not exponents) and above 0.",
             name,
         )
-    return given.of(name, about)
+    return axis.of(name, declaration)
 
 
-def read_draw(doc: Document, name: str, given: Draw, about: Quantity) -> Draw:
+def read_draw(doc: Document, name: str, draw: Draw, declaration: Quantity) -> Draw:
     """Check the entry `randomize.name`."""
-    form, (a, b) = given.chosen
+    form, (a, b) = draw.chosen
     path = ("randomize", name, form)
-    check_value(doc, path, name, about, [a] if form == "normal" else [a, b])
+    check_value(doc, path, name, declaration, [a] if form == "normal" else [a, b])
     if form == "normal" and not 0 < b < np.inf:
         doc.fail(path, f"has the standard deviation {b:g}: it must be above 0 and finite.", name)
     if form != "normal" and a >= b:
         doc.fail(path, f"has the bounds {a:g} and {b:g}: the lower one comes first.", name)
     if form == "loguniform" and a <= 0:
         doc.fail(path, f"is loguniform from {a:g}: both bounds must be above 0.", name)
-    return given.of(name, about)
+    return draw.of(name, declaration)
 
 
 def _between(a: float, b: float, share: np.ndarray, *, log: bool) -> np.ndarray:
@@ -246,11 +248,11 @@ class Saltelli(Fields):
     )
 
     @classmethod
-    def written_out(cls, given: Any) -> Any:
+    def written_out(cls, value: Any) -> Any:
         return (
-            {"points": given}
-            if isinstance(given, int | float) and not isinstance(given, bool)
-            else given
+            {"points": value}
+            if isinstance(value, int | float) and not isinstance(value, bool)
+            else value
         )
 
 

@@ -63,24 +63,32 @@ def undistinguished(values: np.ndarray, level: float = CONFIDENCE_LEVEL) -> np.n
         values: of each repeat and point, (n, k), all finite; higher is better.
         level: the probability.
     """
-    mean, best, kept = (
+    mean, best, contenders = (
         values.mean(axis=0),
         int(values.mean(axis=0).argmax()),
         np.full(values.shape[1], True),
     )
     skew = _skewness(values) / math.sqrt(len(values))
     for share in (_SCREENED, 1 - _SCREENED):
-        if (many := int(kept.sum())) > 1:
-            own, freedom = values[:, kept], (len(values) - 1) * (many - 1)
-            rest = own - own.mean(axis=0) - own.mean(axis=1, keepdims=True) + own.mean()
-            noise = np.full(len(mean), math.sqrt((rest**2).sum() / freedom))
+        if (contender_count := int(contenders.sum())) > 1:
+            contender_values, freedom = (
+                values[:, contenders],
+                (len(values) - 1) * (contender_count - 1),
+            )
+            residuals = (
+                contender_values
+                - contender_values.mean(axis=0)
+                - contender_values.mean(axis=1, keepdims=True)
+                + contender_values.mean()
+            )
+            noise = np.full(len(mean), math.sqrt((residuals**2).sum() / freedom))
             if share == _SCREENED:  # a point that is noisier than most is not lost for it
                 noise = np.maximum(
                     noise, (values - values[:, [best]]).std(axis=0, ddof=1) / math.sqrt(2)
                 )
-            margin = hsu_margin(many, freedom, 1 - share * (1 - level), round(skew, 1))
-            kept &= mean >= mean[best] - margin * noise * math.sqrt(2 / len(values))
-    return kept
+            margin = hsu_margin(contender_count, freedom, 1 - share * (1 - level), round(skew, 1))
+            contenders &= mean >= mean[best] - margin * noise * math.sqrt(2 / len(values))
+    return contenders
 
 
 def _skewness(values: np.ndarray) -> float:
@@ -120,16 +128,18 @@ class Judged:
     ended: str
 
 
-def judged(values: np.ndarray, there: np.ndarray, asked: SoughtOptimum, repeats: int) -> Judged:
+def judged(
+    values: np.ndarray, is_there: np.ndarray, question: SoughtOptimum, repeats: int
+) -> Judged:
     """Judge points by the runs that are there, one block of repeats after the other.
 
     Args:
         values: of each repeat and point, (n, k); higher is better; NaN where a run is lost or not there.
-        there: which runs have been made, (n, k) bool.
-        asked: what is sought.
+        is_there: which runs have been made, (n, k) bool.
+        question: what is sought.
         repeats: runs of each point in the first block, and in each further one.
     """
-    alive, block, spent, none = (
+    alive, block, spent, no_rows = (
         np.full(values.shape[1], True),
         np.arange(repeats),
         0,
@@ -137,30 +147,43 @@ def judged(values: np.ndarray, there: np.ndarray, asked: SoughtOptimum, repeats:
     )
     for look in itertools.count(1):
         lacking = (
-            ~np.array([there[i] if i < len(there) else np.zeros(len(alive), bool) for i in block])
+            ~np.array(
+                [is_there[i] if i < len(is_there) else np.zeros(len(alive), bool) for i in block]
+            )
             & alive
         )
         if lacking.any():
             rows, points = np.nonzero(lacking)
             return Judged(-1, alive, alive, len(block), spent, (block[rows], points), "")
-        known = np.isfinite(values[block])
-        lost = (~known).sum(axis=0)
-        alive &= lost == lost[alive].min()
-        used = values[block[known[:, alive].all(axis=1)]][:, alive]
-        if len(used) < 2:
-            return Judged(-1, alive, alive, len(block), spent, none, "lost")
-        early, last, contenders = alive.copy(), alive.copy(), alive.copy()
-        early[alive] = undistinguished(used, 1 - EARLY / 2**look)
-        last[alive] = undistinguished(used, CONFIDENCE_LEVEL + (EARLY if asked.budget else 0.0))
-        price, few = int(early.sum()) * repeats, bool(asked.budget) and early.sum() <= asked.until
-        best = int(np.flatnonzero(alive)[used.mean(axis=0).argmax()])
-        if few or spent + price > asked.budget:
-            region = early if few else last
-            few |= bool(asked.budget) and region.sum() <= asked.until
+        is_finite = np.isfinite(values[block])
+        lost_counts = (~is_finite).sum(axis=0)
+        alive &= lost_counts == lost_counts[alive].min()
+        used_values = values[block[is_finite[:, alive].all(axis=1)]][:, alive]
+        if len(used_values) < 2:
+            return Judged(-1, alive, alive, len(block), spent, no_rows, "lost")
+        early_contenders, last, contenders = alive.copy(), alive.copy(), alive.copy()
+        early_contenders[alive] = undistinguished(used_values, 1 - EARLY / 2**look)
+        last[alive] = undistinguished(
+            used_values, CONFIDENCE_LEVEL + (EARLY if question.budget else 0.0)
+        )
+        price, is_affordable = (
+            int(early_contenders.sum()) * repeats,
+            bool(question.budget) and early_contenders.sum() <= question.until,
+        )
+        best = int(np.flatnonzero(alive)[used_values.mean(axis=0).argmax()])
+        if is_affordable or spent + price > question.budget:
+            region = early_contenders if is_affordable else last
+            is_affordable |= bool(question.budget) and region.sum() <= question.until
             return Judged(
-                best, region, contenders, len(block), spent, none, "few" if few else "budget"
+                best,
+                region,
+                contenders,
+                len(block),
+                spent,
+                no_rows,
+                "few" if is_affordable else "budget",
             )
-        alive, spent = early, spent + price
-        begin = asked.fresh + look * repeats
+        alive, spent = early_contenders, spent + price
+        begin = question.fresh + look * repeats
         block = np.append(block, np.arange(begin, begin + repeats))
     raise AssertionError("a budget is finite")

@@ -106,13 +106,16 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     """
     require("sensitivity", "SALib", "sensitivity")
     _, results, _, notes = opened_table(source)
-    known = columns_of(results, "metric")
-    if metric not in known:
+    metrics = columns_of(results, "metric")
+    if metric not in metrics:
         raise ParameterError(
-            f"metric is {metric!r}: not one of the table{did_you_mean(metric, known)}"
+            f"metric is {metric!r}: not one of the table{did_you_mean(metric, metrics)}"
         )
-    about = results.schema.metadata or {}
-    sampler, pairs = about.get(b"sampler", b"").decode(), about.get(b"second_order") == b"true"
+    metadata = results.schema.metadata or {}
+    sampler, pairs = (
+        metadata.get(b"sampler", b"").decode(),
+        metadata.get(b"second_order") == b"true",
+    )
     if sampler in ("grid", "rows") and columns_of(results, "varied"):
         raise ParameterError(
             f"sample is {sampler}, whose variants are not drawn at random: run a sweep with sample: {{saltelli: 256}}."
@@ -125,9 +128,11 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     structures = {name: results.column(name) for name in labelled(results)}
     keys = list(zip(*structures.values(), strict=True)) if structures else [()] * results.rows
     for key in dict.fromkeys(keys):
-        data = _data_of(results, metric, np.flatnonzero([each == key for each in keys]), notes)
-        found = _sobol(data, pairs, notes) if method == "sobol" else _given(data)
-        lines += [dict(zip(structures, key, strict=True)) | line for line in found]
+        data = _data_of(
+            results, metric, np.flatnonzero([group_key == key for group_key in keys]), notes
+        )
+        indices = _sobol(data, pairs, notes) if method == "sobol" else _given(data)
+        lines += [dict(zip(structures, key, strict=True)) | line for line in indices]
         noises.append(data.noise)
     noise = float(np.mean(noises))
     if method == "rbd_fast":
@@ -141,12 +146,15 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     if columns_of(results, "randomized") and columns_of(results, "varied"):
         about_noise = "; one repeat does not tell how much it is: give repeats"
         if math.isfinite(noise):
-            rest = "a total index of a parameter without effect is about as large"
-            rest = rest if method == "sobol" else "which no parameter explains"
-            about_noise = f", {noise:.1%} of the variance: {rest}".replace("%", " %")
+            bias_note = "a total index of a parameter without effect is about as large"
+            bias_note = bias_note if method == "sobol" else "which no parameter explains"
+            about_noise = f", {noise:.1%} of the variance: {bias_note}".replace("%", " %")
         notes.append(f"What is randomized counts as noise{about_noise}.")
-    said = profile_text(profiles_of(results))
-    notes, columns = [*dict.fromkeys(notes), f"{said[:1].upper()}{said[1:]}."], Columns()
+    profile_note = profile_text(profiles_of(results))
+    notes, columns = (
+        [*dict.fromkeys(notes), f"{profile_note[:1].upper()}{profile_note[1:]}."],
+        Columns(),
+    )
     for name in structures:
         columns.add(
             name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure"
@@ -195,27 +203,31 @@ def _data_of(results: Results, metric: str, rows: np.ndarray, notes: list[str]) 
     values = results.column(metric)[rows]
     good = counts(metric, values, results.well[rows])
     tally = variants.tally(values, good)
-    means, several, some = tally.mean, tally.count > 1, tally.count > 0
-    within = np.mean(tally.std[several] ** 2 / tally.count[several]) if several.any() else math.nan
-    whole = np.nanvar(means) if some.any() else math.nan
+    means, several, has_runs = tally.mean, tally.count > 1, tally.count > 0
+    noise_variance = (
+        np.mean(tally.std[several] ** 2 / tally.count[several]) if several.any() else math.nan
+    )
+    total_variance = np.nanvar(means) if has_runs.any() else math.nan
     inputs = np.column_stack([column[rows][variants.first] for _, column in results.columns(names)])
-    read = ~np.isnan(inputs).all(axis=0)  # in this structure
+    is_read = ~np.isnan(inputs).all(axis=0)  # in this structure
     if not good.all():
         well = results.well[rows]
         words = (
             ("fell or were lost", int((~well).sum())),
             ("have no number", int((well & ~good).sum())),
         )
-        why = " and ".join(f"{many:,} of {len(good):,} runs {what}" for what, many in words if many)
-        notes.append(f"{why}, {int((~some).sum()):,} variants with all of theirs.")
-    if some.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
+        why = " and ".join(
+            f"{count:,} of {len(good):,} runs {reason}" for reason, count in words if count
+        )
+        notes.append(f"{why}, {int((~has_runs).sum()):,} variants with all of theirs.")
+    if has_runs.any() and total_variance <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
         raise ParameterError(
             f"metric is {metric!r}, which is the same in all variants: it depends on nothing."
         )
-    noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
+    noise = float(min(noise_variance / total_variance, 1.0)) if total_variance > 0 else math.nan
     return _Data(
-        [name for name, there in zip(names, read, strict=True) if there],
-        inputs[:, read],
+        [name for name, is_there in zip(names, is_read, strict=True) if is_there],
+        inputs[:, is_read],
         means,
         noise,
     )
@@ -230,24 +242,24 @@ def _sobol(data: _Data, pairs: bool, notes: list[str]) -> Iterator[dict[str, Any
             f"the table has {len(data.means):,} variants, not whole blocks of {block}: finish the sweep first."
         )
     blocks = data.means.reshape(-1, block)
-    whole = np.isfinite(blocks).all(axis=1)
-    if lost := int((~whole).sum()):
+    is_whole = np.isfinite(blocks).all(axis=1)
+    if lost_count := int((~is_whole).sum()):
         notes.append(
-            f"{lost:,} of {len(blocks):,} points are left out, of which a variant has no run that "
+            f"{lost_count:,} of {len(blocks):,} points are left out, of which a variant has no run that "
             "counts: the indices are of where the robot walks."
         )
-    if whole.sum() < 4:
+    if is_whole.sum() < 4:
         raise ParameterError(
-            f"only {int(whole.sum())} points have all of their variants: too few for indices."
+            f"only {int(is_whole.sum())} points have all of their variants: too few for indices."
         )
-    found = sobol.analyze(
-        unit_problem(len(names)), blocks[whole].ravel(), calc_second_order=pairs, **_BOOTSTRAP
+    analysis = sobol.analyze(
+        unit_problem(len(names)), blocks[is_whole].ravel(), calc_second_order=pairs, **_BOOTSTRAP
     )
     for i, name in enumerate(names):
-        yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
-        yield _line(name, "total", found["ST"][i], found["ST_conf"][i])
+        yield _line(name, "first", analysis["S1"][i], analysis["S1_conf"][i])
+        yield _line(name, "total", analysis["ST"][i], analysis["ST_conf"][i])
     for i, j in itertools.combinations(range(len(names)), 2) if pairs else ():
-        yield _line(names[i], "second", found["S2"][i, j], found["S2_conf"][i, j], names[j])
+        yield _line(names[i], "second", analysis["S2"][i, j], analysis["S2_conf"][i, j], names[j])
 
 
 def _given(data: _Data) -> Iterator[dict[str, Any]]:
@@ -259,11 +271,11 @@ def _given(data: _Data) -> Iterator[dict[str, Any]]:
             f"{int(good.sum())} variants went well: RBD-FAST needs {_MIN_VARIANTS} or more."
         )
     problem = unit_problem(len(data.names))
-    found = rbd_fast.analyze(
+    analysis = rbd_fast.analyze(
         problem, data.inputs[good], data.means[good], M=_HARMONICS, **_BOOTSTRAP
     )
     for i, name in enumerate(data.names):
-        yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
+        yield _line(name, "first", analysis["S1"][i], analysis["S1_conf"][i])
 
 
 def _line(
@@ -277,11 +289,13 @@ def strongest(table: pa.Table) -> list[str]:
     """The parameters of a table of indices, that with the largest index first, by their totals if these are known."""
     lines: Sequence[Mapping[str, Any]] = table.to_pylist()
     order = "total" if any(line["order"] == "total" for line in lines) else "first"
-    most: dict[str, float] = {}
+    largest_by_name: dict[str, float] = {}
     for line in lines:
         if line["order"] == order:
-            most[line["parameter"]] = max(most.get(line["parameter"], -math.inf), line["index"])
-    return sorted(most, key=lambda name: -most[name])
+            largest_by_name[line["parameter"]] = max(
+                largest_by_name.get(line["parameter"], -math.inf), line["index"]
+            )
+    return sorted(largest_by_name, key=lambda name: -largest_by_name[name])
 
 
 # ---
@@ -312,8 +326,10 @@ def sensitivity_figures(out: Path) -> Figures:
 
 def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of a table of indices; a panel for each structure, and one for its pairs."""
-    about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-    lines, metric, structures = table.to_pylist(), about["sensitivity"], labelled(table)
+    metadata = {
+        key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()
+    }
+    lines, metric, structures = table.to_pylist(), metadata["sensitivity"], labelled(table)
     parts = list(dict.fromkeys(tuple(line[name] for name in structures) for line in lines))[
         :_MAX_INDEX_PANELS
     ]
@@ -326,33 +342,40 @@ def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     page = FigurePage(f"What {spoken(metric)} depends on", size, rows, columns)
     places = iter(page.axes.ravel())
     for part in parts:
-        own = [line for line in lines if tuple(line[name] for name in structures) == part]
+        structure_lines = [
+            line for line in lines if tuple(line[name] for name in structures) == part
+        ]
         title = ", ".join(f"{name} {value}" for name, value in zip(structures, part, strict=True))
         ax = next(places)
         for order, shift in (("total", 0.19), ("first", 0.0 if single else -0.19)):
-            of_order = {line["parameter"]: line for line in own if line["order"] == order}
-            there = [place for place, name in enumerate(names) if name in of_order]
+            of_order = {
+                line["parameter"]: line for line in structure_lines if line["order"] == order
+            }
+            shown_places = [position for position, name in enumerate(names) if name in of_order]
             _bars(
                 ax,
-                np.array(there) + shift,
-                [of_order[names[place]] for place in there],
+                np.array(shown_places) + shift,
+                [of_order[names[position]] for position in shown_places],
                 0.38 if shift else 0.6,
             )
         _finish(ax, names, title)
         if pairs:
-            ax, both = next(places), [line for line in own if line["order"] == "second"]
-            both = sorted(both, key=lambda line: -line["index"])[:_MAX_SHOWN_PAIRS]
-            _bars(ax, np.arange(len(both), dtype=float), both, 0.6)
-            _finish(ax, [f"{line['parameter']}\n{line['second']}" for line in both], title)
+            ax, second_order = (
+                next(places),
+                [line for line in structure_lines if line["order"] == "second"],
+            )
+            second_order = sorted(second_order, key=lambda line: -line["index"])[:_MAX_SHOWN_PAIRS]
+            _bars(ax, np.arange(len(second_order), dtype=float), second_order, 0.6)
+            _finish(ax, [f"{line['parameter']}\n{line['second']}" for line in second_order], title)
     for ax in places:
         ax.remove()
     handles = [Patch(fc=_ORDER_COLOURS[order], label=_WORDS[order]) for order in orders]
-    more = len(strongest(table)) - len(names)
+    hidden_count = len(strongest(table)) - len(names)
     note = (
         "share of the variance; lines: 95 % intervals"
-        + f"; {more} weaker ones are in the table" * (more > 0)
+        + f"; {hidden_count} weaker ones are in the table" * (hidden_count > 0)
     )
-    yield f"{metric}-sensitivity", page.finish(handles, f"{note}\n{about['notes']}".strip())
+    yield f"{metric}-sensitivity", page.finish(handles, f"{note}\n{metadata['notes']}".strip())
 
 
 def _bars(ax: Axes, places: np.ndarray, lines: Sequence[Line], height: float) -> None:

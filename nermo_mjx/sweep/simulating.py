@@ -131,29 +131,29 @@ class SweepSimulator:
             ):  # with the programs of one that was made before, where these are the same
                 setup = self.walks[structure].setup
                 programs = without_presettings(setup)
-                kept = self._kept.pop(programs, None)
+                stored = self._kept.pop(programs, None)
                 while (
                     len(self._kept) >= MAX_KEPT_SIMULATORS
                 ):  # its memory goes before the next one takes some
                     del self._kept[next(iter(self._kept))]
                 simulator = (
-                    Simulator(setup, self.engine) if kept is None else kept.with_setup(setup)
+                    Simulator(setup, self.engine) if stored is None else stored.with_setup(setup)
                 )
                 self._kept[programs] = simulator
             self._current = structure, simulator
         return self._current[1]
 
 
-def engine_name(wanted: str, simulator: SimulatorLike | None, begun: str | None) -> str:
+def engine_name(requested: str, simulator: SimulatorLike | None, former_engine: str | None) -> str:
     """Name of the engine that really runs: of the simulator that is given, or the one a directory was begun with."""
     if simulator is not None:
         return str(getattr(simulator.engine, "name", simulator.engine))
     return (
-        wanted
-        if wanted != "auto"
-        else begun
-        if begun not in (None, "auto")
-        else resolve_engine(wanted)
+        requested
+        if requested != "auto"
+        else former_engine
+        if former_engine not in (None, "auto")
+        else resolve_engine(requested)
     )
 
 
@@ -237,8 +237,12 @@ def chunk_rows_here(engine: str, rows: int, parts: int = 1) -> int:
     engine = resolve_engine(engine)
     memory, devices = None, 1
     if engine != "c":
-        known = [(device.memory_stats() or {}).get("bytes_limit") for device in jax.local_devices()]
+        limits = [
+            (device.memory_stats() or {}).get("bytes_limit") for device in jax.local_devices()
+        ]
         # Of the smallest device; not reported by a CPU.
-        memory = None if None in known else min(int(each) for each in known if each is not None)
+        memory = (
+            None if None in limits else min(int(limit) for limit in limits if limit is not None)
+        )
         devices = choose_devices().count
     return chunk_rows(engine, rows, memory=memory, devices=devices, cores=cores, parts=parts)

@@ -75,15 +75,15 @@ LARGEST_SWEEP: Final = 10_000_000
 Value = float | str
 
 
-def _listed(given: Any) -> Any:
-    return [given] if isinstance(given, str) else given
+def _listed(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
 
 
-def _names(given: Any) -> Any:
-    given = _listed(given)
-    if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
-        raise Refused(f"is {describe(given)}: expected a list of varied parameters.")
-    return list(dict.fromkeys(given))
+def _names(value: Any) -> Any:
+    value = _listed(value)
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise Refused(f"is {describe(value)}: expected a list of varied parameters.")
+    return list(dict.fromkeys(value))
 
 
 #: Of a list that may be a single name.
@@ -109,12 +109,12 @@ class ComparedColumns(Fields):
         return self.model_dump(by_alias=True, exclude_none=True)
 
 
-def _one_value(given: Any) -> Any:
-    if not isinstance(given, dict) or len(given) != 1:
+def _one_value(value: Any) -> Any:
+    if not isinstance(value, dict) or len(value) != 1:
         raise Refused(
-            f"is {describe(given)}: expected one column and its value, such as {{spine: none}}."
+            f"is {describe(value)}: expected one column and its value, such as {{spine: none}}."
         )
-    return given
+    return value
 
 
 class SoughtOptimum(Fields):
@@ -223,11 +223,11 @@ class Keep(Fields):
     )
 
 
-def read_saving(doc: Document, given: SaveFields, setup: Setup) -> Saving:
+def read_saving(doc: Document, fields: SaveFields, setup: Setup) -> Saving:
     """What is saved, of signals that the robot has, at a rate that its controller has."""
-    if not given.sensors:
+    if not fields.sensors:
         doc.fail(("save", "sensors"), "is an empty list: name sensors, such as [gyro, foot_force].")
-    saving = Saving(tuple(given.sensors), float(given.rate))
+    saving = Saving(tuple(fields.sensors), float(fields.rate))
     try:
         Keeper(saving, setup.load(), setup.make_controller().dt)
     except ParameterError as error:
@@ -286,16 +286,16 @@ class Randomized(Fields):
 
 def narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
     """Every parameter, with the range that it has in all structures: the time step is one of its bounds."""
-    each = {walk.setup.timestep: walk.parameters for walk in reversed(structures)}
-    if len(each) == 1:
+    by_timestep = {walk.setup.timestep: walk.parameters for walk in reversed(structures)}
+    if len(by_timestep) == 1:
         return structures[0].parameters
     return {
         name: dataclasses.replace(
-            about,
-            low=max(other[name].low for other in each.values()),
-            high=min(other[name].high for other in each.values()),
+            declaration,
+            low=max(parameters[name].low for parameters in by_timestep.values()),
+            high=min(parameters[name].high for parameters in by_timestep.values()),
         )
-        for name, about in structures[0].parameters.items()
+        for name, declaration in structures[0].parameters.items()
     }
 
 
@@ -303,13 +303,13 @@ def narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
 def check_together(doc: Document, sweep: Sweep) -> None:
     """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
     section = "vary" if sweep.rows is None else "rows"
-    varied, drawn = list(sweep.varied), [draw.name for draw in sweep.draws]
-    setups = [each.setup for each in sweep.structures]
+    varied, randomized = list(sweep.varied), [draw.name for draw in sweep.draws]
+    setups = [structure.setup for structure in sweep.structures]
     for walk in sweep.structures:
         check_sources(
             doc,
             walk,
-            {section: varied, "randomize": drawn},
+            {section: varied, "randomize": randomized},
             bodies=sweep.body_parameters,
             setups=setups,
         )
@@ -319,7 +319,7 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         )
     if not sweep.axes and sweep.sampler not in ("grid", "rows"):
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
-    sides = [name for name, about in sweep.metrics.items() if about.better]
+    sides = [name for name, metric in sweep.metrics.items() if metric.better]
     if sweep.keep is not None and sweep.keep.metric not in sides:
         doc.fail(
             ("keep", "metric"),
@@ -343,7 +343,7 @@ def check_together(doc: Document, sweep: Sweep) -> None:
     }
     if sweep.rows is None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
-    for setup in {(each.gait, each.routing): each for each in setups}.values():
+    for setup in {(structure.gait, structure.routing): structure for structure in setups}.values():
         check_reach(doc, setup, sweep.fixed, tried)
     for name in sweep.paired:
         if name not in varied:
@@ -357,11 +357,17 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         check_optimum(doc, sweep, sweep.optimum)
     if (rows := sweep.rows) is None:
         return
-    for at, walk in enumerate(sweep.structures):
-        given = {name: column[rows.structure == at] for name, column in rows.values.items()}
-        given = {name: column for name, column in given.items() if unread(walk.setup, name) is None}
+    for structure_index, walk in enumerate(sweep.structures):
+        structure_values = {
+            name: column[rows.structure == structure_index] for name, column in rows.values.items()
+        }
+        structure_values = {
+            name: column
+            for name, column in structure_values.items()
+            if unread(walk.setup, name) is None
+        }
         try:
-            walk.setup.check(walk.setup.world(walk.constants | given))
+            walk.setup.check(walk.setup.world(walk.constants | structure_values))
         except ParameterError as error:
             doc.fail(("rows",), f"has values that do not go together: {error}")
 
@@ -369,7 +375,7 @@ def check_together(doc: Document, sweep: Sweep) -> None:
 def varied_values(sweep: Sweep) -> dict[str, list[Value] | None]:
     """The values of each varied column; None where they are drawn between bounds."""
     values: dict[str, list[Value] | None] = {
-        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures))
+        name: list(dict.fromkeys(structure.labels[name] for structure in sweep.structures))
         for name in sweep.labelled
     }
     for axis in sweep.axes:
@@ -381,11 +387,9 @@ def varied_values(sweep: Sweep) -> dict[str, list[Value] | None]:
     return values
 
 
-def not_varied(name: str, known: Collection[str]) -> str:
+def not_varied(name: str, allowed: Collection[str]) -> str:
     """What a message says of a column that is not varied."""
-    return (
-        f"which is not varied{did_you_mean(name, known)} Varied: {', '.join(known) or 'nothing'}."
-    )
+    return f"which is not varied{did_you_mean(name, allowed)} Varied: {', '.join(allowed) or 'nothing'}."
 
 
 def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> None:
@@ -394,9 +398,9 @@ def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> N
     for field, name in (("by", compare.by), *(("for", name) for name in compare.groups)):
         if name not in values:
             why = not_varied(name, values)
-        elif (known := values[name]) is None:
+        elif (allowed_values := values[name]) is None:
             why = "which is drawn between bounds, so that no two variants share a value: list its values."
-        elif field == "by" and len(known) < 2:
+        elif field == "by" and len(allowed_values) < 2:
             why = "which has one value: there is nothing to compare."
         elif field == "for" and name == compare.by:
             why = "whose values are compared: name other columns."
@@ -411,8 +415,8 @@ def check_base(
     doc: Document, path: FieldPath, name: str, base: Value, bases: Sequence[Value]
 ) -> None:
     """Fail where a base is no value of its column."""
-    about = FILE_PARAMETERS.get().get(name)
-    number = None if about is None else about.number(str(base))
+    declaration = FILE_PARAMETERS.get().get(name)
+    number = None if declaration is None else declaration.number(str(base))
     close = number is not None and np.isclose(number, np.array(bases, float), 1e-9, 1e-12).any()
     if base not in bases and not close:
         listed = [value if isinstance(value, str) else f"{value:g}" for value in bases]
@@ -420,22 +424,22 @@ def check_base(
         doc.fail(path, f"is {describe(base)}, no value of {name}; allowed are {allowed}")
 
 
-def check_optimum(doc: Document, sweep: Sweep, asked: SoughtOptimum) -> None:
+def check_optimum(doc: Document, sweep: Sweep, question: SoughtOptimum) -> None:
     """Fail where the section `optimum` asks for what the sweep cannot tell."""
-    values, ((by, base),) = varied_values(sweep), asked.base.items()
-    if asked.maximize and asked.minimize:
+    values, ((by, base),) = varied_values(sweep), question.base.items()
+    if question.maximize and question.minimize:
         doc.fail(
             ("optimum", "minimize"), "is given beside 'maximize': one metric is best at a time."
         )
-    if asked.metric not in sweep.metrics:
-        near = did_you_mean(asked.metric, sweep.metrics)
+    if question.metric not in sweep.metrics:
+        near = did_you_mean(question.metric, sweep.metrics)
         doc.fail(
-            ("optimum", "minimize" if asked.minimize else "maximize"),
-            f"is {asked.metric!r}, no metric{near or '.'}",
+            ("optimum", "minimize" if question.minimize else "maximize"),
+            f"is {question.metric!r}, no metric{near or '.'}",
         )
     for field, name in (
-        *(("over", name) for name in asked.over),
-        *(("for", name) for name in asked.groups or ()),
+        *(("over", name) for name in question.over),
+        *(("for", name) for name in question.groups or ()),
         ("base", by),
     ):
         if name not in values:
@@ -445,17 +449,19 @@ def check_optimum(doc: Document, sweep: Sweep, asked: SoughtOptimum) -> None:
                 ("optimum", field),
                 f"names {name!r}, which is drawn between bounds: points have runs where it is a list.",
             )
-        if field == "for" and name in (*asked.over, by):
+        if field == "for" and name in (*question.over, by):
             doc.fail(
                 ("optimum", field),
                 f"names {name!r}, of which the best value is sought: name other columns.",
             )
     check_base(doc, ("optimum", "base"), by, base, values[by] or [])
-    left = [name for name in values if name not in (*asked.over, by, *asked.grouped(values))]
-    if left:
+    remaining = [
+        name for name in values if name not in (*question.over, by, *question.grouped(values))
+    ]
+    if remaining:
         doc.fail(
             ("optimum", "for"),
-            f"leaves out {', '.join(left)}, which varies, too: name it under over or for.",
+            f"leaves out {', '.join(remaining)}, which varies, too: name it under over or for.",
         )
     if sweep.repeats < 2:
         doc.fail(
@@ -550,31 +556,33 @@ class Sweep(WalkSpec, Described):
         with known_names(doc):
             doc = written_out(doc)
             file = read(doc, SweepFile)
-            for other in ("vary", "sample") if file.rows is not None else ():
-                if doc.data.get(other) not in (None, {}):
+            for other_section in ("vary", "sample") if file.rows is not None else ():
+                if doc.data.get(other_section) not in (None, {}):
                     doc.fail(
-                        (other,),
+                        (other_section,),
                         "is given beside 'rows', which are all variants: leave out one of them.",
                     )
             table = None if file.rows is None else read_row_table(doc, file.rows)
-            chosen, which = (
+            combinations, structure_of_row = (
                 table.combinations()
                 if table is not None
                 else (combinations_of(doc, file.vary), None)
             )
-            found = read_structures(doc, SweepFile, chosen)
+            walks = read_structures(doc, SweepFile, combinations)
         if table is None:
-            check_repeats(doc, chosen, found)
-        different = {tuple(each.labels.items()): each for each in found}
-        structures, parameters = tuple(different.values()), narrowest(found)
+            check_repeats(doc, combinations, walks)
+        different = {tuple(walk.labels.items()): walk for walk in walks}
+        structures, parameters = tuple(different.values()), narrowest(walks)
         rows = None
         if table is not None:
-            place = {labels: at for at, labels in enumerate(different)}
-            at = np.array([place[tuple(each.labels.items())] for each in found])[which]
-            rows = listed_rows(table, structures, at, parameters)
+            index_of_labels = {labels: label_index for label_index, labels in enumerate(different)}
+            label_index = np.array([index_of_labels[tuple(walk.labels.items())] for walk in walks])[
+                structure_of_row
+            ]
+            rows = listed_rows(table, structures, label_index, parameters)
         sampler, samples = file.sample.chosen if rows is None else ("rows", len(rows))
         design = samples if isinstance(samples, Saltelli) else None
-        varied, drawn = file.vary.model_extra or {}, file.randomize.model_extra or {}
+        varied, randomized = file.vary.model_extra or {}, file.randomize.model_extra or {}
         axes = [
             read_axis(doc, name, form, parameters[name], grid=sampler == "grid")
             for name, form in varied.items()
@@ -588,7 +596,7 @@ class Sweep(WalkSpec, Described):
             samples=(samples if design is None else design.points) or 0,
             second_order=design is not None and design.second_order,
             draws=tuple(
-                read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()
+                read_draw(doc, name, form, parameters[name]) for name, form in randomized.items()
             ),
             repeats=file.randomize.repeats,
             structures=structures,
@@ -606,8 +614,8 @@ class Sweep(WalkSpec, Described):
 
     def seeking(self, text: str) -> Sweep:
         """The sweep with another section `optimum`, as a file has it, in YAML. Raises `SpecError`."""
-        given = read_text(f"optimum: {text}", "--optimum").data["optimum"]
-        return Sweep.of_document(read_mapping(self.resolved() | {"optimum": given}, "--optimum"))
+        question = read_text(f"optimum: {text}", "--optimum").data["optimum"]
+        return Sweep.of_document(read_mapping(self.resolved() | {"optimum": question}, "--optimum"))
 
     @functools.cached_property
     def counts(self) -> tuple[int, ...]:
@@ -619,13 +627,16 @@ class Sweep(WalkSpec, Described):
             return tuple(np.bincount(self.rows.structure, minlength=len(self.structures)).tolist())
         if self.sampler == "grid":
             return tuple(
-                math.prod(len(axis.listed()) for axis in self.read_axes(at))
-                for at in self.structures
+                math.prod(len(axis.listed()) for axis in self.read_axes(structure))
+                for structure in self.structures
             )
         points = self.samples * (
             saltelli_size(len(self.axes), self.second_order) if self.sampler == "saltelli" else 1
         )
-        return tuple(points if self.read_axes(at) or not self.axes else 1 for at in self.structures)
+        return tuple(
+            points if self.read_axes(structure) or not self.axes else 1
+            for structure in self.structures
+        )
 
     @property
     def variants(self) -> int:
@@ -654,11 +665,15 @@ class Sweep(WalkSpec, Described):
 
     def partly_read(self) -> dict[str, list[Structure]]:
         """The varied parameters that only some of the structures read, and which ones do."""
-        read = {
-            name: [at for at in self.structures if unread(at.setup, name) is None]
+        readers = {
+            name: [
+                structure for structure in self.structures if unread(structure.setup, name) is None
+            ]
             for name in self.varied
         }
-        return {name: places for name, places in read.items() if len(places) < len(self.structures)}
+        return {
+            name: places for name, places in readers.items() if len(places) < len(self.structures)
+        }
 
     def read_axes(self, structure: Structure) -> list[Axis]:
         """The axes whose parameters a structure reads."""
@@ -675,7 +690,7 @@ class Sweep(WalkSpec, Described):
             for name, value in self.walk_fields(folder).items()
             if name not in self.labelled
         }
-        if len({each.setup.timestep for each in self.structures}) > 1:
+        if len({structure.setup.timestep for structure in self.structures}) > 1:
             del data["timestep"]  # each has that of its physics
         if self.rows is not None:
             data["rows"] = (
@@ -684,7 +699,9 @@ class Sweep(WalkSpec, Described):
         else:
             data["vary"] = {}
             for name in self.labelled:
-                values = {each.labels[name]: each.written(name) for each in self.structures}
+                values = {
+                    structure.labels[name]: structure.written(name) for structure in self.structures
+                }
                 data["vary"][name] = {"values": list(values.values())}
             data["vary"] |= {axis.name: axis.written() for axis in self.axes}
             size: Any = (
@@ -694,10 +711,10 @@ class Sweep(WalkSpec, Described):
             )
             data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: size}
         bodies: dict[str, Any] = {"from": self.bodies} if self.bodies else {}
-        named = [draw for draw in self.draws if not draw.implied]
+        explicit = [draw for draw in self.draws if not draw.implied]
         bodies |= {"paired": list(self.paired)} if self.paired else {}
         data["randomize"] = (
-            {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
+            {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in explicit}
         )
         data |= {
             name: getattr(self, name)
@@ -734,9 +751,12 @@ class Sweep(WalkSpec, Described):
 
         Chunking and figures are not included.
         """
-        defaults: Any = {name: about.default for name, about in self.parameters.items()}
+        defaults: Any = {name: declaration.default for name, declaration in self.parameters.items()}
         if self.labelled:
-            defaults = [[each.setup.defaults(), each.walk_fields()] for each in self.structures]
+            defaults = [
+                [structure.setup.defaults(), structure.walk_fields()]
+                for structure in self.structures
+            ]
         bodies = [identified.bodies(self.bodies).fingerprint] if self.bodies else []
         implied = [{draw.name: draw.numbers for draw in self.draws if draw.implied}]
         return digest_of(self.decisive(), defaults, *bodies, *filter(None, implied))
@@ -878,8 +898,8 @@ class Sample:
         """The rows at `index`, (n,) int, in that order."""
         sweep, index = self.sweep, np.asarray(index, dtype=np.int64)
         variant, repeat = np.divmod(index, sweep.repeats)
-        further = index >= int(self._ends[-1]) * sweep.repeats
-        repeat[further], variant[further] = np.divmod(index[further], sweep.variants)
+        is_further = index >= int(self._ends[-1]) * sweep.repeats
+        repeat[is_further], variant[is_further] = np.divmod(index[is_further], sweep.variants)
         structure = self._structure_of(variant)
         points = {name: self._point(name, variant, structure) for name in sweep.varied}
         names = sorted(name for name in points if name not in sweep.paired)
@@ -888,21 +908,24 @@ class Sample:
             if names
             else np.empty((len(variant), 0))
         )
-        known, seed = ~np.isnan(table), np.empty(len(variant), np.int64)
-        for i, each in enumerate(repeat.tolist()):
-            content = zip(names, table[i].tolist(), known[i], strict=True)
+        is_set, seed = ~np.isnan(table), np.empty(len(variant), np.int64)
+        for i, repeat_number in enumerate(repeat.tolist()):
+            content = zip(names, table[i].tolist(), is_set[i], strict=True)
             text = [
-                f"{sweep.seed} {each}",
-                *(f"{name} {value!r}" for name, value, there in content if there),
+                f"{sweep.seed} {repeat_number}",
+                *(f"{name} {value!r}" for name, value, is_there in content if is_there),
             ]
             digest = hashlib.blake2b(" ".join(text).encode(), digest_size=8).digest()
             seed[i] = int.from_bytes(digest, "little") >> 11
         values = {name: self._masked(name, points[name], structure) for name in sweep.varied}
         body = None
-        drawn = len(sweep.draws) + bool(sweep.bodies)
-        if drawn:
-            shares = [np.random.default_rng(each).random(drawn) for each in seed.tolist()]
-            columns = np.reshape(shares, (len(variant), drawn)).T
+        draw_count = len(sweep.draws) + bool(sweep.bodies)
+        if draw_count:
+            shares = [
+                np.random.default_rng(repeat_number).random(draw_count)
+                for repeat_number in seed.tolist()
+            ]
+            columns = np.reshape(shares, (len(variant), draw_count)).T
             for draw, column in zip(sweep.draws, columns, strict=False):
                 value = (
                     np.where(repeat == 0, 0.0, draw.at(column)) if draw.implied else draw.at(column)
@@ -946,16 +969,20 @@ class Sample:
         if self._shares is not None:
             return self._axes[name].at(self._shares[local, list(self._axes).index(name)])
         result = np.full(len(variant), np.nan)
-        for at in np.unique(structure):
-            names, here = self._read[at], structure == at
+        for structure_index in np.unique(structure):
+            names, in_structure = self._read[structure_index], structure == structure_index
             if name in names:
-                places = np.unravel_index(local[here], [len(self._listed[each]) for each in names])
-                result[here] = self._listed[name][places[names.index(name)]]
+                places = np.unravel_index(
+                    local[in_structure], [len(self._listed[axis_name]) for axis_name in names]
+                )
+                result[in_structure] = self._listed[name][places[names.index(name)]]
         return result
 
     def _masked(self, name: str, values: np.ndarray, structure: np.ndarray) -> np.ndarray:
         """Values, NaN where nothing reads them."""
-        blind = [at for at, names in enumerate(self._unread) if name in names]
+        blind = [
+            structure_index for structure_index, names in enumerate(self._unread) if name in names
+        ]
         return np.where(np.isin(structure, blind), np.nan, values) if blind else values
 
 

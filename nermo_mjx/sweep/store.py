@@ -75,10 +75,10 @@ class SweepRows(RowJob):
         """See `nermo_mjx.sweep.directory.check_source_sweeps`."""
         check_source_sweeps(sources, self.sweep)
 
-    def claimed(self, held: RunDirectory, chunk: int, *, extend: bool) -> SweepRows:
+    def claimed(self, directory: RunDirectory, chunk: int, *, extend: bool) -> SweepRows:
         """The rows of the sweep as a directory has it, see `nermo_mjx.sweep.directory.claim`."""
         sweep = dataclasses.replace(self.sweep, chunk=chunk)
-        return SweepRows(claim(held, sweep, extend=extend))
+        return SweepRows(claim(directory, sweep, extend=extend))
 
     def chunk(self, requested: int | None, engine: str, parts: int, simulate: bool = True) -> int:
         """Rows of a chunk: as many as are requested, or fill this machine.
@@ -99,14 +99,14 @@ class SweepRows(RowJob):
         if not self.with_series:
             return requested or usual()
         longest = self.seconds.max(keepdims=True)
-        most = max(1, int(LARGEST_CHUNK / max(series_bytes(self.sweep, longest), 1.0)))
-        if requested is not None and requested > most:
-            needed = series_bytes(self.sweep, np.sort(self.seconds)[-requested:])
+        limit = max(1, int(LARGEST_CHUNK / max(series_bytes(self.sweep, longest), 1.0)))
+        if requested is not None and requested > limit:
+            needed_bytes = series_bytes(self.sweep, np.sort(self.seconds)[-requested:])
             raise SpecError(
-                f"save takes {size(needed)} of memory for a chunk of {requested:,} "
-                f"runs: allowed is {size(LARGEST_CHUNK)}; take chunk: {most}, fewer sensors or a lower rate."
+                f"save takes {size(needed_bytes)} of memory for a chunk of {requested:,} "
+                f"runs: allowed is {size(LARGEST_CHUNK)}; take chunk: {limit}, fewer sensors or a lower rate."
             )
-        return requested or min(usual(), most)
+        return requested or min(usual(), limit)
 
     def check_room(self, out: Path, index: np.ndarray) -> None:
         """Refuse missing rows, by their numbers, for whose time series the disk has no room.
@@ -147,14 +147,14 @@ class SweepRows(RowJob):
     ) -> tuple[pa.Table, pa.Table | None]:
         """See `RowJob`; the worlds that fill the batch are left out."""
         count = len(index)
-        about = {
+        metadata = {
             "engine": stamp.engine,
             "code": stamp.id,
             "steps": result.steps,
             "wall_seconds": result.seconds,
         }
         metrics = {name: column[:count] for name, column in result.metrics.items()}
-        table = self._table(index, metrics, result.status[:count], stamp.id, about)
+        table = self._table(index, metrics, result.status[:count], stamp.id, metadata)
         series = None if result.series is None else series_table(self.sweep, index, result.series)
         return table, series
 
@@ -164,14 +164,16 @@ class SweepRows(RowJob):
         """See `RowJob`."""
         metrics = {name: table[name].to_numpy() for name in columns_of(table, "metric")}
         status, code = (np.array(table[name].to_pylist(), object) for name in ("status", "code"))
-        about = {key.decode(): text.decode() for key, text in table.schema.metadata.items()}
+        metadata = {key.decode(): text.decode() for key, text in table.schema.metadata.items()}
         runs = None
         if self.with_series:
             runs = pa.concat_tables(
-                own.set_column(0, own.schema.field("row"), pa.array(np.full(len(own), row)))
-                for own, row in zip(series, index.tolist(), strict=True)
+                run_series.set_column(
+                    0, run_series.schema.field("row"), pa.array(np.full(len(run_series), row))
+                )
+                for run_series, row in zip(series, index.tolist(), strict=True)
             ).replace_schema_metadata({"sweep": self.group})
-        return self._table(index, metrics, status, code, about | {"code": str(code[0])}), runs
+        return self._table(index, metrics, status, code, metadata | {"code": str(code[0])}), runs
 
     def failure(self, index: np.ndarray, error: BaseException, out: Path) -> Exception:
         """See `RowJob`: a parameter that is refused, or why a simulation failed, and how to go on."""
@@ -193,10 +195,10 @@ class SweepRows(RowJob):
         metrics: Mapping[str, np.ndarray],
         status: np.ndarray,
         code: str | np.ndarray,
-        about: Mapping[str, Any],
+        metadata: Mapping[str, Any],
     ) -> pa.Table:
         rows = self.sample.take(index)
-        return chunk_table(self.sweep, rows, index, metrics, status, code, about)
+        return chunk_table(self.sweep, rows, index, metrics, status, code, metadata)
 
 
 # ---
@@ -208,26 +210,34 @@ _NAMED_BATCH = 4
 MOST_SECONDS: Final = 1e9
 
 
-def simulated_seconds(sweep: Sweep, rows: Sample, further: np.ndarray | None = None) -> np.ndarray:
+def simulated_seconds(sweep: Sweep, rows: Sample, numbers: np.ndarray | None = None) -> np.ndarray:
     """How long each row is simulated, (n,) [s]; of `further` rows by their numbers (n,), instead of the sweep's own."""
     changed = {*sweep.varied, *(draw.name for draw in sweep.draws)}
-    names = [name for name in changed if any(name in at.setup.timing for at in sweep.structures)]
-    if further is None:
+    names = [
+        name
+        for name in changed
+        if any(name in structure_walk.setup.timing for structure_walk in sweep.structures)
+    ]
+    if numbers is None:
         structure, columns = rows.structures(), {name: rows.column(name) for name in names}
     else:
-        taken = rows.take(further)
-        structure, columns = taken.structure, {name: taken.values[name] for name in names}
+        rows_taken = rows.take(numbers)
+        structure, columns = rows_taken.structure, {name: rows_taken.values[name] for name in names}
     seconds = np.empty(len(structure))
-    for at, walk in enumerate(sweep.structures):
-        here = structure == at
+    for structure_walk, walk in enumerate(sweep.structures):
+        in_structure = structure == structure_walk
         values: dict[str, Any] = {
             name: value for name, value in walk.constants.items() if name in walk.setup.timing
         }
         values |= known(
-            {name: column[here] for name, column in columns.items() if name in walk.setup.timing}
+            {
+                name: column[in_structure]
+                for name, column in columns.items()
+                if name in walk.setup.timing
+            }
         )
         _, end = walk.run.seconds(walk.setup.cycle_rate(values))
-        seconds[here] = np.asarray(end, dtype=float)
+        seconds[in_structure] = np.asarray(end, dtype=float)
     if (total := seconds.sum()) > MOST_SECONDS:
         raise SpecError(
             f"the sweep simulates {total:.3g} s in {len(seconds):,} runs: allowed are {MOST_SECONDS:g} s; take shorter "
@@ -256,21 +266,31 @@ def known(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def first_few(numbers: np.ndarray) -> str:
     """The first few of some numbers, for a sentence: 3, 7, 11, 15 and 60 more."""
-    shown, more = sorted(np.asarray(numbers).tolist())[:_NAMED_BATCH], len(numbers) - _NAMED_BATCH
-    return ", ".join(map(str, shown)) + (f" and {more:,} more" if more > 0 else "")
+    shown_numbers, hidden_count = (
+        sorted(np.asarray(numbers).tolist())[:_NAMED_BATCH],
+        len(numbers) - _NAMED_BATCH,
+    )
+    return ", ".join(map(str, shown_numbers)) + (
+        f" and {hidden_count:,} more" if hidden_count > 0 else ""
+    )
 
 
 def keys_of_rows(sweep: Sweep, rows: Rows) -> np.ndarray:
     """The keys of runs, (n,): of their structures, values, draws and lengths, but not of their numbers or seeds."""
     keys = np.empty(len(rows), "S32")
-    for at in np.unique(rows.structure):
-        walk, here = sweep.structures[at], np.flatnonzero(rows.structure == at)
-        values = {name: np.full(len(here), value, float) for name, value in walk.fixed.items()}
-        values |= known({name: column[here] for name, column in rows.values.items()})
+    for structure_index in np.unique(rows.structure):
+        walk, structure_rows = (
+            sweep.structures[structure_index],
+            np.flatnonzero(rows.structure == structure_index),
+        )
+        values = {
+            name: np.full(len(structure_rows), value, float) for name, value in walk.fixed.items()
+        }
+        values |= known({name: column[structure_rows] for name, column in rows.values.items()})
         for name in (name for name in values if name.startswith("start.")):
             # A start in its place is that of a walk that does not name it.
             values[name] = np.where(values[name] == 0, np.nan, values[name])
-        keys[here] = keys_of(walk.identity, values, len(here))
+        keys[structure_rows] = keys_of(walk.identity, values, len(structure_rows))
     return keys
 
 
@@ -292,17 +312,17 @@ def series_table(sweep: Sweep, index: np.ndarray, series: Series) -> pa.Table:
         series: of n worlds or more, those of the chunk first.
     """
     chunk = series.first(len(index))
-    kept = np.arange(len(chunk.time)) < chunk.count[:, None]
+    is_recorded = np.arange(len(chunk.time)) < chunk.count[:, None]
     arrays = {
         "row": pa.array(np.repeat(index.astype(np.int64), chunk.count)),
-        "time": pa.array(np.broadcast_to(chunk.time, kept.shape)[kept]),
+        "time": pa.array(np.broadcast_to(chunk.time, is_recorded.shape)[is_recorded]),
     }
     fields = [
         _field("row", pa.int64(), "1", "position of the run in the sweep", "index"),
         _field("time", pa.float64(), "s", "since the start, warm-up included", "index"),
     ]
     for signal in signals_of(sweep):
-        arrays[signal.name] = pa.array(chunk.values[signal.name][kept])
+        arrays[signal.name] = pa.array(chunk.values[signal.name][is_recorded])
         fields.append(_field(signal.name, pa.float32(), signal.unit, signal.doc, "signal"))
     return pa.table(arrays, schema=pa.schema(fields, metadata={"sweep": sweep.digest()}))
 

@@ -88,7 +88,7 @@ class Listed(Checked):
             )
         return value
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
+    def schema(self, base: JsonSchema) -> JsonSchema:
         item = _ABOUT[self.name].json_schema_extra
         if self.name == "pilot":
             item = {
@@ -189,9 +189,9 @@ def choices_of(name: str) -> list[str]:
 def combinations_of(doc: Document, vary: Vary) -> list[dict[str, StructureValue]]:
     """Every combination of the varied structures, the first of the file slowest; one, of nothing, where none varies."""
     listed: dict[str, list[StructureValue]] = {}
-    for name, given in doc.data.get("vary", {}).items():
+    for name, values in doc.data.get("vary", {}).items():
         if name in STRUCTURES:
-            path = ("vary", name, "values") if isinstance(given, Mapping) else ("vary", name)
+            path = ("vary", name, "values") if isinstance(values, Mapping) else ("vary", name)
             listed[name] = [
                 StructureValue(value, (*path, i)) for i, value in enumerate(getattr(vary, name))
             ]
@@ -201,7 +201,10 @@ def combinations_of(doc: Document, vary: Vary) -> list[dict[str, StructureValue]
             ("vary",),
             f"makes {count:,} combinations of structures; allowed are {MOST_STRUCTURES:,}.",
         )
-    return [dict(zip(listed, each, strict=True)) for each in itertools.product(*listed.values())]
+    return [
+        dict(zip(listed, combination, strict=True))
+        for combination in itertools.product(*listed.values())
+    ]
 
 
 def read_structures(
@@ -223,30 +226,34 @@ def read_structures(
                 f"{choice.place or doc.where(choice.path)}: field '{name}' is varied and also given as "
                 f"'{name}': give it one source."
             )
-    found = []
-    for chosen in combinations:
+    structures = []
+    for combination in combinations:
         data = {
             key: value
             for key, value in doc.data.items()
-            if not chosen or key not in ("vary", "rows", "sample")
+            if not combination or key not in ("vary", "rows", "sample")
         }
-        data |= {name: choice.value for name, choice in chosen.items()}
-        single = _Alone(doc.source, data, doc.lines, chosen)
+        data |= {name: choice.value for name, choice in combination.items()}
+        single = _Alone(doc.source, data, doc.lines, combination)
         walk = read_walk(single, read(single, model))
-        fields = WalkSpec(**walk).walk_fields() if chosen else {}
-        found.append(Structure(**walk, labels={name: label_of(fields[name]) for name in chosen}))
-    return found
+        fields = WalkSpec(**walk).walk_fields() if combination else {}
+        structures.append(
+            Structure(**walk, labels={name: label_of(fields[name]) for name in combination})
+        )
+    return structures
 
 
 def check_repeats(
-    doc: Document, combinations: Sequence[Mapping[str, StructureValue]], found: Sequence[Structure]
+    doc: Document,
+    combinations: Sequence[Mapping[str, StructureValue]],
+    structures: Sequence[Structure],
 ) -> None:
     """Fail where a structure lists a value twice."""
-    seen: dict[tuple[str, str], FieldPath] = {}
-    for chosen, structure in zip(combinations, found, strict=True):
+    paths: dict[tuple[str, str], FieldPath] = {}
+    for combination, structure in zip(combinations, structures, strict=True):
         for name, label in structure.labels.items():
-            path = chosen[name].path
-            if seen.setdefault((name, label), path) != path:
+            path = combination[name].path
+            if paths.setdefault((name, label), path) != path:
                 doc.fail(path, f"lists {label} twice: every variant would be run twice.", name)
 
 
@@ -306,50 +313,52 @@ class RowTable:
     def combinations(self) -> tuple[list[dict[str, StructureValue]], np.ndarray]:
         """The different combinations of structures, and which one each row has, (n,)."""
         names = [name for name in self.columns if name in STRUCTURES]
-        found: dict[str, int] = {}
-        chosen: list[dict[str, StructureValue]] = []
-        which = np.zeros(self.rows, int)
+        index_of_text: dict[str, int] = {}
+        selected: list[dict[str, StructureValue]] = []
+        combination_of_row = np.zeros(self.rows, int)
         for row in range(self.rows):
-            given = {name: self.columns[name][row] for name in names}
-            given = {
+            row_values = {name: self.columns[name][row] for name in names}
+            row_values = {
                 name: str(getattr(Setup, name)) if value is None else value
-                for name, value in given.items()
+                for name, value in row_values.items()
             }
-            for name, value in given.items():
+            for name, value in row_values.items():
                 if not isinstance(value, (str, Mapping)):
                     self.fail(row, name, f"is {describe(value)}: expected a name.")
-            which[row] = found.setdefault(json.dumps(given), len(found))
-            if len(found) > len(chosen):
+            combination_of_row[row] = index_of_text.setdefault(
+                json.dumps(row_values), len(index_of_text)
+            )
+            if len(index_of_text) > len(selected):
                 values = {
                     name: value_of(value) if isinstance(value, str) else value
-                    for name, value in given.items()
+                    for name, value in row_values.items()
                 }
-                place = ("rows", row), self.place(row)
-                chosen.append(
-                    {name: StructureValue(value, *place) for name, value in values.items()}
+                location = ("rows", row), self.place(row)
+                selected.append(
+                    {name: StructureValue(value, *location) for name, value in values.items()}
                 )
-        return chosen, which
+        return selected, combination_of_row
 
 
-def read_row_table(doc: Document, given: Any) -> RowTable:
+def read_row_table(doc: Document, value: Any) -> RowTable:
     """The rows of a file's field `rows`, whose columns all are structures or parameters.
 
     Raises:
         SpecError: with the place of what is wrong.
     """
-    if isinstance(given, list):
-        names = list(dict.fromkeys(name for row in given for name in row))
+    if isinstance(value, list):
+        names = list(dict.fromkeys(name for row in value for name in row))
         table = RowTable(
-            {name: [row.get(name) for row in given] for name in names},
+            {name: [row.get(name) for row in value] for name in names},
             lambda row: doc.where(("rows", max(row, 0))),
             exact=True,
         )
     else:
-        path = Path(doc.source).parent / given if doc.lines else Path(given)
-        path = path if path.exists() else Path(given)
+        path = Path(doc.source).parent / value if doc.lines else Path(value)
+        path = path if path.exists() else Path(value)
         if not path.is_file():
             raise SpecError(
-                f"{doc.where(('rows',))}: field 'rows' is {given!r}: there is no such file."
+                f"{doc.where(('rows',))}: field 'rows' is {value!r}: there is no such file."
             )
         table = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
     for name in table.columns:
@@ -456,7 +465,7 @@ class RowsForm(Checked):
                 raise Refused(f"is {describe(row)}: {expected}.", at=(i,))
         return value
 
-    def schema(self, own: JsonSchema) -> JsonSchema:
+    def schema(self, base: JsonSchema) -> JsonSchema:
         row = by_parameter({})
         row["properties"] = {name: {"type": ["string", "object"]} for name in STRUCTURES} | row[
             "properties"
@@ -482,8 +491,8 @@ class RowList:
     def __len__(self) -> int:
         return len(self.structure)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, RowList) and self.fingerprint == other.fingerprint
+    def __eq__(self, candidate: object) -> bool:
+        return isinstance(candidate, RowList) and self.fingerprint == candidate.fingerprint
 
     def __hash__(self) -> int:
         return hash(self.fingerprint)
@@ -500,27 +509,30 @@ class RowList:
 
     def written(self, structures: Sequence[Structure]) -> list[dict[str, Any]]:
         """The rows as they stand in a sweep file."""
-        chosen = [{name: each.written(name) for name in each.labels} for each in structures]
+        labels = [
+            {name: structure.written(name) for name in structure.labels} for structure in structures
+        ]
         columns = {name: column.tolist() for name, column in self.values.items()}
         return [
-            chosen[at]
+            labels[structure_index]
             | {name: column[i] for name, column in columns.items() if column[i] == column[i]}
-            for i, at in enumerate(self.structure.tolist())
+            for i, structure_index in enumerate(self.structure.tolist())
         ]
 
     def file(self, structures: Sequence[Structure]) -> tuple[str, bytes]:
         """Name and content of a Parquet file with the rows, for a directory; its name tells its content."""
         arrays: dict[str, pa.Array] = {}
         for name in structures[0].labels:
-            given = [each.written(name) for each in structures]
+            labels = [structure.written(name) for structure in structures]
             texts = np.array(
-                [label_of(text) if isinstance(text, Mapping) else text for text in given], object
+                [label_of(text) if isinstance(text, Mapping) else text for text in labels], object
             )
             arrays[name] = pa.array(texts[self.structure].tolist(), pa.string())
         for name, column in self.values.items():
             arrays[name] = pa.array(column, pa.float64(), from_pandas=True)
         fields = [
-            pa.field(name, each.type, metadata={"role": "varied"}) for name, each in arrays.items()
+            pa.field(name, structure.type, metadata={"role": "varied"})
+            for name, structure in arrays.items()
         ]
         content = parquet_bytes(pa.table(arrays, schema=pa.schema(fields)))
         return f"rows-{hashlib.sha256(content).hexdigest()[:8]}.parquet", content
@@ -548,28 +560,35 @@ def listed_rows(
         for name in table.columns
         if name not in STRUCTURES
     }
-    for at, each in enumerate(structures):
+    for structure_index, walk in enumerate(structures):
         for name, column in values.items():
-            lacks, given = unread(each.setup, name), (structure == at) & ~np.isnan(column)
+            lacks, is_given = (
+                unread(walk.setup, name),
+                (structure == structure_index) & ~np.isnan(column),
+            )
             if lacks is None:
-                column[(structure == at) & ~given] = each.setup.defaults()[name]
-            elif given.any():
-                why = f"it is read only with {lacks[0]}: {lacks[1]}, and {lacks[0]} is {getattr(each.setup, lacks[0])}"
-                table.fail(int(given.argmax()), name, f"has no effect: {why}; leave it out here.")
+                column[(structure == structure_index) & ~is_given] = walk.setup.defaults()[name]
+            elif is_given.any():
+                why = f"it is read only with {lacks[0]}: {lacks[1]}, and {lacks[0]} is {getattr(walk.setup, lacks[0])}"
+                table.fail(
+                    int(is_given.argmax()), name, f"has no effect: {why}; leave it out here."
+                )
     content = np.column_stack([structure.astype(float), *values.values()])
     first: dict[bytes, int] = {}
     for row in range(len(content)):
-        before = first.setdefault(content[row].tobytes(), row)
-        if before != row and table.exact:
+        former_row = first.setdefault(content[row].tobytes(), row)
+        if former_row != row and table.exact:
             raise SpecError(
-                f"{table.place(row)}: a row is the same as that of {table.place(before)}: "
+                f"{table.place(row)}: a row is the same as that of {table.place(former_row)}: "
                 "every run would be made twice; for repeats use randomize.repeats."
             )
-    kept = np.array(list(first.values()))
-    return RowList({name: column[kept] for name, column in values.items()}, structure[kept])
+    kept_rows = np.array(list(first.values()))
+    return RowList(
+        {name: column[kept_rows] for name, column in values.items()}, structure[kept_rows]
+    )
 
 
-def _numbers(table: RowTable, name: str, about: Quantity) -> np.ndarray:
+def _numbers(table: RowTable, name: str, declaration: Quantity) -> np.ndarray:
     column = np.full(table.rows, math.nan)
     for row, value in enumerate(table.columns[name]):
         if value is None:
@@ -577,19 +596,19 @@ def _numbers(table: RowTable, name: str, about: Quantity) -> np.ndarray:
         try:
             if isinstance(value, (bool, bytes)):
                 raise ValueError
-            number = about.number(value) if isinstance(value, str) else None
+            number = declaration.number(value) if isinstance(value, str) else None
             column[row] = settled(float(value if number is None else number))
         except (TypeError, ValueError, OverflowError):
             comma = re.fullmatch(r"\s*-?\d*,\d+\s*", str(value))
-            expected = "expected a number with a point." if comma else about.expected
+            expected = "expected a number with a point." if comma else declaration.expected
             table.fail(row, name, f"is {describe(value)}: {expected}")
-    given = np.flatnonzero(~np.isnan(column))
+    given_rows = np.flatnonzero(~np.isnan(column))
     with contextlib.suppress(ParameterError):
-        about.check(name, column[given])
+        declaration.check(name, column[given_rows])
         return column
-    for row in given.tolist():
+    for row in given_rows.tolist():
         try:
-            about.check(name, column[row])
+            declaration.check(name, column[row])
         except ParameterError as error:
             table.fail(row, name, str(error).removeprefix(f"{name} "))
     return column

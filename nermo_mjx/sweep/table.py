@@ -62,7 +62,7 @@ def chunk_table(
     metrics: Mapping[str, np.ndarray],
     status: np.ndarray,
     code: str | np.ndarray,
-    about: Mapping[str, Any],
+    metadata: Mapping[str, Any],
 ) -> pa.Table:
     """The table of one chunk.
 
@@ -70,7 +70,7 @@ def chunk_table(
         rows: the runs of the chunk, and `index` their positions in the sweep, (n,).
         metrics: name -> (n,) results; status: (n,) texts, "ok" where a run went well.
         code: short name of the code that made them, or (n,) names.
-        about: what to note about the chunk in the schema's metadata (engine, steps, ...).
+        metadata: what to note about the chunk in the schema's metadata (engine, steps, ...).
     """
     columns = Columns()
     parameters = sweep.parameters
@@ -86,7 +86,7 @@ def chunk_table(
             "body", rows.body, "index", "1", "body of the identified ensemble; 0 is the default one"
         )
     for name in sweep.labelled:
-        labels = np.array([each.labels[name] for each in sweep.structures], object)[rows.structure]
+        labels = np.array([walk.labels[name] for walk in sweep.structures], object)[rows.structure]
         columns.add(name, labels, "varied", "1", about_structure(name), scale="structure")
     for name, values in rows.values.items():
         role = "varied" if name in sweep.varied else "randomized"
@@ -104,14 +104,14 @@ def chunk_table(
     columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler
     pairs = {"second_order": "true"} if sweep.second_order else {}
-    profiles = dict.fromkeys(each.setup.profile for each in sweep.structures)
+    profiles = dict.fromkeys(walk.setup.profile for walk in sweep.structures)
     return columns.table(
         {
             "sweep": sweep.digest(),
             "sampler": sampler,
             "profile": " ".join(profiles),
             **pairs,
-            **about,
+            **metadata,
         }
     )
 
@@ -120,9 +120,9 @@ def joined(parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
     """One table of several, its rows in the order of their numbers in `index`; what one does not know is null."""
     table = pa.concat_tables(parts, promote_options="default")
     order = np.argsort(index, kind="stable")
-    place = np.empty(len(index), int)
-    place[order] = np.argsort(table.column("row").to_numpy(), kind="stable")
-    return table.take(place)
+    positions = np.empty(len(index), int)
+    positions[order] = np.argsort(table.column("row").to_numpy(), kind="stable")
+    return table.take(positions)
 
 
 def columns_of(table: Any, *roles: str) -> list[str]:
@@ -229,9 +229,9 @@ class SweepRecord:
         if (content := content_of(out / SWEEP_RECORD_FILE)) is None:
             return None
         try:
-            found: SweepRecord = read_as(content, cls, out / SWEEP_RECORD_FILE)
-            if isinstance(found.fields.get("set"), dict):
-                return found
+            record: SweepRecord = read_as(content, cls, out / SWEEP_RECORD_FILE)
+            if isinstance(record.fields.get("set"), dict):
+                return record
         except FileError:
             pass
         raise DirectoryError(
@@ -280,7 +280,7 @@ class Results:
         self._order = _order(table, once=not isinstance(source, pa.Table))
         self.rows, status = len(self._order), table.column("status").take(self._order)
         self.well = pc.equal(status, "ok").to_numpy()
-        counts = {each["values"]: each["counts"] for each in pc.value_counts(status).to_pylist()}
+        counts = {entry["values"]: entry["counts"] for entry in pc.value_counts(status).to_pylist()}
         self.statuses: dict[str, int] = dict(sorted(counts.items()))
 
     @property
@@ -311,17 +311,17 @@ class Results:
         """Some columns, in the order of the files."""
         if isinstance(self._source, pa.Table):
             return self._source.select(names)
-        wanted = pa.schema([self.schema.field(name) for name in names]).empty_table()
-        joined = [wanted]
+        empty = pa.schema([self.schema.field(name) for name in names]).empty_table()
+        tables = [empty]
         for start in range(0, len(self._source), _JOINED):
-            few = [wanted]
+            batch = [empty]
             for path in self._source[start : start + _JOINED]:
                 with opened_part(path) as file:
                     # With `row`, which each has: without any column it would have no rows.
-                    read = file.read([*dict.fromkeys(["row", *names])], use_threads=False)
-                    few.append(read.replace_schema_metadata(None))
-            joined.append(joined_tables(few, path).select(names).combine_chunks())
-        table = _with_gaits_named(pa.concat_tables(joined))
+                    part_table = file.read([*dict.fromkeys(["row", *names])], use_threads=False)
+                    batch.append(part_table.replace_schema_metadata(None))
+            tables.append(joined_tables(batch, path).select(names).combine_chunks())
+        table = _with_gaits_named(pa.concat_tables(tables))
         for name, column in zip(table.column_names, table.columns, strict=True):
             # What the code of some rows did not know is null, but none of these.
             if column.null_count and (
@@ -358,18 +358,20 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
         joined_tables([part.replace_schema_metadata(metadata) for part in parts], out)
     )
     del parts
-    known = "row" in table.column_names and not table.column("row").null_count
-    if not known or not pa.types.is_integer(table.schema.field("row").type):
+    has_rows = "row" in table.column_names and not table.column("row").null_count
+    if not has_rows or not pa.types.is_integer(table.schema.field("row").type):
         raise DirectoryError(
             f"{out} has results without their numbers, in the column 'row': run the same command again."
         )
     order = _order(table, once=True)
     if len(order) < table.num_rows:
         table, order = table.take(order), np.arange(len(order))
-    for place, field in enumerate(
+    for column_index, field in enumerate(
         table.schema
     ):  # column by column, so that none but one is there twice
-        table = table.set_column(place, field, table.column(place).combine_chunks().take(order))
+        table = table.set_column(
+            column_index, field, table.column(column_index).combine_chunks().take(order)
+        )
     return table
 
 
@@ -390,11 +392,11 @@ def joined_tables(tables: Sequence[pa.Table], where: object) -> pa.Table:
 
 def _with_gaits_named(table: pa.Table) -> pa.Table:
     """The table with the names of gaits in the place of the author's codes, which former versions wrote."""
-    for place, field in enumerate(table.schema):
+    for column_index, field in enumerate(table.schema):
         if field.name == "gait" and pa.types.is_string(field.type):
-            written = table.column(place).to_pylist()
-            named = pa.array([GAIT_CODES.get(gait, gait) for gait in written], field.type)
-            table = table.set_column(place, field, named)
+            codes = table.column(column_index).to_pylist()
+            gait_names = pa.array([GAIT_CODES.get(gait, gait) for gait in codes], field.type)
+            table = table.set_column(column_index, field, gait_names)
     return table
 
 
@@ -413,25 +415,27 @@ def _common(schema: pa.Schema) -> dict[bytes, bytes]:
 
 def sweep_status(out: Path) -> Status:
     """How many runs of its sweep a directory holds."""
-    notes, rows, done, engines = list[str](), None, 0, list[str]()
+    notes, rows, run_count, engines = list[str](), None, 0, list[str]()
     try:
         sweep = SweepRecord.of_directory(out)
         rows = None if sweep is None else sweep.rows
     except DirectoryError as error:
         notes.append(str(error))
     for path in part_files(out):
-        if about := metadata_of(path, notes, "its runs will be made again."):
-            done += about.num_rows
-            engines.append((about.metadata or {}).get(b"engine", b"").decode())
-    if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):
-        notes.append(f"{kept} of its runs {'are' if kept > 1 else 'is'} recorded in {RECORDINGS}/.")
-    complete = rows is not None and done >= rows and (out / "summary.json").exists()
+        if metadata := metadata_of(path, notes, "its runs will be made again."):
+            run_count += metadata.num_rows
+            engines.append((metadata.metadata or {}).get(b"engine", b"").decode())
+    if recording_count := len(list((out / RECORDINGS).glob("row-*.npz"))):
+        notes.append(
+            f"{recording_count} of its runs {'are' if recording_count > 1 else 'is'} recorded in {RECORDINGS}/."
+        )
+    complete = rows is not None and run_count >= rows and (out / "summary.json").exists()
     # The figures need no simulation; the others are distinguished by the table's columns.
     engine = ", ".join(dict.fromkeys(filter(None, engines))) or None
     return status_of(
         "runs",
         out,
-        done,
+        run_count,
         rows,
         complete,
         command="sweep",
@@ -459,12 +463,12 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
     results = table if isinstance(table, Results) else Results(table)
     well = results.well
     varied, metrics = columns_of(results, "varied"), columns_of(results, "metric")
-    named = labelled(results)
+    labels = labelled(results)
     columns = results.columns(["variant", LEADING, *columns_of(results, "varied", "randomized")])
     variants = Variants.of(next(columns)[1])
     speed, correlations = next(columns)[1], {}
     for name, values in columns:
-        if name not in named:
+        if name not in labels:
             correlations[name] = rank_correlation(values[well], speed[well])
         if name in varied:
             variants.values[name] = values[variants.first]
@@ -476,21 +480,25 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         spreads[name]["lost"] = float(1 - good.mean())
         if name in sides and (name in MAIN_METRICS or name not in METRICS):
             best[name] = _best(results, variants, values, good, sides[name])
-        if name == LEADING and named:
-            texts = list(zip(*(variants.values[each] for each in named), strict=True))
-            for each in dict.fromkeys(texts):
-                own = np.array([text == each for text in texts])
-                leading.append(_best(results, variants, values, good, sides[name], own))
+        if name == LEADING and labels:
+            texts = list(zip(*(variants.values[label_text] for label_text in labels), strict=True))
+            for label_text in dict.fromkeys(texts):
+                is_of_text = np.array([text == label_text for text in texts])
+                leading.append(_best(results, variants, values, good, sides[name], is_of_text))
     tally = variants.tally(speed, counts(LEADING, speed, well))
     marginal: dict[str, list[dict[str, Any]]] = {}  # over everything else
     for name in varied if results.is_grid else ():
         column, marginal[name] = variants.values[name], []
         for value in np.unique(column[column == column]).tolist():
-            here = column == value
-            if np.isfinite(tally.mean[here]).any():
-                lost = float(1 - tally.count[here].sum() / tally.runs[here].sum())
+            is_value = column == value
+            if np.isfinite(tally.mean[is_value]).any():
+                lost_share = float(1 - tally.count[is_value].sum() / tally.runs[is_value].sum())
                 marginal[name].append(
-                    {"value": value, LEADING: float(np.nanmean(tally.mean[here])), "lost": lost}
+                    {
+                        "value": value,
+                        LEADING: float(np.nanmean(tally.mean[is_value])),
+                        "lost": lost_share,
+                    }
                 )
     return {
         "rows": results.rows,
@@ -518,9 +526,9 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
     variants = Variants.of(next(columns)[1])
     speed = next(columns)[1]
     mean = variants.tally(speed, counts(LEADING, speed, results.well)).mean
-    known = np.isfinite(mean)
-    values = {name: column[variants.first][known] for name, column in columns}
-    ratio, base = _spine_ratio(values, mean[known])
+    is_finite = np.isfinite(mean)
+    values = {name: column[variants.first][is_finite] for name, column in columns}
+    ratio, base = _spine_ratio(values, mean[is_finite])
     return {**values, "ratio": ratio, "base": base}
 
 
@@ -530,39 +538,44 @@ def _best(
     values: np.ndarray,
     good: np.ndarray,
     side: str,
-    among: np.ndarray | None = None,
+    candidates: np.ndarray | None = None,
 ) -> dict[str, Any] | None:
     """The variant with the best mean over its repeats of a metric (runs,) with a better direction, of those `among`
     (variants,); one with lost runs comes after all with fewer of them."""
     tally = variants.tally(values, good)
     ranked = tally.ranked(side)
-    ranked = ranked if among is None else ranked[among[ranked]]
+    ranked = ranked if candidates is None else ranked[candidates[ranked]]
     if not len(ranked):
         return None
-    at = int(ranked[0])
-    own = variants.place == at
-    mean, one = float(tally.mean[at]), tally.count[at] < 2  # whose spread is unknown
+    best_index = int(ranked[0])
+    best_rows = variants.place == best_index
+    mean, is_single = (
+        float(tally.mean[best_index]),
+        tally.count[best_index] < 2,
+    )  # whose spread is unknown
     return {
         "side": side,
-        "variant": int(variants.number[at]),
+        "variant": int(variants.number[best_index]),
         "mean": mean,
-        "low": None if one else mean - float(tally.half[at]),
-        "high": None if one else mean + float(tally.half[at]),
-        "std": None if one else float(tally.std[at]),
-        "runs": int(tally.count[at]),
-        "lost": float(tally.lost[at]),
-        "why": losses(results.column("status")[own], good[own]) if tally.lost[at] else {},
-        "parameters": _plain_number(variants.values, at),
+        "low": None if is_single else mean - float(tally.half[best_index]),
+        "high": None if is_single else mean + float(tally.half[best_index]),
+        "std": None if is_single else float(tally.std[best_index]),
+        "runs": int(tally.count[best_index]),
+        "lost": float(tally.lost[best_index]),
+        "why": losses(results.column("status")[best_rows], good[best_rows])
+        if tally.lost[best_index]
+        else {},
+        "parameters": _plain_number(variants.values, best_index),
     }
 
 
-def _plain_number(values: Mapping[str, np.ndarray], at: int) -> dict[str, Any]:
+def _plain_number(values: Mapping[str, np.ndarray], index: int) -> dict[str, Any]:
     """The varied parameters and structures of a variant, as far as it has them."""
-    parts = {name: column[at] for name, column in values.items()}
+    parts = {name: column[index] for name, column in values.items()}
     return {
-        name: each if isinstance(each, str) else float(each)
-        for name, each in parts.items()
-        if each == each
+        name: column_values if isinstance(column_values, str) else float(column_values)
+        for name, column_values in parts.items()
+        if column_values == column_values
     }
 
 
@@ -580,8 +593,8 @@ def _spine_ratio(
     group = np.zeros(len(speed), int)  # a number for each group of equal rows
     for name, column in values.items():
         if name not in ("spine", "spine.amplitude", "spine.phase"):
-            distinct, place = np.unique(column, return_inverse=True)
-            group = np.unique(group * len(distinct) + place, return_inverse=True)[1]
+            distinct, distinct_index = np.unique(column, return_inverse=True)
+            group = np.unique(group * len(distinct) + distinct_index, return_inverse=True)[1]
     still = ~(values["spine.amplitude"] > 0) & np.isfinite(
         speed
     )  # a structure without it has no number
@@ -601,27 +614,27 @@ def _spine_gain(values: Mapping[str, np.ndarray], tally: Tally) -> list[dict[str
     ratio = np.where(values["spine.amplitude"] > 0, ratio, math.nan)
     lines = []
     for frequency in np.unique(values["frequency"]) if "frequency" in values else [None]:
-        here = np.isfinite(ratio) & (
+        is_candidate = np.isfinite(ratio) & (
             True if frequency is None else values["frequency"] == frequency
         )
         line: dict[str, Any] = {} if frequency is None else {"frequency": float(frequency)}
         for word, pick in (("best", np.argmax), ("worst", np.argmin)):
-            if here.any():
-                here &= tally.lost == tally.lost[here].min()
-                at = int(np.flatnonzero(here)[pick(ratio[here])])
+            if is_candidate.any():
+                is_candidate &= tally.lost == tally.lost[is_candidate].min()
+                best_index = int(np.flatnonzero(is_candidate)[pick(ratio[is_candidate])])
                 parameters = {
-                    name: each
-                    for name, each in _plain_number(values, at).items()
+                    name: number
+                    for name, number in _plain_number(values, best_index).items()
                     if name != "frequency"
                 }
                 line[word] = {
-                    "ratio": float(ratio[at]),
-                    "speed": float(speed[at]),
-                    "speed_without": float(base[at]),
-                    "lost": float(tally.lost[at]),
+                    "ratio": float(ratio[best_index]),
+                    "speed": float(speed[best_index]),
+                    "speed_without": float(base[best_index]),
+                    "lost": float(tally.lost[best_index]),
                     "parameters": parameters,
                 }
-        lines += [line] if here.any() else []
+        lines += [line] if is_candidate.any() else []
     return lines
 
 
@@ -634,7 +647,7 @@ TABLE_SUFFIXES: Final = (".parquet", ".csv")
 
 
 def write_report(
-    out: Path, kind: str, table: pa.Table, about: Mapping[str, Any], figures: Figures
+    out: Path, kind: str, table: pa.Table, metadata: Mapping[str, Any], figures: Figures
 ) -> tuple[list[Path], str]:
     """Write a report, and return its files, and a message about files that were in the way, empty if there were none.
 
@@ -642,7 +655,7 @@ def write_report(
         out: FILE.csv or FILE.parquet for the table alone, else a directory: KIND.parquet, KIND.json and plots/.
         kind: of the directory: "comparison" or "sensitivity".
         table: what was found.
-        about: the same for JSON.
+        metadata: the same for JSON.
         figures: of it.
 
     Raises:
@@ -662,12 +675,12 @@ def write_report(
         raise ParameterError(
             f"out is {str(out)!r}: allowed is a directory, FILE.parquet or FILE.csv."
         )
-    with RunDirectory(out, kind) as held, Written(held) as written:
-        paths = [held.out / f"{kind}.parquet", held.out / f"{kind}.json"]
-        for path, content in zip(paths, (parquet_bytes(table), to_json(about)), strict=True):
+    with RunDirectory(out, kind) as directory, Written(directory) as written:
+        paths = [directory.out / f"{kind}.parquet", directory.out / f"{kind}.json"]
+        for path, content in zip(paths, (parquet_bytes(table), to_json(metadata)), strict=True):
             written.write(path, content)
-        paths += write_figures(figures, held.out / "plots", written.write)
-        held.note_session(session())
+        paths += write_figures(figures, directory.out / "plots", written.write)
+        directory.note_session(session())
     return paths, written.sentence()
 
 
