@@ -63,32 +63,39 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     # A joint's anchor and axis, in the frame of its body's parent, before the joints after it on the same body.
     anchors, axes = jnp.zeros((model.njnt, 3), qpos.dtype), jnp.zeros((model.njnt, 3), qpos.dtype)
     nth = np.array([np.sum(bodies[:joint] == body) for joint, body in enumerate(bodies)], int)
-    for each in range(
+    for level in range(
         nth.max(initial=-1) + 1
     ):  # the first joints of all bodies, then the second ones, and so on
-        joints = np.flatnonzero(nth == each)
-        at = bodies[joints]
-        offset, before = model.jnt_pos[joints], orientation[at]
-        anchor = spatial.rotate(offset, before) + position[at]
+        joints = np.flatnonzero(nth == level)
+        level_bodies = bodies[joints]
+        offset, before = model.jnt_pos[joints], orientation[level_bodies]
+        anchor = spatial.rotate(offset, before) + position[level_bodies]
         axis = spatial.rotate(model.jnt_axis[joints], before)
         after = spatial.product(before, turns[joints])
         moved = anchor - spatial.rotate(offset, after) + axis * slides[joints, None]
         free = (kinds[joints] == FREE_JOINT)[:, None]
         if free.any():
             first = np.where(free[:, 0], np.asarray(model.jnt_qposadr)[joints], 0)
-            place = qpos[first[:, None] + np.arange(3)]
+            free_position = qpos[first[:, None] + np.arange(3)]
             anchor, moved, after = (
                 jnp.where(free, new, old)
-                for new, old in ((place, anchor), (place, moved), (turns[joints], after))
+                for new, old in (
+                    (free_position, anchor),
+                    (free_position, moved),
+                    (turns[joints], after),
+                )
             )
             axis = jnp.where(free, np.array([0.0, 0.0, 1.0]), axis)
         anchors, axes = anchors.at[joints].set(anchor), axes.at[joints].set(axis)
-        position, orientation = position.at[at].set(moved), orientation.at[at].set(after)
+        position, orientation = (
+            position.at[level_bodies].set(moved),
+            orientation.at[level_bodies].set(after),
+        )
     if model.nmocap:  # children of the world, without joints
         led = np.flatnonzero(np.asarray(model.body_mocapid) >= 0)
-        chosen = np.asarray(model.body_mocapid)[led]
-        position = position.at[led].set(data.mocap_pos[chosen])
-        orientation = orientation.at[led].set(spatial.normalized(data.mocap_quat[chosen]))
+        mocap_index = np.asarray(model.body_mocapid)[led]
+        position = position.at[led].set(data.mocap_pos[mocap_index])
+        orientation = orientation.at[led].set(spatial.normalized(data.mocap_quat[mocap_index]))
     position, orientation = _in_the_world(np.asarray(model.body_parentid), position, orientation)
     above = np.asarray(model.body_parentid)[bodies]
     anchors = position[above] + spatial.rotate(anchors, orientation[above])

@@ -291,12 +291,14 @@ def run_experiments(
     settings = Settings(profiles, repeats, seed, quick, values or {}, policy)
     # Values set for all worlds also apply to the bodies.
     several = {} if bodies is None else draw(bodies, seed)
-    several = {name: of for name, of in several.items() if name not in settings.values}
+    several = {
+        name: body_values for name, body_values in several.items() if name not in settings.values
+    }
     _check_values(requested, settings)
     resolve_engine(engine)
     directory = Directory(out)
     with (
-        RunDirectory(out, "experiments") as held,
+        RunDirectory(out, "experiments") as run_directory,
         resumable(directory.out),
         contextlib.ExitStack() as stack,
     ):
@@ -304,28 +306,34 @@ def run_experiments(
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         computer = Simulation(resolve_engine(engine))
-        call = _Call(Written(held), directory, settings, several, again, video and not quick, watch)
+        call = _Call(
+            Written(run_directory), directory, settings, several, again, video and not quick, watch
+        )
         # All are looked up before anything runs, so that an error costs no simulation.
-        stored = {chosen.name: None if again else call.stored(chosen) for chosen in requested}
+        stored = {
+            experiment.name: None if again else call.stored(experiment) for experiment in requested
+        }
         holds_rows = any(directory.out.glob("*/results/*.parquet"))
         code, accept = computer.stamp(), again or accept_new_code
-        held.take_code(code, holds_rows=holds_rows, accept=accept)
+        run_directory.take_code(code, holds_rows=holds_rows, accept=accept)
         if policy is not None:
-            held.write(policy.file, policy.content)
+            run_directory.write(policy.file, policy.content)
         if several or None in stored.values():
-            held.note_session(session(experiments=list(stored)))
+            run_directory.note_session(session(experiments=list(stored)))
         works = [
-            work for chosen in requested for work in call.works(chosen, stored[chosen.name], stack)
+            work
+            for experiment in requested
+            for work in call.works(experiment, stored[experiment.name], stack)
         ]
-        finished, left, results = (
+        finished, remaining, results = (
             finish(works, computer, workers or LocalWorkers(), accept),
             list(works),
             [],
         )
-        for chosen in requested:
-            while any(work.job.label.partition(",")[0] == chosen.name for work in left):
-                left.remove(next(finished))
-            results.append(call.result(chosen, stored[chosen.name], code))
+        for experiment in requested:
+            while any(work.job.label.partition(",")[0] == experiment.name for work in remaining):
+                remaining.remove(next(finished))
+            results.append(call.result(experiment, stored[experiment.name], code))
         report = directory.report(call.written, EXPERIMENTS)
         return ExperimentsResult(directory.out, tuple(results), report)
 
@@ -480,43 +488,45 @@ class _Call:
         content = dict.fromkeys(sorted(PROFILES), values)
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
-    def result(self, chosen: Experiment, kept: Stored | None, code: CodeStamp) -> ExperimentResult:
+    def result(
+        self, experiment: Experiment, former_result: Stored | None, code: CodeStamp
+    ) -> ExperimentResult:
         """Everything derived from new or stored results."""
-        written, out, name = self.written, self.directory.out, chosen.name
-        stored = kept or self.directory.load(name)
+        written_files, out, name = self.written, self.directory.out, experiment.name
+        stored = former_result or self.directory.load(name)
         if stored is None:
             raise DirectoryError(
                 f"{self.directory.folder(name)} was written but cannot be read back: run the same command again."
             )
-        if kept is not None:
-            self._warn_of_code(name, kept, code)
+        if former_result is not None:
+            self._warn_of_code(name, former_result, code)
         several = self.directory.load(name, bodies=True)
         lines = published_lines(
-            stored.outcome, several.outcome if several else None, chosen.figures
+            stored.outcome, several.outcome if several else None, experiment.figures
         )
         if stored.about["settings"].get(
             "controller"
         ):  # reasons were found for the published controller
             lines = [dataclasses.replace(line, reason="") for line in lines]
-        former = (self.directory.entry(name) if kept is not None else None) or {}
+        former = (self.directory.entry(name) if former_result is not None else None) or {}
         # The files derived from the results are added once they exist.
-        entry = entry_of(chosen.title, stored.outcome, stored.about, lines) | {
-            "table": written.name(stored.table),
-            "recordings": [written.name(path) for path in stored.recordings],
+        entry = entry_of(experiment.title, stored.outcome, stored.about, lines) | {
+            "table": written_files.name(stored.table),
+            "recordings": [written_files.name(path) for path in stored.recordings],
             "bodies": several.about["bodies"] if several else None,
             "finished": False,
             **{key: former.get(key, []) for key in ("plots", "videos", "notes")},
         }
-        self._publish(chosen, entry)
-        plots = self._plots(chosen, stored.outcome, lines)
-        entry["plots"] = [written.name(plot) for plot in plots]
-        old = [file for file in written.known if file.startswith(f"plots/{name}-")]
-        written.remove([file for file in old if file not in entry["plots"]])
-        entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"])
-        self._publish(chosen, entry | {"finished": True})
-        if written.aside:
-            self.watch.warn(f"{name}: {written.sentence()}")
-            written.aside.clear()
+        self._publish(experiment, entry)
+        plots = self._plots(experiment, stored.outcome, lines)
+        entry["plots"] = [written_files.name(plot) for plot in plots]
+        old = [file for file in written_files.known if file.startswith(f"plots/{name}-")]
+        written_files.remove([file for file in old if file not in entry["plots"]])
+        entry["videos"], entry["notes"] = self._videos(experiment, stored.outcome, entry["videos"])
+        self._publish(experiment, entry | {"finished": True})
+        if written_files.aside:
+            self.watch.warn(f"{name}: {written_files.sentence()}")
+            written_files.aside.clear()
         return ExperimentResult(
             name=name,
             out=out,
@@ -526,7 +536,7 @@ class _Call:
             plots=tuple(plots),
             recordings=stored.recordings,
             videos=tuple(out / video["file"] for video in entry["videos"]),
-            kept=kept is not None,
+            kept=former_result is not None,
             notes=tuple(entry["notes"]),
         )
 

@@ -95,17 +95,17 @@ class Stand:
         joint_ids = [i for i in range(model.njnt) if chain_of(model.joint(i).name) == joint]
         return float(sum(self.data.qpos[model.jnt_qposadr[i]] for i in joint_ids))
 
-    def held(self, site: str, direction: Sequence[float], most: float) -> float:
+    def held(self, site: str, direction: Sequence[float], largest_force: float) -> float:
         """The force along a direction at a site [N], growing slowly, at which a servo reaches its torque limit.
 
         NaN if none does up to `most` [N].
         """
-        model, data, at = self.model, self.data, self.model.site(site).id
-        body, steps = int(model.site_bodyid[at]), self._steps(SLOW)
+        model, data, site_id = self.model, self.data, self.model.site(site).id
+        body, steps = int(model.site_bodyid[site_id]), self._steps(SLOW)
         limit = _SATURATED * model.actuator_forcerange[:, 1]
         for step in range(steps):
-            force = most * step / steps * np.asarray(direction)
-            arm = data.site_xpos[at] - data.xipos[body]
+            force = largest_force * step / steps * np.asarray(direction)
+            arm = data.site_xpos[site_id] - data.xipos[body]
             data.xfrc_applied[body] = np.concatenate([force, np.cross(arm, force)])
             mujoco.mj_step(model, data)
             if (np.abs(data.actuator_force) > limit).any():
@@ -163,17 +163,19 @@ def _measured(
     count = max(settings.body_count, 1)
     for i in range(count):
         values = {**settings.values} | {
-            parameter: float(of[i]) for parameter, of in (settings.bodies or {}).items()
+            parameter: float(body_values[i])
+            for parameter, body_values in (settings.bodies or {}).items()
         }
         parameters = replace_quantities(
-            ModelParameters(), {of: np.asarray(value) for of, value in values.items()}
+            ModelParameters(),
+            {body_values: np.asarray(value) for body_values, value in values.items()},
         )
         check_quantities(parameters)
         numbered = {BODY: i + 1} if settings.bodies else {}
         for case in cases:
-            found = measure(parameters, **case)
+            measurements = measure(parameters, **case)
             rows += [
-                {"profile": profile, **numbered, **case, "repeat": 0, **found}
+                {"profile": profile, **numbered, **case, "repeat": 0, **measurements}
                 for profile in settings.profiles
             ]
             if settings.progress:

@@ -138,7 +138,7 @@ class Policy:
 
     @classmethod
     def of(
-        cls, environment: Environment, learned: Learned, about: Mapping[str, Any] | None = None
+        cls, environment: Environment, learned: Learned, metadata: Mapping[str, Any] | None = None
     ) -> Policy:
         """What was `learned` in an environment; `about` is further content of the file: the `judged` physics and time
         step [s] where they are not the environment's.
@@ -166,8 +166,8 @@ class Policy:
         if code:
             source = Source.named("observe has", code, OBJECT_FORM)
             groups = [name for name, _ in environment.loop.observer.own]
-            about = {
-                **(about or {}),
+            metadata = {
+                **(metadata or {}),
                 "own": {"file": Path(code).name, "digest": source.digest(), "groups": groups},
             }
         declarations = dict(quantities(setup.world({}).control))
@@ -184,7 +184,7 @@ class Policy:
             task.decimation,
             {name: getattr(setup, name) for name in BASE_CHOICES},
             fixed | normalized,
-            {**(about or {}), "judged": (about or {}).get("judged", judged_in(setup))},
+            {**(metadata or {}), "judged": (metadata or {}).get("judged", judged_in(setup))},
         )
 
     def upon(self, **choices: Any) -> Policy:

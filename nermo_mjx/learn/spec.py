@@ -471,10 +471,10 @@ def _read_task(doc: Document, file: TrainingFile, walk: Mapping[str, Any]) -> Ta
         task = dataclasses.replace(task, bodies=file.randomize.bodies)
     with _refusals(doc, "task"):
         for field in ("observe", "rewards", "terminations"):
-            for each in filter(is_own, getattr(task, field)):
-                if not isinstance(each, str):
+            for reference in filter(is_own, getattr(task, field)):
+                if not isinstance(reference, str):
                     raise ParameterError(
-                        f"{field} has {own_name(each)}: name it as {OBJECT_FORM}, as a file can."
+                        f"{field} has {own_name(reference)}: name it as {OBJECT_FORM}, as a file can."
                     )
         task = task.with_own(functools.partial(code_beside, doc))
         code_place(task.observe)
@@ -497,10 +497,10 @@ def _read_scenes(
     if file.scenes is not None and len(scenes) < 2:
         doc.fail(("scenes",), f"has {len(scenes)}: expected two or more; one alone is 'scene'.")
     loops = {}
-    for i, each in enumerate(scenes):
+    for i, scene_fields in enumerate(scenes):
         with _refusals(doc, "scenes", i):
-            each.task.check(each.setup)
-            loops[str(each.setup.scene)] = _try_out(each.setup, each.task)
+            scene_fields.task.check(scene_fields.setup)
+            loops[str(scene_fields.setup.scene)] = _try_out(scene_fields.setup, scene_fields.task)
     if scenes:
         with _refusals(doc):
             check_alike({name: loop for name, loop in loops.items() if loop is not None})
@@ -510,22 +510,22 @@ def _read_scenes(
 def _check_evaluation(doc: Document, evaluation: EvaluationSpec, training: Training) -> None:
     """Refuse values and ranges of an evaluation that its scenes lack, or with which the policy is not trained."""
     pairs = training.evaluated()
-    late, tasks = "sensing.delay", [each.task for each in training.scenes] or [training.task]
-    taught = {name for each in tasks for name in (*each.set, *each.randomize)}
-    if CODE_EXECUTION.get() or not any(each.has_own for each in tasks):
-        taught |= {name for each in tasks for name in each.sampled}
+    late, tasks = "sensing.delay", [scene.task for scene in training.scenes] or [training.task]
+    taught = {name for scene in tasks for name in (*scene.set, *scene.randomize)}
+    if CODE_EXECUTION.get() or not any(scene.has_own for scene in tasks):
+        taught |= {name for scene in tasks for name in scene.sampled}
     else:  # own code that is not run may draw any command
         taught |= {name for name in POLICY_PARAMETERS if name.startswith("command.")}
     taught |= {
         name
         for name in POLICY_PARAMETERS
-        if name.endswith("_noise") and any(each.endswith("_noise") for each in taught)
+        if name.endswith("_noise") and any(scene.endswith("_noise") for scene in taught)
     }
     longest = max(
-        max(each.set.get(late, 0.0), *each.randomize.get(late, (0.0, 0.0))) for each in tasks
+        max(scene.set.get(late, 0.0), *scene.randomize.get(late, (0.0, 0.0))) for scene in tasks
     )
-    for section, given in (("set", evaluation.set), ("randomize", evaluation.randomize)):
-        for name, value in given.items():
+    for section, section_values in (("set", evaluation.set), ("randomize", evaluation.randomize)):
+        for name, value in section_values.items():
             if name in POLICY_PARAMETERS and name not in taught:
                 doc.fail(
                     ("evaluate", section, name),

@@ -29,16 +29,16 @@ class NermoVecEnv(VecEnv):
     `servo_work`, `unsolved`, and each term of the reward of the last step. At other steps infos are empty.
     """
 
-    def __init__(self, environment: Environment | None = None, **given: Any) -> None:
+    def __init__(self, environment: Environment | None = None, **options: Any) -> None:
         """
         Args:
             environment: on the engine `c`.
-            given: alternatively, the arguments of an environment.
+            options: alternatively, the arguments of an environment.
 
         Raises:
             ValueError: an environment on another engine.
         """
-        self.door = NermoVectorEnv(environment, **given)
+        self.door = NermoVectorEnv(environment, **options)
         self.environment, self.render_mode = self.door.environment, None
         self._began = time.monotonic()
         self._returns = np.zeros(self.door.num_envs)
@@ -104,7 +104,7 @@ class NermoVecEnv(VecEnv):
         )
 
     def env_method(
-        self, method_name: str, *args: Any, indices: Any = None, **given: Any
+        self, method_name: str, *args: Any, indices: Any = None, **options: Any
     ) -> list[Any]:
         """Refused: worlds are not separate objects."""
         raise NotImplementedError(f"{method_name} cannot be called: worlds share one environment.")

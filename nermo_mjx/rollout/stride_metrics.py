@@ -66,8 +66,8 @@ class StrideState:
 
     Attributes:
         down: feet that are down.
-        other: for how long each has been otherwise [s].
-        away: for how long each has been unloaded [s].
+        other_seconds: for how long each has been otherwise [s].
+        unloaded_seconds: for how long each has been unloaded [s].
         begun: feet whose touch-down was seen.
         lands: feet that are up, and may be landing; `landing` is `since` at their first contact.
         since: (time [s], way of the torso [m], time loaded [s]) since each foot's last touch-down.
@@ -78,8 +78,8 @@ class StrideState:
     """
 
     down: Bool[Array, " 4"]
-    other: Float[Array, " 4"]
-    away: Float[Array, " 4"]
+    other_seconds: Float[Array, " 4"]
+    unloaded_seconds: Float[Array, " 4"]
     begun: Bool[Array, " 4"]
     lands: Bool[Array, " 4"]
     landing: Float[Array, "4 3"]
@@ -98,8 +98,8 @@ def init_strides(custom: tuple[OwnMetric, ...], sensors: Sensors) -> StrideState
     zeros = jnp.zeros(len(custom), four.dtype)
     return StrideState(
         down=yes,
-        other=four,
-        away=four,
+        other_seconds=four,
+        unloaded_seconds=four,
         begun=~yes,
         lands=~yes,
         landing=since,
@@ -134,8 +134,8 @@ def update_strides(
         is_counted: whether the readings are those of a tick.
     """
     on, up = loaded > 0.5, ~state.down
-    other_time = jnp.where(on == up, state.other + part.weight, 0.0)
-    swing_time = jnp.where(on, 0.0, state.away + part.weight)
+    other_time = jnp.where(on == up, state.other_seconds + part.weight, 0.0)
+    swing_time = jnp.where(on, 0.0, state.unloaded_seconds + part.weight)
     first = on & up & ~state.lands & part.inside
     lands = (state.lands | first) & (swing_time * cycle_rate < SETTLED)
     landing = jnp.where(first[:, None], state.since, state.landing)
@@ -167,8 +167,8 @@ def update_strides(
         )
     return StrideState(
         down=state.down ^ turned,
-        other=jnp.where(turned, 0.0, other_time),
-        away=swing_time,
+        other_seconds=jnp.where(turned, 0.0, other_time),
+        unloaded_seconds=swing_time,
         begun=state.begun | touched,
         lands=lands & ~touched,
         landing=landing,

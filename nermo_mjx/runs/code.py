@@ -70,15 +70,15 @@ class CodeStamp:
     def __str__(self) -> str:
         return ", ".join(form.format(self.fields()[name]) for name, form in _CALLED.items())
 
-    def unlike(self, other: CodeStamp) -> str:
+    def unlike(self, former: CodeStamp) -> str:
         """How this stamp differs from another, as "engine c, not warp"; empty if it does not."""
-        own_fields, other_fields = self.fields(), other.fields()
+        own_fields, other_fields = self.fields(), former.fields()
         differences = [
             (form.format(own_fields[name]), other_fields[name])
             for name, form in _CALLED.items()
             if own_fields[name] != other_fields[name]
         ]
-        return ", ".join(f"{ours}, not {other}" for ours, other in differences)
+        return ", ".join(f"{ours}, not {former}" for ours, former in differences)
 
 
 def stamp(model: str, engine: str, subpackages: tuple[str, ...] = ()) -> CodeStamp:

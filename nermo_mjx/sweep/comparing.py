@@ -375,18 +375,21 @@ def difference_rows(
 
     labels, runs = pairing.groups(groups)
     variants, sides = len(pairing.values), pairing.sides
-    parts, group = len(labels), [own["group"].to_numpy() for own in runs]
+    parts, group = len(labels), [side_runs["group"].to_numpy() for side_runs in runs]
     index = [
-        pd.MultiIndex.from_arrays([own["group"] * variants + own["variant"], own["seed"]])
-        for own in runs
+        pd.MultiIndex.from_arrays(
+            [side_runs["group"] * variants + side_runs["variant"], side_runs["seed"]]
+        )
+        for side_runs in runs
     ]
-    well = [side.results.well[own.index] for side, own in zip(sides, runs, strict=True)]
-    schema, found = sides[0].results.schema, dict[str, dict[str, np.ndarray]]()
+    well = [side.results.well[side_runs.index] for side, side_runs in zip(sides, runs, strict=True)]
+    schema, numbers_by_metric = sides[0].results.schema, dict[str, dict[str, np.ndarray]]()
 
-    def of_parts(chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def of_parts(masks: Sequence[np.ndarray]) -> list[np.ndarray]:
         """How many of each side's runs (n,) are in each part."""
         return [
-            np.bincount(own[here], minlength=parts) for own, here in zip(group, chosen, strict=True)
+            np.bincount(side_group[here], minlength=parts)
+            for side_group, here in zip(group, masks, strict=True)
         ]
 
     at_once = max(1, MAX_HELD_NUMBERS // max(sum(map(len, runs)), 1))
@@ -395,11 +398,11 @@ def difference_rows(
         frames = [
             pd.DataFrame(
                 {
-                    name: column[own.index]
+                    name: column[side_runs.index]
                     for name, column in side.results.columns(metrics[start:][:at_once])
                 }
             )
-            for side, own in zip(sides, runs, strict=True)
+            for side, side_runs in zip(sides, runs, strict=True)
         ]
         alike: dict[
             bytes, tuple[list[np.ndarray], list[str]]
@@ -409,12 +412,16 @@ def difference_rows(
                 counts(name, frame[name].to_numpy(), good)
                 for frame, good in zip(frames, well, strict=True)
             ]
-            alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(
-                name
-            )
+            alike.setdefault(b"".join(row_mask.tobytes() for row_mask in masks), (masks, []))[
+                1
+            ].append(name)
         for masks, few in alike.values():
             values, paired = matched(
-                [frame[few].set_index(own) for frame, own in zip(frames, index, strict=True)], masks
+                [
+                    frame[few].set_index(side_runs)
+                    for frame, side_runs in zip(frames, index, strict=True)
+                ],
+                masks,
             )
             numbers_of, several = _measured(values, paired, variants, parts)
             pairs = np.bincount(
@@ -422,14 +429,17 @@ def difference_rows(
             )
             used = of_parts(
                 [
-                    own.isin(each.index) & mask
-                    for own, each, mask in zip(index, values, masks, strict=True)
+                    side_runs.isin(row_mask.index) & mask
+                    for side_runs, row_mask, mask in zip(index, values, masks, strict=True)
                 ]
             )
             good = of_parts(masks)
             left_out = good[0] + good[1] - used[0] - used[1]
-            whole = several, pairs, left_out, *used, *of_parts([~each for each in well])
-            lost = [1 - own / np.bincount(each) for own, each in zip(good, group, strict=True)]
+            whole = several, pairs, left_out, *used, *of_parts([~row_mask for row_mask in well])
+            lost = [
+                1 - side_runs / np.bincount(row_mask)
+                for side_runs, row_mask in zip(good, group, strict=True)
+            ]
             for i, name in enumerate(few):
                 line = {key: numbers[:, i] for key, numbers in numbers_of.items()}
                 if name in OF_ALL_RUNS:  # yes or no: no surer than the exact test of signs
@@ -437,16 +447,25 @@ def difference_rows(
                     alike_all = (line["p"] < least) & (line["low"] == line["high"])
                     line |= {key: np.where(alike_all, np.nan, line[key]) for key in ("low", "high")}
                     line["p"] = np.maximum(line["p"], least)
-                found[name] = line | dict(zip(_COUNT_MEANINGS, (*whole, *lost), strict=True))
-    for place in range(parts):
-        label = {key: column.iloc[[place]].item() for key, column in labels.items()}
+                numbers_by_metric[name] = line | dict(
+                    zip(_COUNT_MEANINGS, (*whole, *lost), strict=True)
+                )
+    for part_index in range(parts):
+        label = {key: column.iloc[[part_index]].item() for key, column in labels.items()}
         for name in metrics:
             field, row = (
                 schema.field(name),
-                {key: numbers[place].item() for key, numbers in found[name].items()},
+                {
+                    key: numbers[part_index].item()
+                    for key, numbers in numbers_by_metric[name].items()
+                },
             )
-            about = {"metric": name, "metric_unit": meta(field)["unit"], "better": better(field)}
-            yield {"group": place if groups else -1, **label, **about, **row}
+            line_start = {
+                "metric": name,
+                "metric_unit": meta(field)["unit"],
+                "better": better(field),
+            }
+            yield {"group": part_index if groups else -1, **label, **line_start, **row}
 
 
 def _measured(
@@ -578,33 +597,36 @@ class Comparison:
         Args:
             only: metrics that the groups have; by default all.
         """
-        each = []
-        for other in self.others:
-            about: dict[str, Any] = {
-                "other": other,
-                "metrics": _by_metric(self.rows(other), self.groups),
+        pairs = []
+        for other_name in self.others:
+            pair_fields: dict[str, Any] = {
+                "other": other_name,
+                "metrics": _by_metric(self.rows(other_name), self.groups),
             }
             rows = [
-                row for row in self.rows(other, grouped=True) if not only or row["metric"] in only
+                row
+                for row in self.rows(other_name, grouped=True)
+                if not only or row["metric"] in only
             ]
             if self.groups:
-                about["groups"] = [
+                pair_fields["groups"] = [
                     {
-                        "for": {name: own[0][name] for name in self.groups},
-                        "metrics": _by_metric(own, self.groups),
+                        "for": {name: pair_row[0][name] for name in self.groups},
+                        "metrics": _by_metric(pair_row, self.groups),
                     }
-                    for own in (
-                        list(own) for _, own in itertools.groupby(rows, lambda row: row["group"])
+                    for pair_row in (
+                        list(pair_row)
+                        for _, pair_row in itertools.groupby(rows, lambda row: row["group"])
                     )
                 ]
-            each.append(about)
-        about = {
+            pairs.append(pair_fields)
+        pair_fields = {
             "base": self.base,
             "profiles": list(self.profiles),
             "status": self.status,
             "notes": list(self.notes),
         }
-        return about | (each[0] if len(each) == 1 else {"comparisons": each})
+        return pair_fields | (pairs[0] if len(pairs) == 1 else {"comparisons": pairs})
 
 
 # Long because one comparison passes from the tables to the report.
@@ -657,12 +679,12 @@ def compare(
         )
     arms, notes = arms_of_values(a, str(by), base) if b is None else two_tables(a, b)
     for i, arm in enumerate(arms):
-        for name, wanted in (where or {}).items():
+        for name, condition in (where or {}).items():
             check_name(name, [*arm.runs], "where")
-            chosen = value_among(
-                wanted, _values(arm.runs[name]), f"where {name}", arm.results.schema.field(name)
+            selected_value = value_among(
+                condition, _values(arm.runs[name]), f"where {name}", arm.results.schema.field(name)
             )
-            arm = arm.where(arm.runs[name] == chosen)
+            arm = arm.where(arm.runs[name] == selected_value)
         if not len(arm.runs):
             values = ", ".join(f"{name} = {value}" for name, value in (where or {}).items())
             raise ParameterError(f"no run of {arm.name} is left with {values}.")
@@ -671,7 +693,7 @@ def compare(
     profiles = dict.fromkeys(name for arm in arms for name in profiles_of(arm.results))
     if "profile" in (where or {}):
         profiles = dict.fromkeys(name for arm in arms for name in arm.runs["profile"])
-    shared = [name for name in schemas[0] if all(name in known for known in schemas)]
+    shared = [name for name in schemas[0] if all(name in schema_names for schema_names in schemas)]
     for name in drawn:
         if name not in shared:
             raise ParameterError(
@@ -686,8 +708,8 @@ def compare(
     def report(share: float) -> None:
         progress((done + share) / (len(parts) * (len(arms) - 1)))
 
-    for other in arms[1:]:
-        pairing = pair(arms[0], other)
+    for other_arm in arms[1:]:
+        pairing = pair(arms[0], other_arm)
         notes += pairing.notes
         variants = len(pairing.values)
         if 1 < variants <= FEW_VARIANTS and not groups:
@@ -697,19 +719,19 @@ def compare(
                 "interval for each variant."
             )
         for side in pairing.sides:
-            found = collections.Counter(side.results.column("status")[side.runs.index].tolist())
-            status.setdefault(side.name, dict(sorted(found.items())))
+            statuses = collections.Counter(side.results.column("status")[side.runs.index].tolist())
+            status.setdefault(side.name, dict(sorted(statuses.items())))
         for names in parts:
-            own = _lines(pairing, shared, names, report)
+            arm_lines = _lines(pairing, shared, names, report)
             done += 1
-            lines += own
+            lines += arm_lines
             if not names:
-                lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
+                lost += _lost(pairing, [line for line in arm_lines if line["metric"] in drawn])
                 unpaired += (
-                    each
-                    for line in own
+                    unpaired_metric
+                    for line in arm_lines
                     if line["metric"] in drawn[:1]
-                    for each in _unpaired(pairing, line)
+                    for unpaired_metric in _unpaired(pairing, line)
                 )
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append(
@@ -1000,22 +1022,24 @@ def _by_groups(
     parts = list(dict.fromkeys(tuple(row[name] for name in panels) for row in rows))[
         :_MAX_COMPARISON_PANELS
     ]
-    each = list(dict.fromkeys(row[series] if series else None for row in rows))
+    series_values = list(dict.fromkeys(row[series] if series else None for row in rows))
     # A row of panels has all metrics; of one metric, its panels follow one another.
-    drawn = [(part, metric) for part in parts for metric in metrics]
+    panel_cells = [(part, metric) for part in parts for metric in metrics]
     columns = min(len(metrics) if len(metrics) > 1 else len(parts), _COLUMNS)
-    lines = -(-len(drawn) // columns)
+    lines = -(-len(panel_cells) // columns)
     page = FigurePage(
         f"{titled(metrics[0]) if len(metrics) == 1 else 'Speed and costs of transport'}: {against}",
         (max(6.4, 3.3 * columns), 3.0 * lines + 1.0),
         lines,
         columns,
     )
-    for ax in page.axes.ravel()[len(drawn) :]:
+    for ax in page.axes.ravel()[len(panel_cells) :]:
         ax.remove()
-    for number, (ax, (part, metric)) in enumerate(zip(page.axes.ravel(), drawn, strict=False)):
+    for number, (ax, (part, metric)) in enumerate(
+        zip(page.axes.ravel(), panel_cells, strict=False)
+    ):
         of_metric = [row for row in rows if row["metric"] == metric]
-        own = [row for row in of_metric if tuple(row[name] for name in panels) == part]
+        panel_rows = [row for row in of_metric if tuple(row[name] for name in panels) == part]
         relative = all(
             row["relative"] is not None and np.isfinite(row["relative"]) for row in of_metric
         )
@@ -1025,17 +1049,19 @@ def _by_groups(
             else ("difference", "low", "high")
         )
         numbers = shown(
-            metric, own[0]["metric_unit"], [[row[name] for name in names] for row in own]
+            metric,
+            panel_rows[0]["metric_unit"],
+            [[row[name] for name in names] for row in panel_rows],
         )
         values = (
-            100 * np.array([[row[name] for name in names] for row in own], float)
+            100 * np.array([[row[name] for name in names] for row in panel_rows], float)
             if relative
             else numbers.values
         )
-        places = [row[x] for row in own]
+        places = [row[x] for row in panel_rows]
         if all(isinstance(value, float) for value in places):
-            about = meta(schema.field(x))
-            across = shown(x, about["unit"], places, log=about.get("scale") == "log")
+            metadata = meta(schema.field(x))
+            across = shown(x, metadata["unit"], places, log=metadata.get("scale") == "log")
         else:
             texts = list(map(_text, places))
             names_of = tuple(dict.fromkeys(texts))
@@ -1044,19 +1070,24 @@ def _by_groups(
             )
         distinct = np.unique(across.values)
         step = float(np.diff(distinct).min()) if len(distinct) > 1 else 1.0
-        for place, value in enumerate(each):
-            chosen = np.array(
-                [i for i, row in enumerate(own) if series is None or row[series] == value], int
+        for series_index, value in enumerate(series_values):
+            series_rows = np.array(
+                [i for i, row in enumerate(panel_rows) if series is None or row[series] == value],
+                int,
             )
-            order = chosen[np.argsort(across.values[chosen], kind="stable")]
+            order = series_rows[np.argsort(across.values[series_rows], kind="stable")]
             # Lines stand a little apart, so that their bars do not cover each other.
-            shift = 0.0 if across.log else (place - (len(each) - 1) / 2) * 0.09 * step
-            at, colour = across.values[order] + shift, SERIES[place % len(SERIES)]
+            shift = (
+                0.0 if across.log else (series_index - (len(series_values) - 1) / 2) * 0.09 * step
+            )
+            positions, colour = across.values[order] + shift, SERIES[series_index % len(SERIES)]
             middle, low, high = values[order].T
-            ax.plot(at, middle, color=colour, lw=0 if across.names else 1.2, alpha=0.7, zorder=2)
-            ax.vlines(at, low, high, color=colour, lw=1.6, zorder=3)
-            fills = [colour if own[i]["beyond_noise"] else "white" for i in order]
-            ax.scatter(at, middle, s=34, ec=colour, fc=fills, lw=1.3, zorder=4)
+            ax.plot(
+                positions, middle, color=colour, lw=0 if across.names else 1.2, alpha=0.7, zorder=2
+            )
+            ax.vlines(positions, low, high, color=colour, lw=1.6, zorder=3)
+            fills = [colour if panel_rows[i]["beyond_noise"] else "white" for i in order]
+            ax.scatter(positions, middle, s=34, ec=colour, fc=fills, lw=1.3, zorder=4)
         words = [f"{spoken(name)} {_text(value)}" for name, value in zip(panels, part, strict=True)]
         ax.set_title(", ".join([*([titled(metric)] if len(metrics) > 1 else []), *words]))
         set_scales(ax, across)
@@ -1067,26 +1098,28 @@ def _by_groups(
         ax.set_xlabel(across.label)
     for metric in metrics:  # the same scale for all of its panels
         alike = [
-            ax for ax, (_, name) in zip(page.axes.ravel(), drawn, strict=False) if name == metric
+            ax
+            for ax, (_, name) in zip(page.axes.ravel(), panel_cells, strict=False)
+            if name == metric
         ]
         ends = [ax.get_ylim() for ax in alike]
         for ax in alike:
             ax.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
     handles = [
         _mark(SERIES[i % len(SERIES)], f"{spoken(series)} {_text(value)}")
-        for i, value in enumerate(each)
+        for i, value in enumerate(series_values)
         if series
     ]
     failed = sorted(
         ((row["failed_base"] + row["failed_other"], row) for row in rows), key=lambda pair: -pair[0]
     )
-    told = [
+    best_texts = [
         f"{', '.join(_text(row[name]) for name in groups)} ({count})"
         for count, row in failed[:4]
         if count
     ]
-    most = f", most at {'; '.join(told)}" if told else ""
-    return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{most}")
+    best_note = f", most at {'; '.join(best_texts)}" if best_texts else ""
+    return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{best_note}")
 
 
 def _mark(colour: str, label: str) -> Line2D:
@@ -1096,7 +1129,7 @@ def _mark(colour: str, label: str) -> Line2D:
 def _runs(rows: Sequence[Row]) -> str:
     """How many runs went into it, and how many of them failed."""
     groups = {row["group"]: row for row in rows}.values()
-    base, other = (
+    base, other_count = (
         sum(
             max(
                 group_row["runs_" + side]
@@ -1119,7 +1152,7 @@ def _runs(rows: Sequence[Row]) -> str:
         for side in ("base", "other")
     )
     return (
-        f"{base:,} runs of the base, {other:,} of the other{fell}"
+        f"{base:,} runs of the base, {other_count:,} of the other{fell}"
         + "; some have no number" * has_losses
     )
 

@@ -416,26 +416,35 @@ def _measured(
     import pandas as pd
 
     sides = [
-        pd.DataFrame({"m": values[own]}, pd.MultiIndex.from_arrays([0 * own, seed[own]]))
-        for own in fresh
+        pd.DataFrame(
+            {"m": values[pair_values]},
+            pd.MultiIndex.from_arrays([0 * pair_values, seed[pair_values]]),
+        )
+        for pair_values in fresh
     ]
-    (base, best), paired = matched(sides, [good[own] for own in fresh])
+    (base, best), paired = matched(sides, [good[pair_values] for pair_values in fresh])
     if base.empty or best.empty:
         return {}
     first, second = base.m.to_numpy(), best.m.to_numpy()
     if len(paired):
-        found = two_stage((second - first)[:, None], np.zeros(len(first), int), np.zeros(1, int))
+        interval = two_stage((second - first)[:, None], np.zeros(len(first), int), np.zeros(1, int))
     else:
         cells = np.repeat([0, 1], [len(first), len(second)])
-        found = two_stage(np.concatenate([-first, second])[:, None], cells, np.zeros(2, int))
-    low, middle, high = (float(each[0]) for each in (found.low, found.estimate, found.high))
+        interval = two_stage(np.concatenate([-first, second])[:, None], cells, np.zeros(2, int))
+    low, middle, high = (
+        float(bound[0]) for bound in (interval.low, interval.estimate, interval.high)
+    )
     line = dict[str, float]()
-    for name, own in (("mean", second), ("base", first)):
-        half = float(half_width(own.std(ddof=1) if len(own) > 1 else math.nan, len(own)))
+    for name, pair_values in (("mean", second), ("base", first)):
+        half = float(
+            half_width(
+                pair_values.std(ddof=1) if len(pair_values) > 1 else math.nan, len(pair_values)
+            )
+        )
         line |= {
-            name: float(own.mean()),
-            f"{name}_low": own.mean() - half,
-            f"{name}_high": own.mean() + half,
+            name: float(pair_values.mean()),
+            f"{name}_low": pair_values.mean() - half,
+            f"{name}_high": pair_values.mean() + half,
         }
     # Where the base's mean is nothing but noise, no share of it says anything.
     scale = abs(line["base"]) if abs(line["base"]) > line["base_high"] - line["base"] else math.nan
@@ -443,7 +452,7 @@ def _measured(
         "difference": middle,
         "low": low,
         "high": high,
-        "p": float(found.p[0]),
+        "p": float(interval.p[0]),
         "pairs": len(first) * bool(len(paired)),
     }
     return line | {

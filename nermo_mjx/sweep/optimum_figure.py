@@ -54,19 +54,25 @@ _STAR: Final[dict[str, Any]] = {
 }
 
 
-def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
+def optimum_figure(optimum: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of what was found; none where nothing was."""
-    answers, asked = [each for each in found.answers if each.at][:_MOST_DRAWN], found.asked
+    answers, question = (
+        [line_answer for line_answer in optimum.answers if line_answer.at][:_MOST_DRAWN],
+        optimum.asked,
+    )
     if not answers:
         return
-    gains = [100 * (each.mean / each.base_mean - 1) * np.sign(each.base_mean) for each in answers]
-    known = np.concatenate(gains)[np.isfinite(np.concatenate(gains))] * (
-        1 if asked.side == "max" else -1
+    gains = [
+        100 * (line_answer.mean / line_answer.base_mean - 1) * np.sign(line_answer.base_mean)
+        for line_answer in answers
+    ]
+    finite_gains = np.concatenate(gains)[np.isfinite(np.concatenate(gains))] * (
+        1 if question.side == "max" else -1
     )
     # Symmetric about 0; losses far beyond the best gain are cut off, as they would leave the gains pale.
-    far = max(known.max(initial=0.0), 0.3 * np.abs(known).max(initial=1e-9))
+    far = max(finite_gains.max(initial=0.0), 0.3 * np.abs(finite_gains).max(initial=1e-9))
     colours = ScalarMappable(
-        Normalize(-far, far), GAIN_COLOUR_MAP if asked.side == "max" else f"{GAIN_COLOUR_MAP}_r"
+        Normalize(-far, far), GAIN_COLOUR_MAP if question.side == "max" else f"{GAIN_COLOUR_MAP}_r"
     )
     columns = min(len(answers), _COLUMNS)
     lines = -(-len(answers) // columns)
@@ -78,18 +84,20 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     for ax in {*grid.ravel()} - {*maps, *below}:
         ax.remove()
     across = [
-        name for name, each in answers[0].points.items() if len(set(each.tolist())) > 1
+        name
+        for name, line_answer in answers[0].points.items()
+        if len(set(line_answer.tolist())) > 1
     ] or list(answers[0].points)
     flat = len(across) > 1
     for i, (ax, answer, gain) in enumerate(zip(maps, answers, gains, strict=True)):
-        _draw_group(ax, found, answer, gain, across, colours, first=not i % columns)
+        _draw_group(ax, optimum, answer, gain, across, colours, first=not i % columns)
     if flat:
-        label = f"{spoken(asked.metric)} against {found.base} [%]"
+        label = f"{spoken(question.metric)} against {optimum.base} [%]"
         bar = colour_bar(figure, list(maps), colours, label, extend="both", shrink=0.9, aspect=26)
         bar.ax.yaxis.set_major_formatter(
             FuncFormatter(lambda value, _: signed(value).removesuffix(" %"))
         )
-    _draw_costs(found, answers, list(below))
+    _draw_costs(optimum, answers, list(below))
     frame: dict[str, Any] = (
         {"lw": 1.6, "color": INK} if flat else {"marker": "o", "lw": 0, "color": SERIES[0]}
     )
@@ -98,23 +106,23 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
         Line2D([], [], label="points that the data cannot tell from it", **frame),
     ]
     notes = [
-        *found.how(),
-        f"Map: mean of the runs that chose; {profile_text(profiles_of(found.results))}.",
+        *optimum.how(),
+        f"Map: mean of the runs that chose; {profile_text(profiles_of(optimum.results))}.",
     ]
     notes += (
         [f"Not shown: {', '.join(map(spoken, across[2:]))}, at their best."] if across[2:] else []
     )
     notes += (
-        [f"{len(found.answers) - len(answers)} more are in the table."]
-        if len(found.answers) > len(answers)
+        [f"{len(optimum.answers) - len(answers)} more are in the table."]
+        if len(optimum.answers) > len(answers)
         else []
     )
-    yield "optimum", around(figure, found.title, " ".join(notes), handles)
+    yield "optimum", around(figure, optimum.title, " ".join(notes), handles)
 
 
 def _draw_group(
     ax: Axes,
-    found: FoundOptimum,
+    optimum: FoundOptimum,
     answer: OptimumAnswer,
     gain: np.ndarray,
     across: Sequence[str],
@@ -128,7 +136,7 @@ def _draw_group(
         first: whether it stands at the left, where the vertical axis is labelled.
     """
     flat = len(across) > 1
-    x, *more = (_axis(found, name, answer.points[name]) for name in across[:2])
+    x, *other_axes = (_axis(optimum, name, answer.points[name]) for name in across[:2])
     here, inside = answer.judged.best, answer.judged.region
     if flat:
         shown_here = np.logical_and.reduce(
@@ -137,7 +145,7 @@ def _draw_group(
                 *(answer.points[name] == answer.at[name] for name in across[2:]),
             ]
         )
-        _draw_map(ax, [x, *more], gain, inside, shown_here, colours)
+        _draw_map(ax, [x, *other_axes], gain, inside, shown_here, colours)
     else:
         order = np.argsort(x.values)
         ax.plot(x.values[order], gain[order], color=SERIES[0], lw=1.2, zorder=2)
@@ -150,29 +158,33 @@ def _draw_group(
             zorder=3,
         )
         ax.axhline(0, color=MUTED_INK, lw=0.8)
-    ax.plot(x.values[here], (more[0].values if flat else gain)[here], **_STAR, clip_on=False)
-    set_scales(ax, x, more[0] if flat else None)
-    _, share, ends = found.numbers(answer, found.asked.metric)
-    place = ", ".join(found.text(key, value) for key, value in answer.at.items())
-    ax.set_title(f"{share} {ends}\nat {place}", color=INK)
+    ax.plot(x.values[here], (other_axes[0].values if flat else gain)[here], **_STAR, clip_on=False)
+    set_scales(ax, x, other_axes[0] if flat else None)
+    _, share, ends = optimum.numbers(answer, optimum.asked.metric)
+    group_text = ", ".join(optimum.text(key, value) for key, value in answer.at.items())
+    ax.set_title(f"{share} {ends}\nat {group_text}", color=INK)
     head: dict[str, Any] = {"ha": "center", "fontweight": "bold", "color": INK}
-    ax.annotate(found.called(answer), (0.5, 1), (0, 29), "axes fraction", "offset points", **head)
+    ax.annotate(optimum.called(answer), (0.5, 1), (0, 29), "axes fraction", "offset points", **head)
     ax.set(
         xlabel=x.label,
-        ylabel="" if not first else more[0].label if flat else f"gain against {found.base} [%]",
+        ylabel=""
+        if not first
+        else other_axes[0].label
+        if flat
+        else f"gain against {optimum.base} [%]",
     )
     ax.tick_params(labelleft=first or not flat)
 
 
-def _axis(found: FoundOptimum, name: str, values: np.ndarray) -> ShownValues:
+def _axis(optimum: FoundOptimum, name: str, values: np.ndarray) -> ShownValues:
     """A column of points as an axis; names stand at their places."""
-    about = meta(found.results.schema.field(name))
-    if about.get("scale") == "structure":
+    metadata = meta(optimum.results.schema.field(name))
+    if metadata.get("scale") == "structure":
         names = tuple(dict.fromkeys(values.tolist()))
         return ShownValues(
-            name, "", np.array([names.index(each) for each in values], float), names=names
+            name, "", np.array([names.index(label) for label in values], float), names=names
         )
-    return shown(name, about["unit"], values, log=about.get("scale") == "log")
+    return shown(name, metadata["unit"], values, log=metadata.get("scale") == "log")
 
 
 def _draw_map(
@@ -184,10 +196,13 @@ def _draw_map(
     look: ScalarMappable,
 ) -> None:
     """The gain of the points that are `here` (k,) as colours, and a line around the region."""
-    x, y = (dataclasses.replace(each, values=each.values[here]) for each in axes)
+    x, y = (
+        dataclasses.replace(axis_values, values=axis_values.values[here]) for axis_values in axes
+    )
     xs, ys = np.unique(x.values), np.unique(y.values)
     cells, inside = (
-        cell_means(x.values, y.values, each[here] * 1.0, xs, ys) for each in (gain, region)
+        cell_means(x.values, y.values, axis_values[here] * 1.0, xs, ys)
+        for axis_values in (gain, region)
     )
     columns, rows = cell_edges(xs, x.log), cell_edges(ys, y.log)
     scale: Any = look.norm
@@ -195,8 +210,8 @@ def _draw_map(
     ax.pcolormesh(columns, rows, np.ma.masked_invalid(cells.T), norm=scale, cmap=look.cmap)
     framed = np.pad(inside > 0, 1)
     upright, level = (
-        zip(*np.nonzero(np.diff(each, axis=axis)), strict=True)
-        for axis, each in enumerate((framed[:, 1:-1], framed[1:-1]))
+        zip(*np.nonzero(np.diff(axis_values, axis=axis)), strict=True)
+        for axis, axis_values in enumerate((framed[:, 1:-1], framed[1:-1]))
     )
     sides = [(columns[[i, i]], rows[j : j + 2]) for i, j in upright] + [
         (columns[i : i + 2], rows[[j, j]]) for i, j in level
@@ -206,33 +221,39 @@ def _draw_map(
 
 
 def _draw_costs(
-    found: FoundOptimum, answers: Sequence[OptimumAnswer], axes: Sequence[Axes]
+    optimum: FoundOptimum, answers: Sequence[OptimumAnswer], axes: Sequence[Axes]
 ) -> None:
     """Below each map what fresh runs say of the metric and both costs, relative to the base, on one scale."""
-    lines = [[each.lines.get(name, {}) for name in found.metrics] for each in answers]
+    lines = [
+        [answer_lines.lines.get(name, {}) for name in optimum.metrics] for answer_lines in answers
+    ]
     ends = [
         abs(line.get(end, math.nan))
-        for own in lines
-        for line in own
+        for answer_line in lines
+        for line in answer_line
         for end in ("relative_low", "relative_high")
     ]
     far = 115 * float(np.nanmax([*ends, 0.01]))
-    for i, (ax, own) in enumerate(zip(axes, lines, strict=True)):
+    for i, (ax, answer_line) in enumerate(zip(axes, lines, strict=True)):
         ax.axvline(0, color=MUTED_INK, lw=0.8)
-        for place, line in enumerate(own):
+        for bar_index, line in enumerate(answer_line):
             if not math.isfinite(line.get("relative", math.nan)):
                 continue
             low, middle, high = (
                 100 * line[name] for name in ("relative_low", "relative", "relative_high")
             )
-            colour, sure = SERIES[place], low > 0 or high < 0
-            ax.plot([low, high], [place] * 2, color=colour, lw=2.2, solid_capstyle="butt")
-            ax.plot(middle, place, "o", ms=5.5, color=colour, mfc=colour if sure else "white")
+            colour, sure = SERIES[bar_index], low > 0 or high < 0
+            ax.plot([low, high], [bar_index] * 2, color=colour, lw=2.2, solid_capstyle="butt")
+            ax.plot(middle, bar_index, "o", ms=5.5, color=colour, mfc=colour if sure else "white")
         ax.set_yticks(
-            range(len(own)),
-            [_SHORT.get(name, titled(name)) for name in found.metrics] if i == 0 else [],
+            range(len(answer_line)),
+            [_SHORT.get(name, titled(name)) for name in optimum.metrics] if i == 0 else [],
         )
-        ax.set(ylim=(len(own) - 0.5, -0.5), xlim=(-far, far), xlabel=f"against {found.base} [%]")
+        ax.set(
+            ylim=(len(answer_line) - 0.5, -0.5),
+            xlim=(-far, far),
+            xlabel=f"against {optimum.base} [%]",
+        )
         ax.grid(axis="x", color=GRID, lw=0.8)
         ax.spines["left"].set_visible(False)
         ax.tick_params(axis="y", length=0, labelcolor=INK)

@@ -20,26 +20,26 @@ from nermo_mjx.sweep.table import (
 )
 
 
-def optimum_cells(found: FoundOptimum) -> tuple[list[str], list[list[str]]]:
+def optimum_cells(optimum: FoundOptimum) -> tuple[list[str], list[list[str]]]:
     """Headings and cells of the short table for people, a line for each group: means ± half an interval, and gains."""
-    heads = [*map(titled, found.answers[0].group), *map(titled, found.answers[0].points)]
-    heads += [*map(titled, found.metrics), "Not told from it"]
+    heads = [*map(titled, optimum.answers[0].group), *map(titled, optimum.answers[0].points)]
+    heads += [*map(titled, optimum.metrics), "Not told from it"]
     lines = []
-    for answer in found.answers:
-        line = [titled(found.text(name, value)) for name, value in answer.group.items()]
+    for answer in optimum.answers:
+        line = [titled(optimum.text(name, value)) for name, value in answer.group.items()]
         if answer.at:
-            line += [found.text(name, value) for name, value in answer.at.items()]
-            for name in found.metrics:
-                mean, *gain = found.numbers(answer, name)
+            line += [optimum.text(name, value) for name, value in answer.at.items()]
+            for name in optimum.metrics:
+                mean, *gain = optimum.numbers(answer, name)
                 line.append(f"{mean} ({' '.join(gain)})")
-            line.append(found.region(answer))
+            line.append(optimum.region(answer))
         lines.append([*line, *["–"] * (len(heads) - len(line))])
     return heads, lines
 
 
-def optimum_latex(found: FoundOptimum) -> str:
+def optimum_latex(optimum: FoundOptimum) -> str:
     """The short table as a LaTeX tabular, without packages."""
-    heads, lines = optimum_cells(found)
+    heads, lines = optimum_cells(optimum)
     marks = {"%": r"\%", "±": r"$\pm$", "−": "$-$", "–": "--", "_": r"\_", "&": r"\&"}
     rows = [
         " & ".join("".join(marks.get(sign, sign) for sign in cell) for cell in line)
@@ -47,10 +47,10 @@ def optimum_latex(found: FoundOptimum) -> str:
     ]
     body = [f"{rows[0]} \\\\ \\hline", *(f"{row} \\\\" for row in rows[1:])]
     notes = [
-        f"% {each}"
-        for each in (
-            f"{profile_text(profiles_of(found.results))}; base: {found.base}",
-            *found.how(),
+        f"% {line_text}"
+        for line_text in (
+            f"{profile_text(profiles_of(optimum.results))}; base: {optimum.base}",
+            *optimum.how(),
         )
     ]
     return "\n".join(
@@ -58,25 +58,25 @@ def optimum_latex(found: FoundOptimum) -> str:
     )
 
 
-def optimum_table(found: FoundOptimum) -> pa.Table:
+def optimum_table(optimum: FoundOptimum) -> pa.Table:
     """A row for each group and metric, SI units: the best point, and what fresh runs say of it."""
     lines = [
         {**answer.group, **answer.at, "metric": name, "region": int(answer.judged.region.sum())}
         | dict(line)
-        for answer in found.answers
+        for answer in optimum.answers
         for name, line in answer.lines.items()
     ]
-    columns, schema = Columns(), found.results.schema
+    columns, schema = Columns(), optimum.results.schema
     for name in dict.fromkeys(itertools.chain(*lines)):
-        about = meta(schema.field(name)) if name in schema.names else {}
-        role = "varied" if about else "index" if name in ("metric", "region") else "metric"
-        doc = about.get("description", _ANSWER_FIELDS.get(name, name))
-        unit = about.get(
+        metadata = meta(schema.field(name)) if name in schema.names else {}
+        role = "varied" if metadata else "index" if name in ("metric", "region") else "metric"
+        doc = metadata.get("description", _ANSWER_FIELDS.get(name, name))
+        unit = metadata.get(
             "unit",
             "1" if name.startswith(("relative", "p", "metric", "region")) else "that of the metric",
         )
         columns.add(name, np.array([line[name] for line in lines]), role, unit, doc)
-    return columns.table({"optimum": found.asked.metric, "base": found.base})
+    return columns.table({"optimum": optimum.asked.metric, "base": optimum.base})
 
 
 _ANSWER_FIELDS: Final = {
@@ -91,8 +91,8 @@ _ANSWER_FIELDS: Final = {
 }
 
 
-def optimum_files(found: FoundOptimum) -> dict[str, bytes]:
+def optimum_files(optimum: FoundOptimum) -> dict[str, bytes]:
     """The tables as files of a directory, by name, beside the Parquet file."""
     stream = io.BytesIO()
-    csv.write_csv(optimum_table(found), stream)
-    return {"optimum.csv": stream.getvalue(), "optimum.tex": optimum_latex(found).encode()}
+    csv.write_csv(optimum_table(optimum), stream)
+    return {"optimum.csv": stream.getvalue(), "optimum.tex": optimum_latex(optimum).encode()}

@@ -81,10 +81,10 @@ def figures_of_results(
         yield from structure_figures(groups, numbers, z, remark, grid=results.is_grid)
         yield from _gain_figures(results, metric, remark) if results.is_grid else ()
     if not results.is_grid or not varied:
-        drawn = varied or shown_columns(results, columns_of(results, "randomized"))
+        shown_variables = varied or shown_columns(results, columns_of(results, "randomized"))
         if groups is not None:
-            drawn = [x for x in numbers if not np.isnan(x.values).any()]
-        yield from _scatter_figures(drawn, z, remark)
+            shown_variables = [x for x in numbers if not np.isnan(x.values).any()]
+        yield from _scatter_figures(shown_variables, z, remark)
     elif len(varied) == 1 and groups is None:
         x, title = varied[0], f"{titled(metric)} over {varied[0].spoken}"
         yield f"{metric}-over-{x.name}", line(x, z, title, remark + repeats_remark(results))
@@ -105,10 +105,10 @@ def heat_map(
     )  # what a structure does not have has no place
     if not good.all():
         x, y, z, *varied = (
-            dataclasses.replace(each, values=each.values[good]) for each in (x, y, z, *varied)
+            dataclasses.replace(shown, values=shown.values[good]) for shown in (x, y, z, *varied)
         )
     panels, remark = _panels(
-        [other for other in varied if other.name not in (x.name, y.name)], len(z.values)
+        [averaged for averaged in varied if averaged.name not in (x.name, y.name)], len(z.values)
     )
     figure = heat_maps(
         x, y, z, panels, f"{titled(z.name)} over {x.spoken} and {y.spoken}", note + remark
@@ -133,13 +133,15 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     bends = x.values > 0
     if not np.isfinite(z.values[bends]).any() or len(np.unique(y.values)) < 2:
         return
-    rest = [other for other in varied.values() if not alike(other.values)]
-    panels, remark = _panels([other for other in rest if not other.names], len(z.values))
-    if (groups := groups_of([other for other in rest if other.names])) is not None:
-        remark = "".join(f"mean over {other.spoken}; " for other in rest if not other.names)
+    rest = [variable for variable in varied.values() if not alike(variable.values)]
+    panels, remark = _panels([variable for variable in rest if not variable.names], len(z.values))
+    if (groups := groups_of([variable for variable in rest if variable.names])) is not None:
+        remark = "".join(
+            f"mean over {variable.spoken}; " for variable in rest if not variable.names
+        )
         panels = [
-            (name, groups.of == place)
-            for place, name in enumerate(groups.names[:MAX_FIGURE_PANELS])
+            (name, groups.of == group_index)
+            for group_index, name in enumerate(groups.names[:MAX_FIGURE_PANELS])
         ]
     title = f"Speed gained by the spine over {x.spoken} and {y.spoken}"
     note = f"{start}{remark}stiff: mean at {x.spoken} 0; "
@@ -150,38 +152,38 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
 
 
 def _scatter_figures(
-    drawn: list[ShownValues], z: ShownValues, remark: str
+    variables: list[ShownValues], z: ShownValues, remark: str
 ) -> Iterator[tuple[str, Figure]]:
     """The metric against each parameter, and over the pairs of those that matter most."""
     good = np.isfinite(z.values)
-    drawn = [
+    variables = [
         dataclasses.replace(x, values=x.values[good])
-        for x in drawn
+        for x in variables
         if len(np.unique(x.values[good])) > 1
     ]
     z = dataclasses.replace(z, values=z.values[good])
-    if not drawn:
+    if not variables:
         return
     still = np.ptp(z.values) == 0
     influence = [
-        0.0 if still else float(stats.spearmanr(x.values, z.values).statistic) for x in drawn
+        0.0 if still else float(stats.spearmanr(x.values, z.values).statistic) for x in variables
     ]
     order = np.argsort(-np.abs(influence), kind="stable")
-    first = [drawn[i] for i in order[:MAX_FIGURE_PANELS]]
+    first = [variables[i] for i in order[:MAX_FIGURE_PANELS]]
     titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MAX_FIGURE_PANELS]]
     places, count = _drawn_of(z.side, z.values)
-    z, *first = (dataclasses.replace(each, values=each.values[places]) for each in (z, *first))
-    more = (
-        f"; the {MAX_FIGURE_PANELS} of {len(drawn)} parameters that matter most"
-        if len(drawn) > MAX_FIGURE_PANELS
+    z, *first = (dataclasses.replace(shown, values=shown.values[places]) for shown in (z, *first))
+    other_note = (
+        f"; the {MAX_FIGURE_PANELS} of {len(variables)} parameters that matter most"
+        if len(variables) > MAX_FIGURE_PANELS
         else ""
     )
-    note = f"{remark}{count}; line: running mean{more}"
+    note = f"{remark}{count}; line: running mean{other_note}"
     yield (
         f"{z.name}-over-each",
         scatters(first, z, titles, f"{titled(z.name)} over each parameter", note),
     )
-    if len(drawn) > 1:
+    if len(variables) > 1:
         pairs = list(itertools.combinations(first[:MOST_PAIRED], 2))
         title = f"{titled(z.name)} over pairs of the parameters that matter most"
         yield f"{z.name}-over-pairs", pair_scatters(pairs, z, title, f"{remark}{count}; ")
@@ -191,13 +193,14 @@ def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.nda
     """The panels of a heat map of `count` points for the parameters not on its axes, and a remark about them."""
     if len(rest) == 1:
         third, values = rest[0], np.unique(rest[0].values[np.isfinite(rest[0].values)])
-        kept = thinned(values, MAX_FIGURE_PANELS)
+        panel_values = thinned(values, MAX_FIGURE_PANELS)
         panels = [
-            (f"{third.spoken} = {third.shown(value)}", third.values == value) for value in kept
+            (f"{third.spoken} = {third.shown(value)}", third.values == value)
+            for value in panel_values
         ]
-        left_out = len(values) - len(kept)
+        left_out = len(values) - len(panel_values)
         return panels, f"{left_out} more values of {rest[0].spoken} not shown; " if left_out else ""
-    remark = f"mean over {', '.join(other.spoken for other in rest)}; " if rest else ""
+    remark = f"mean over {', '.join(variable.spoken for variable in rest)}; " if rest else ""
     return [("", np.full(count, True))], remark
 
 
@@ -221,13 +224,13 @@ def findings(
         notify: called with a message about what cannot be computed, as from a few runs.
     """
     if sought is not None:
-        found = find_optimum(results, *sought)
+        optimum = find_optimum(results, *sought)
         yield (
             "optimum",
-            optimum_table(found),
-            found.about(),
-            optimum_figure(found),
-            optimum_files(found),
+            optimum_table(optimum),
+            optimum.about(),
+            optimum_figure(optimum),
+            optimum_files(optimum),
         )
     try:
         if comparison is not None:
@@ -241,8 +244,8 @@ def findings(
                 groups=groups,
                 drawn=() if metric == LEADING else (metric,),
             )
-            drawn = comparing.figures_of_comparison(gained.table)
-            yield "comparison", gained.table, gained.about(only=gained.drawn), drawn, {}
+            gain_figures = comparing.figures_of_comparison(gained.table)
+            yield "comparison", gained.table, gained.about(only=gained.drawn), gain_figures, {}
     except ParameterError as error:
         notify(f"There is no comparison: {error}")
     try:
@@ -302,13 +305,15 @@ def sweep_figures(
     if color is not None and color not in columns_of(results, "metric"):
         _check_column(results, color, "color")
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
-    asked = None if sweep is None else sweep.comparison
+    comparison = None if sweep is None else sweep.comparison
     sought = (
         sweep
         and sweep.optimum
         and (SoughtOptimum.model_validate(sweep.optimum), sweep.repeats, sweep.variants)
     )
-    found = findings(results, asked, sought or None, color or LEADING, notify or (lambda _: None))
+    all_findings = findings(
+        results, comparison, sought or None, color or LEADING, notify or (lambda _: None)
+    )
 
     def usual() -> Figures:  # each is drawn when it is asked for, in the style that holds then
         some = False
@@ -319,7 +324,7 @@ def sweep_figures(
             why = "all its parameters have one value" if results.well.any() else "no run succeeded"
             raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
 
-    return itertools.chain(usual(), *(drawn for *_, drawn, _ in found))
+    return itertools.chain(usual(), *(figures for *_, figures, _ in all_findings))
 
 
 def chosen_figure(
@@ -350,11 +355,11 @@ def chosen_figure(
 
 def _check_column(results: Results, name: str | None, option: str) -> None:
     """Refuse a name that is neither a parameter nor a metric of the table; None is accepted."""
-    known = columns_of(results, "varied", "randomized", "metric")
-    if name is not None and name not in known:
-        hint = did_you_mean(name, known)
+    columns = columns_of(results, "varied", "randomized", "metric")
+    if name is not None and name not in columns:
+        hint = did_you_mean(name, columns)
         raise ParameterError(
-            f"{option} is {name!r}, no column of the table{hint} There are {', '.join(known)}."
+            f"{option} is {name!r}, no column of the table{hint} There are {', '.join(columns)}."
         )
 
 
@@ -372,8 +377,8 @@ def _chosen(results: Results, x: str, y: str, color: str | None, remark: str) ->
     if color is None and not {x, y} & set(metrics):
         color = LEADING
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:
-        others = {each.name: each for each in shown_columns(results, varied)}
-        differing = [each for each in others.values() if not alike(each.values)]
+        others = {variable.name: variable for variable in shown_columns(results, varied)}
+        differing = [variable for variable in others.values() if not alike(variable.values)]
         return heat_map(
             others[x],
             others[y],
@@ -381,13 +386,15 @@ def _chosen(results: Results, x: str, y: str, color: str | None, remark: str) ->
             metric_of(results, color),
             remark + repeats_remark(results),
         )
-    drawn = [shown_columns(results, [each])[0] for each in (x, y, color) if each]
+    shown_axes = [shown_columns(results, [variable])[0] for variable in (x, y, color) if variable]
     places = np.flatnonzero(
-        results.well & np.logical_and.reduce([np.isfinite(each.values) for each in drawn])
+        results.well
+        & np.logical_and.reduce([np.isfinite(variable.values) for variable in shown_axes])
     )
-    kept, count = _drawn_of(drawn[-1].side, drawn[-1].values[places])
+    kept_places, count = _drawn_of(shown_axes[-1].side, shown_axes[-1].values[places])
     across, up, *by = (
-        dataclasses.replace(each, values=each.values[places[kept]]) for each in drawn
+        dataclasses.replace(variable, values=variable.values[places[kept_places]])
+        for variable in shown_axes
     )
     if by:
         title = f"{titled(str(color))} over {spoken(x)} and {spoken(y)}"
@@ -430,9 +437,9 @@ class Points:
     metrics: dict[str, ShownValues]
     runs: int
 
-    def of(self, names: Sequence[str], chosen: np.ndarray) -> list[ShownValues]:
+    def of(self, names: Sequence[str], selection: np.ndarray) -> list[ShownValues]:
         """Columns of the chosen points, as shown; only those columns are read, and only those points kept."""
-        rows = self.rows[chosen]
+        rows = self.rows[selection]
         return [
             shown_column(self.results, name, values[rows])
             for name, values in self.results.columns(names)
@@ -461,30 +468,32 @@ def points_of(results: Results, metrics: Sequence[str]) -> Points:
     columns = results.columns(["variant", *metrics])
     variant = next(columns)[1]
     if not varied:
-        found = {name: shown_column(results, name, values[well]) for name, values in columns}
-        drawn = tuple(columns_of(results, "randomized"))
-        return Points(results, drawn, np.flatnonzero(well), found, int(well.sum()))
+        columns_by_name = {
+            name: shown_column(results, name, values[well]) for name, values in columns
+        }
+        randomized = tuple(columns_of(results, "randomized"))
+        return Points(results, randomized, np.flatnonzero(well), columns_by_name, int(well.sum()))
     variants = Variants.of(variant)
     some = np.bincount(variants.place, well) > 0
-    found = {
+    columns_by_name = {
         name: shown_column(
             results, name, variants.tally(values, counts(name, values, well)).mean[some]
         )
         for name, values in columns
     }
-    return Points(results, tuple(varied), variants.first[some], found, int(well.sum()))
+    return Points(results, tuple(varied), variants.first[some], columns_by_name, int(well.sum()))
 
 
 def shown_column(results: Results, name: str, values: np.ndarray | Sequence[float]) -> ShownValues:
     """Values of a column as shown."""
-    about = meta(results.schema.field(name))
-    if about.get("scale") == "structure":
+    metadata = meta(results.schema.field(name))
+    if metadata.get("scale") == "structure":
         names = results.names(name)
         return ShownValues(
-            name, "", np.array([names.index(each) for each in values], float), names=names
+            name, "", np.array([names.index(label) for label in values], float), names=names
         )
     side = sides_in(results.schema).get(name, "")
-    return shown(name, about["unit"], values, log=about.get("scale") == "log", side=side)
+    return shown(name, metadata["unit"], values, log=metadata.get("scale") == "log", side=side)
 
 
 def shown_columns(results: Results, names: Sequence[str]) -> list[ShownValues]:
@@ -533,8 +542,8 @@ def chosen_lines(costs: np.ndarray) -> np.ndarray:
     Args:
         costs: (n,), less is better; a NaN is never drawn.
     """
-    known = np.flatnonzero(np.isfinite(costs))
-    order = known[np.argsort(-costs[known], kind="stable")]
+    finite_lines = np.flatnonzero(np.isfinite(costs))
+    order = finite_lines[np.argsort(-costs[finite_lines], kind="stable")]
     if len(order) <= MOST_LINES:
         return order
     rest = order[:-BEST_LINES]
@@ -547,23 +556,26 @@ def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: s
     """A line for each point through its parameters to the metric; the best lines are orange."""
     every = points.metrics[metric]
     price = cost(every.side, every.values)
-    drawn, left_out = chosen_lines(price), ""
-    parameters = points.of(names, drawn)
-    z = dataclasses.replace(every, values=every.values[drawn])
+    line_indices, left_out = chosen_lines(price), ""
+    parameters = points.of(names, line_indices)
+    z = dataclasses.replace(every, values=every.values[line_indices])
     if len(parameters) > MOST_AXES:
         influence = [
-            abs(np.nan_to_num(rank_correlation(each.values, z.values))) for each in parameters
+            abs(np.nan_to_num(rank_correlation(parameter.values, z.values)))
+            for parameter in parameters
         ]
         matter = np.argsort(-np.array(influence), kind="stable")[:MOST_AXES]
         left_out = f"; {len(parameters) - MOST_AXES} parameters that matter less are not shown"
         parameters = [parameters[i] for i in sorted(matter)]
-    known = int(np.isfinite(price).sum())
+    finite_count = int(np.isfinite(price).sum())
     note = f"{remark}{points.what}{left_out}"
-    if known > MOST_LINES:
+    if finite_count > MOST_LINES:
         note = f"{remark}{MOST_LINES:,} of {points.what}, evenly by rank, and the best {BEST_LINES}{left_out}"
-    where = ", ".join(f"{each.spoken} {each.shown(each.values[-1])}" for each in parameters)
-    most = f"the {min(BEST_LINES, known)} {best_word(every)}"
-    note += f"; orange: {most}, of which the first is {z.shown(z.values[-1])} at {where}"
+    where = ", ".join(
+        f"{parameter.spoken} {parameter.shown(parameter.values[-1])}" for parameter in parameters
+    )
+    best_text = f"the {min(BEST_LINES, finite_count)} {best_word(every)}"
+    note += f"; orange: {best_text}, of which the first is {z.shown(z.values[-1])} at {where}"
     return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
 
 
@@ -604,20 +616,28 @@ def trade_off_figure(
     named = best[named_points(x.values[best], y.values[best])]
     parameters = points.of(names[:_MOST_TOLD], named)
     lines = []
-    for i, place in enumerate(named):
-        both = f"{x.spoken} {x.shown(x.values[place])}, {y.spoken} {y.shown(y.values[place])}"
+    for i, point in enumerate(named):
+        point_text = f"{x.spoken} {x.shown(x.values[point])}, {y.spoken} {y.shown(y.values[point])}"
         lines.append(
-            f"{both}:  "
-            + ", ".join(f"{each.spoken} {each.shown(each.values[i])}" for each in parameters)
+            f"{point_text}:  "
+            + ", ".join(
+                f"{parameter.spoken} {parameter.shown(parameter.values[i])}"
+                for parameter in parameters
+            )
         )
     if len(names) > _MOST_TOLD:
         remark += f"{len(names) - _MOST_TOLD} more parameters are in the table; "
-    drawn = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))
+    finite_points = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))
     note = f"{remark}{points.what}; "
-    if len(drawn) > _MAX_FRONT_POINTS:
-        drawn = thinned(drawn, _MAX_FRONT_POINTS, best)
+    if len(finite_points) > _MAX_FRONT_POINTS:
+        finite_points = thinned(finite_points, _MAX_FRONT_POINTS, best)
         note = f"{remark}{_MAX_FRONT_POINTS:,} of {points.what}, and the whole front; "
-    x, y = (dataclasses.replace(each, values=each.values[drawn]) for each in (x, y))
-    best, named = np.searchsorted(drawn, best), np.searchsorted(drawn, named)
-    told = list(zip(named.tolist(), lines, strict=True))
-    return trade_off(x, y, best, (x.side, y.side), told, f"{titled(first)} over {y.spoken}", note)
+    x, y = (
+        dataclasses.replace(parameter, values=parameter.values[finite_points])
+        for parameter in (x, y)
+    )
+    best, named = np.searchsorted(finite_points, best), np.searchsorted(finite_points, named)
+    labelled = list(zip(named.tolist(), lines, strict=True))
+    return trade_off(
+        x, y, best, (x.side, y.side), labelled, f"{titled(first)} over {y.spoken}", note
+    )

@@ -163,17 +163,20 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
             contextlib.suppress(DirectoryError),
             opened_part(path) as file,
         ):  # a damaged part has no rows
-            about, span = file.metadata.metadata, file.metadata.row_group(0).column(0).statistics
+            file_metadata, span = (
+                file.metadata.metadata,
+                file.metadata.row_group(0).column(0).statistics,
+            )
             skipped = span is not None and span.has_min_max and not span.min <= row <= span.max
             here = (
                 np.empty(0, int)
                 if skipped
                 else np.flatnonzero(file.read(["row"])["row"].to_numpy() == row)
             )
-            if about[b"sweep"].decode() != digest:
+            if file_metadata[b"sweep"].decode() != digest:
                 outdated |= len(here) > 0
                 continue
-            engines.append(about[b"engine"].decode())
+            engines.append(file_metadata[b"engine"].decode())
             if len(here):
                 stored, engines = file.read().slice(int(here[0]), 1).to_pylist()[0], engines[-1:]
                 break
@@ -182,7 +185,7 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
 
 
 def replay_row(
-    found: SweepRow,
+    sweep_row: SweepRow,
     engine: str | None = None,
     progress: Callable[[float], None] | None = None,
     simulator: Simulator | None = None,
@@ -190,7 +193,7 @@ def replay_row(
     """Run a row again, as the sweep runs it: its parameters, its start, its length, recorded.
 
     Args:
-        found: the row.
+        sweep_row: the row.
         engine: `auto`, `c` or `mjx`; by default the one with which the directory was started, if any.
         progress: called with the share done, in [0, 1].
         simulator: that of the row's setup and engine, where there is one already.
@@ -199,19 +202,20 @@ def replay_row(
         ParameterError: an unknown engine.
     """
     if simulator is None:
-        simulator = Simulator(found.walk.setup, engine or found.runs_on)
+        simulator = Simulator(sweep_row.walk.setup, engine or sweep_row.runs_on)
     values = {
-        name: np.array([value]) for name, value in (found.walk.constants | found.values).items()
+        name: np.array([value])
+        for name, value in (sweep_row.walk.constants | sweep_row.values).items()
     }
-    result = simulator.run(values, found.walk.run, record=True, progress=progress)
+    result = simulator.run(values, sweep_row.walk.run, record=True, progress=progress)
     metrics = {name: float(values[0]) for name, values in result.metrics.items()}
     status = str(result.status[0])
     # A run that has covered its distance is over; one that fell is shown to its end, one that is lost until then.
-    whole = found.span[0] + metrics["duration"]
+    whole = sweep_row.span[0] + metrics["duration"]
     ends = dict.fromkeys(("ok", "unsolved", "sank", "floated"), whole) | {
         "diverged": metrics["failure_time"] - simulator.controller.dt
     }
-    ticks = math.ceil(ends.get(status, found.span[1]) / simulator.controller.dt - 1e-3)
+    ticks = math.ceil(ends.get(status, sweep_row.span[1]) / simulator.controller.dt - 1e-3)
     trace = result.trace
     assert trace is not None
     return Replay(
@@ -222,40 +226,40 @@ def replay_row(
         about=result.about(),
         model=simulator.robot.model,
         comparison=None
-        if found.stored is None
-        else agreement(found.stored, metrics, str(found.engine)),
+        if sweep_row.stored is None
+        else agreement(sweep_row.stored, metrics, str(sweep_row.engine)),
     )
 
 
-def report_of(found: SweepRow, replay: Replay) -> dict[str, Any]:
+def report_of(sweep_row: SweepRow, replay: Replay) -> dict[str, Any]:
     """The result of a replay: the fields of `walk --json`, the row's own, and the comparison with the table."""
-    line = found.line
+    line = sweep_row.line
     return {
-        "directory": str(found.out),
-        "row": found.row,
+        "directory": str(sweep_row.out),
+        "row": sweep_row.row,
         "variant": int(line.variant[0]),
         "repeat": int(line.repeat[0]),
         "seed": int(line.seed[0]),
         "comparison": None if replay.comparison is None else dataclasses.asdict(replay.comparison),
-        "compared": compared(found, replay),
+        "compared": compared(sweep_row, replay),
         **replay.about,
     }
 
 
-def compared(found: SweepRow, replay: Replay) -> str:
+def compared(sweep_row: SweepRow, replay: Replay) -> str:
     """The comparison of the replay with the table, in a sentence."""
     comparison = replay.comparison
-    if comparison is None and found.outdated:
+    if comparison is None and sweep_row.outdated:
         return "Not compared: the row in the table was made by another sweep.yaml, or with other defaults."
     if comparison is None:
         return "Not compared: the sweep has not run this row yet."
     if comparison.equal:
         return f"All metrics equal the table's (engine {comparison.engine}), to the last bit."
-    known = math.isfinite(comparison.relative_difference)
+    is_finite = math.isfinite(comparison.relative_difference)
     return (
         f"The metrics differ from the table's (engine {comparison.engine}), most of all {comparison.metric}: "
         f"{comparison.replayed:.6g} instead of {comparison.stored:.6g}"
-        + (f", a share of {comparison.relative_difference:.2g}." if known else ".")
+        + (f", a share of {comparison.relative_difference:.2g}." if is_finite else ".")
     )
 
 
@@ -301,7 +305,7 @@ def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
     First come the best variants by their means, each as the run that is nearest to its mean, of two the better one; a
     variant with lost runs is chosen after those with fewer. Then come other outcomes, the first ones in the table.
     """
-    kept: dict[int, str] = {}
+    reasons: dict[int, str] = {}
     if keep.best:
         side, values = sides_in(results.schema)[keep.metric], results.column(keep.metric)
         variants, good = (
@@ -310,20 +314,20 @@ def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
         )
         tally = variants.tally(values, good)
         far = np.where(good, np.abs(values - tally.mean[variants.place]), np.inf)
-        for i, at in enumerate(tally.ranked(side)[: keep.best].tolist(), 1):
-            own = np.flatnonzero(variants.place == at)
-            near = own[far[own] <= far[own].min() * (1 + 1e-9)]
-            kept[int(near[np.argmin(cost(side, values[near]))])] = f"number {i} by {keep.metric}"
-        kept = dict(sorted(kept.items()))
+        for i, variant_index in enumerate(tally.ranked(side)[: keep.best].tolist(), 1):
+            variant_rows = np.flatnonzero(variants.place == variant_index)
+            near = variant_rows[far[variant_rows] <= far[variant_rows].min() * (1 + 1e-9)]
+            reasons[int(near[np.argmin(cost(side, values[near]))])] = f"number {i} by {keep.metric}"
+        reasons = dict(sorted(reasons.items()))
     status = results.column("status")
     for word in _STATUSES:
         for row in np.flatnonzero(status == word)[: getattr(keep, word)]:
-            kept.setdefault(int(row), word)
-    return kept
+            reasons.setdefault(int(row), word)
+    return reasons
 
 
 def record_rows(
-    held: RunDirectory,
+    directory: RunDirectory,
     digest: str,
     results: Results,
     keep: Keep,
@@ -335,7 +339,7 @@ def record_rows(
     """Record the rows to keep that are not recorded yet; returns the files of all of them, in the order of the rows.
 
     Args:
-        held: the directory of the complete table.
+        directory: the directory of the complete table.
         digest: of its sweep.
         results: the table.
         keep: which rows.
@@ -365,25 +369,27 @@ def record_rows(
             return Simulator(setup, "c")
 
     for row, why in sorted((kept_rows(results, keep) | dict(also or {})).items()):
-        path = recording_file(held.out, row)
+        path = recording_file(directory.out, row)
         with contextlib.suppress(RecordingError):  # absent, or damaged
-            there = Recording.load(path).metadata
-            if (there.get("row"), there.get("sweep")) == (row, digest):
+            stored_metadata = Recording.load(path).metadata
+            if (stored_metadata.get("row"), stored_metadata.get("sweep")) == (row, digest):
                 files.append(path)
                 continue
         check()
-        found = find_row(held.out, row)
-        walker = simulator(found.walk.setup, found.runs_on)
-        replay = replay_row(found, progress=lambda _: check(), simulator=walker)
+        sweep_row = find_row(directory.out, row)
+        walker = simulator(sweep_row.walk.setup, sweep_row.runs_on)
+        replay = replay_row(sweep_row, progress=lambda _: check(), simulator=walker)
         if not len(replay.history.time):
             warn(f"row {row} diverged in its first tick: there is nothing to record.")
             continue
-        report = report_of(found, replay)
+        report = report_of(sweep_row, replay)
         if replay.comparison is not None and not replay.comparison.equal:
             warn(f"row {row} as it is recorded: {report['compared']}")
-        about = {**report, "kept": why, "sweep": digest}
-        content = dataclasses.replace(replay.recording(), metadata=plain_json(about)).content()
-        held.move_aside(path.relative_to(held.out))
-        held.write(path.relative_to(held.out), content)
+        row_metadata = {**report, "kept": why, "sweep": digest}
+        content = dataclasses.replace(
+            replay.recording(), metadata=plain_json(row_metadata)
+        ).content()
+        directory.move_aside(path.relative_to(directory.out))
+        directory.write(path.relative_to(directory.out), content)
         files.append(path)
     return files

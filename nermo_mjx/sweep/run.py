@@ -257,13 +257,13 @@ def _publish(
     """Write what is made of a complete table; the content of summary.json, and the files of the figures."""
     summary, figures = {**summarize(results), **effort}, figures_of_results(results)
     comparison = None if rows.sweep.compare is None else rows.sweep.compare.written()
-    for name, table, about, drawn, files in findings(
+    for name, table, description, figures_of_table, files in findings(
         results, comparison, rows.sought, notify=watch.warn
     ):
         directory.write(f"{name}.parquet", parquet_bytes(table))
         for file, content in files.items():
             directory.write(file, content)
-        summary[name] = about
-        figures = itertools.chain(figures, drawn)
+        summary[name] = description
+        figures = itertools.chain(figures, figures_of_table)
     directory.write("summary.json", to_json(summary))
     return summary, write_figures(figures, directory.out / "plots") if rows.sweep.plots else []
