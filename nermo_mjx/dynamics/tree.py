@@ -55,6 +55,7 @@ def tree_of(model: mjx.Model) -> Tree:
     return Tree(below, moves, precedes)
 
 
+# Long because the kinematics pass through the tree from its root to its leaves.
 def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.kinematics`: poses of bodies, joints, geoms and sites."""
     kinds, bodies = np.asarray(model.jnt_type), np.asarray(model.jnt_bodyid)

@@ -54,6 +54,7 @@ _STAR: Final[dict[str, Any]] = {
 }
 
 
+# Long because one figure is laid out from top to bottom.
 def optimum_figure(optimum: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of what was found; none where nothing was."""
     answers, question = (
