@@ -189,9 +189,9 @@ def test_examples_in_the_help_are_valid_commands() -> None:
 )
 def test_wrong_use_is_exit_code_2_and_one_sentence(arguments: list[str], sentence: str) -> None:
     with CliRunner().isolated_filesystem():
-        said = " ".join(refused(*arguments).split())
-        assert sentence in said
-        assert "secret" not in said
+        message = " ".join(refused(*arguments).split())
+        assert sentence in message
+        assert "secret" not in message
 
 
 @pytest.mark.parametrize(
@@ -217,14 +217,14 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(
             tmp_path / "old.npz"
         ): "made with another version of the robot's model; record the run again.",
     }
-    there = sorted(tmp_path.iterdir())
+    files = sorted(tmp_path.iterdir())
     with contextlib.chdir(tmp_path):
         for path, sentence in cases.items():
             error = refused(name, path, *options)
             assert error.startswith(f"nermo-mjx: {path}: ")
             assert sentence in error
             assert error.count("\n") == 1
-    assert sorted(tmp_path.iterdir()) == there
+    assert sorted(tmp_path.iterdir()) == files
 
 
 @pytest.mark.release
@@ -328,7 +328,7 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
         "--stride",
         "0.8",
     )
-    more = (
+    extra_options = (
         "--gait",
         "lateral_walk",
         "--offset-compensation",
@@ -340,7 +340,7 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
         "fast",
     )
     last = ("--tail", "articulated", "--profile", "as_published", "--seed", "3")
-    report = json_of(*SHORT, *options, *more, *last)
+    report = json_of(*SHORT, *options, *extra_options, *last)
     expected = {
         "spine.amplitude": 0.3,
         "spine.phase": 0.5,
@@ -444,8 +444,8 @@ def test_experiment_json_is_the_report_and_nothing_else(
     assert len(result["lines"]) == 5 * len(choices.EXPERIMENTS)
     stored = json.loads((tmp_path / "report.json").read_text())
     assert {name: result[name] for name in stored} == stored
-    asked = fakes["maze"].asked[0]
-    assert (asked.seed, asked.quick, asked.repeats, asked.values) == (
+    settings = fakes["maze"].asked[0]
+    assert (settings.seed, settings.quick, settings.repeats, settings.values) == (
         5,
         True,
         1,
@@ -519,9 +519,9 @@ def test_an_experiment_ends_with_the_exit_code_of_what_happened(
 
 
 def test_identify_without_a_log_names_the_robot_instances_of_the_package(tmp_path: Path) -> None:
-    said = refused("identify", "--out", tmp_path / "out")
-    assert "identify needs --log FILE" in said
-    assert "randomize: {from: identified}" in said
+    message = refused("identify", "--out", tmp_path / "out")
+    assert "identify needs --log FILE" in message
+    assert "randomize: {from: identified}" in message
     assert not (tmp_path / "out").exists()
 
 

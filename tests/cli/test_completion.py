@@ -18,7 +18,7 @@ from nermo_mjx.cli.options import offered
 def complete(line: str, folder: Path, shell: str = "bash") -> list[str]:
     """What a shell is offered for the last word of a line, in a process of its own."""
     words = line.split(" ")
-    place = words[-1] if shell == "fish" else str(len(words) - 1)
+    word_position = words[-1] if shell == "fish" else str(len(words) - 1)
     script = (
         "import sys\nfrom nermo_mjx.cli import main\n"
         "try:\n    main(prog_name='nermo-mjx')\n"
@@ -27,7 +27,7 @@ def complete(line: str, folder: Path, shell: str = "bash") -> list[str]:
     environment = os.environ | {
         "_NERMO_MJX_COMPLETE": f"{shell}_complete",
         "COMP_WORDS": line,
-        "COMP_CWORD": place,
+        "COMP_CWORD": word_position,
     }
     environment |= {"PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(
@@ -90,7 +90,7 @@ def test_every_shell_is_offered_the_same_after_what_the_command_prints(
 @pytest.mark.parametrize("name", sorted(main.commands))
 def test_every_command_has_json_and_quiet(name: str) -> None:
     """As its reference and the README promise; a failure prints no object, and its sentence on standard error."""
-    options = {flag for each in main.commands[name].params for flag in each.opts}
+    options = {flag for parameter in main.commands[name].params for flag in parameter.opts}
     assert {"--json", "--quiet", "-q"} <= options
     failed = call(name, "--json", "--no-such-option")
     assert (failed.exit_code, failed.stdout) == (2, "")

@@ -33,14 +33,14 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.mark.release
 def test_a_log_is_shown_back_and_checked(folder) -> None:
-    found = json_of("log", folder / "robot.csv")
-    assert [each["quantity"] for each in found["channels"][:2]] == ["command", "angle"]
-    spine = next(each for each in found["channels"] if each["channel"] == "pos_spine")
+    report = json_of("log", folder / "robot.csv")
+    assert [channel["quantity"] for channel in report["channels"][:2]] == ["command", "angle"]
+    spine = next(channel for channel in report["channels"] if channel["channel"] == "pos_spine")
     assert spine["rate"] == pytest.approx(100.0)
     assert spine["lag"] == pytest.approx(0.02, abs=0.006), "the delay, and the servo's own"
-    assert len(found["findings"]) == 1
+    assert len(report["findings"]) == 1
     assert re.search(
-        r"\d+ gaps, the longest .* [123]\.?\d* % of the samples are missing", found["findings"][0]
+        r"\d+ gaps, the longest .* [123]\.?\d* % of the samples are missing", report["findings"][0]
     )
     text = call("log", folder / "robot.csv", "--channels", folder / "robot.yaml").stdout
     assert "t_ms" in text
@@ -51,10 +51,11 @@ def test_a_log_is_shown_back_and_checked(folder) -> None:
 @pytest.mark.release
 def test_the_twin_is_driven_by_the_commands(folder) -> None:
     """What differs is what the other simulation did otherwise: 20 ms of delay, 5 less as its commands are held."""
-    found = {
-        each["name"]: each for each in json.loads((folder / "replay.json").read_text())["channels"]
+    differences = {
+        entry["name"]: entry
+        for entry in json.loads((folder / "replay.json").read_text())["channels"]
     }
-    assert set(found) > {
+    assert set(differences) > {
         "pos_spine",
         "gyro x",
         "accelerometer z",
@@ -62,12 +63,12 @@ def test_the_twin_is_driven_by_the_commands(folder) -> None:
         "marker y",
         "heading",
     }
-    assert not any(name.startswith("cmd") for name in found)
+    assert not any(name.startswith("cmd") for name in differences)
     for name in ("pos_spine", "pos_neck", "pos_front_left_knee", "pos_rear_right_hip"):
-        assert found[name]["lag"] == pytest.approx(0.015, abs=0.002)
-        assert np.degrees(found[name]["rms"]) < 1.0
-        assert found[name]["correlation"] > 0.99
-    assert found["marker y"]["correlation"] > 0.9
+        assert differences[name]["lag"] == pytest.approx(0.015, abs=0.002)
+        assert np.degrees(differences[name]["rms"]) < 1.0
+        assert differences[name]["correlation"] > 0.99
+    assert differences["marker y"]["correlation"] > 0.9
 
 
 @pytest.mark.release
@@ -79,10 +80,10 @@ def test_commands_act_at_their_times(folder) -> None:
     )
     dt = 0.002
     np.testing.assert_allclose(np.diff(twin.time), dt, atol=1e-9)
-    command, held = log.of_quantity("command")["spine"], twin.ctrl[:, 8]
-    for tick in (0, 1, 777, len(held) - 1):
+    command, twin_commands = log.of_quantity("command")["spine"], twin.ctrl[:, 8]
+    for tick in (0, 1, 777, len(twin_commands) - 1):
         last = command.values[command.times <= tick * dt + 1e-9][-1]
-        assert held[tick] == pytest.approx(last, abs=1e-6)
+        assert twin_commands[tick] == pytest.approx(last, abs=1e-6)
 
 
 @pytest.mark.release
@@ -93,18 +94,20 @@ def test_a_twin_of_the_robots_delay_is_nearer(folder, tmp_path) -> None:
         e["name"]: e["rms"]
         for e in json_of("replay", "--commands", tmp_path / "robot.csv")["channels"]
     }
-    found = {
+    errors = {
         e["name"]: e["rms"] for e in json.loads((folder / "replay.json").read_text())["channels"]
     }
-    assert all(nearer[name] < 0.6 * found[name] for name in ("pos_spine", "pos_neck", "heading"))
+    assert all(nearer[name] < 0.6 * errors[name] for name in ("pos_spine", "pos_neck", "heading"))
 
 
 @pytest.mark.release
 def test_view_and_plot_lay_measured_over_simulated(folder, tmp_path) -> None:
     from nermo_mjx.view.recorded import beside_log
 
-    shown = {each.key: each for each in beside_log(Recording.load(folder / "twin.npz"))}
-    spine = shown["log_pos_spine"]
+    plots_by_key = {
+        plot_shown.key: plot_shown for plot_shown in beside_log(Recording.load(folder / "twin.npz"))
+    }
+    spine = plots_by_key["log_pos_spine"]
     measured, simulated = (line.values for line in spine.lines)
     assert re.fullmatch(r"pos_spine: lag 1[3-7] ms, RMS 0\.\d+", spine.title)
     assert np.isnan(measured).any(), "gaps are no samples"
@@ -141,16 +144,19 @@ def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:
     assert "deg" in call("compare", folder / "robot.csv", folder / "twin.npz").stdout
     # In either order at the log's 100 Hz, as `replay --commands` reports it: log minus twin.
     replayed = {
-        each["name"]: each for each in json.loads((folder / "replay.json").read_text())["channels"]
+        entry["name"]: entry
+        for entry in json.loads((folder / "replay.json").read_text())["channels"]
     }
     assert twin.keys() == back.keys() == replayed.keys()
-    for name, sign, found in (
+    for name, sign, difference in (
         (n, s, f[n]) for n in replayed for s, f in ((1.0, back), (-1.0, twin))
     ):
         for size in ("rms", "amplitude", "correlation"):
-            assert found[size] == pytest.approx(replayed[name][size], rel=1e-9, abs=1e-12), name
+            assert difference[size] == pytest.approx(replayed[name][size], rel=1e-9, abs=1e-12), (
+                name
+            )
         for signed in ("bias", "lag"):
-            assert found[signed] == pytest.approx(
+            assert difference[signed] == pytest.approx(
                 sign * replayed[name][signed], rel=1e-9, abs=1e-12
             ), name
 
@@ -159,13 +165,17 @@ def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:
 def test_a_track_alone_is_enough(folder, tmp_path) -> None:
     """All that a robot without sensors can give: commands, and a marker in a video."""
     lines = (folder / "robot.yaml").read_text().splitlines()
-    kept = [line for line in lines if not re.match(r"  (pos|gyro|acc)", line)]
-    (tmp_path / "track.yaml").write_text("\n".join(kept) + "\n")
-    found = json_of(
+    remaining_lines = [line for line in lines if not re.match(r"  (pos|gyro|acc)", line)]
+    (tmp_path / "track.yaml").write_text("\n".join(remaining_lines) + "\n")
+    report = json_of(
         "replay", "--commands", folder / "robot.csv", "--channels", tmp_path / "track.yaml"
     )
-    assert [each["name"] for each in found["channels"]] == ["marker x", "marker y", "heading"]
-    only = [line for line in kept if "cmd" not in line]
+    assert [channel["name"] for channel in report["channels"]] == [
+        "marker x",
+        "marker y",
+        "heading",
+    ]
+    only = [line for line in remaining_lines if "cmd" not in line]
     (tmp_path / "only.yaml").write_text("\n".join(only) + "\n")
     assert json_of("log", folder / "robot.csv", "--channels", tmp_path / "only.yaml")[
         "seconds"
@@ -243,7 +253,7 @@ def test_a_drive_without_a_robot_prints_and_logs(tmp_path) -> None:
     assert re.search(r"q_values: \[-?\d+, ", result.stderr)
     assert re.search(r"It walked for 0\.5 s, and \d+ commands were sent\.", result.stdout)
     log = read_log(tmp_path / "r.csv", tmp_path / "r.yaml")
-    assert {each.quantity for each in log.channels} == {"command"}
+    assert {channel.quantity for channel in log.channels} == {"command"}
     again = call(
         "drive",
         "--connect",

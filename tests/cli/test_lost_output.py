@@ -32,9 +32,9 @@ def test_a_command_whose_output_is_lost_fails(monkeypatch: pytest.MonkeyPatch) -
         with pytest.raises(SystemExit) as ended:
             main(words)
         codes[name] = ended.value.code
-        said = (
+        message = (
             "done, but standard output cannot be written: No space left on device"
             in errors.getvalue()
         )
-        assert said == (name == "lost")
+        assert message == (name == "lost")
     assert codes == {"lost": 1, "told": 0, "wrong": 2}

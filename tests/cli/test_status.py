@@ -54,22 +54,22 @@ def test_a_sweep_says_how_far_it_is_and_how_to_go_on(tmp_path: Path) -> None:
     assert known(said(out)) == ("sweep", 36, 36, True)
     assert re.search(r"a sweep, 36 runs, complete\n", status(out).stdout)
     part_of(out, 1).unlink()
-    there = said(out)["rows_done"]
-    assert 0 < there < 36
+    rows_done = said(out)["rows_done"]
+    assert 0 < rows_done < 36
     text = status(out).stdout
-    assert f"{out}: a sweep, {there} of 36 runs, not complete" in text
+    assert f"{out}: a sweep, {rows_done} of 36 runs, not complete" in text
     assert f"resume   nermo-mjx sweep '{out}/sweep.yaml' --out '{out}'\n" in text
     damaged = part_of(out, 2)
     damaged.write_text("half")
-    assert said(out)["rows_done"] < there
+    assert said(out)["rows_done"] < rows_done
     assert f"results/{damaged.name} is damaged" in status(out).stdout
 
 
 def test_a_directory_that_is_being_written_is_read(tmp_path: Path) -> None:
-    with RunDirectory(tmp_path, "sweep") as held:
+    with RunDirectory(tmp_path, "sweep") as directory:
         code = stamp("a model", "c")
-        held.take_code(code, holds_rows=False)
-        held.note_session(
+        directory.take_code(code, holds_rows=False)
+        directory.note_session(
             {"started": "2026-01-01T00:00:00", "command": "nermo-mjx sweep a.yaml --out elsewhere"}
         )
         content = said(tmp_path)
@@ -121,8 +121,8 @@ def test_times_are_those_of_this_machines_zone_and_name_it(
     monkeypatch.setenv("TZ", zone)
     time.tzset()
     sessions = [
-        {"started": each}
-        for each in ("2026-01-01T00:30:00+0000", "2025-12-31T16:30:00-0800", "2026-01-01")
+        {"started": time_text}
+        for time_text in ("2026-01-01T00:30:00+0000", "2025-12-31T16:30:00-0800", "2026-01-01")
     ]
     (tmp_path / "run.json").write_text(
         json.dumps({"kind": "sweep", "sessions": [*sessions, {"started": "then"}, {}]})
@@ -131,7 +131,7 @@ def test_times_are_those_of_this_machines_zone_and_name_it(
     assert "session  then, " in text
     assert "session  some time, " in text
     assert "session  2026-01-01 00:00 " in text
-    assert [local_time(each["started"]) for each in sessions[:2]] == [local, local]
+    assert [local_time(time_text["started"]) for time_text in sessions[:2]] == [local, local]
     monkeypatch.undo()
     time.tzset()
 
@@ -195,9 +195,9 @@ def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
 @pytest.mark.parametrize("kind", ["identification", "identification from a log"])
 def test_an_identification_counts_its_steps(tmp_path: Path, kind: str) -> None:
     """The first kind is the directory of an earlier release, which identified from the published speeds."""
-    with RunDirectory(tmp_path, kind) as held:
-        held.note_session(session())
-        stored = _stored(Runs(tmp_path, "0", directory=held))
+    with RunDirectory(tmp_path, kind) as directory:
+        directory.note_session(session())
+        stored = _stored(Runs(tmp_path, "0", directory=directory))
         for number in range(2):
             stored(lambda number=number: np.full(3, number), np.zeros(1))
     assert known(said(tmp_path)) == (kind, None, 2, False)

@@ -41,8 +41,10 @@ def test_terms_add_up_as_written():
 
 def test_it_is_differentiable_under_jit():
     """The derivative to each metric is that of its term."""
-    at = {"speed": 0.08, "roll_std": 0.1, "slip": 0.06}
-    slope = jax.jit(jax.grad(lambda metrics: TERMS.value(metrics)))(jax.tree.map(jnp.asarray, at))
+    point = {"speed": 0.08, "roll_std": 0.1, "slip": 0.06}
+    slope = jax.jit(jax.grad(lambda metrics: TERMS.value(metrics)))(
+        jax.tree.map(jnp.asarray, point)
+    )
     assert {name: float(value) for name, value in slope.items()} == pytest.approx(
         {"speed": -10.0, "roll_std": 10.0, "slip": 20 * (0.01 / 0.005) / 0.005}, rel=1e-5
     )
@@ -50,12 +52,12 @@ def test_it_is_differentiable_under_jit():
 
 def test_only_what_is_named_is_read():
     """NaN in another metric does no harm; NaN in a named one makes the objective NaN, and no derivative else."""
-    found = {
+    metrics_read = {
         "speed": jnp.array([0.1, jnp.nan]),
         "slip": jnp.array([0.05, 0.05]),
         "roll_std": jnp.array([0.0, 0.0]),
     }
-    value = TERMS.value({**found, "turning_radius": jnp.array([jnp.nan, jnp.nan])})
+    value = TERMS.value({**metrics_read, "turning_radius": jnp.array([jnp.nan, jnp.nan])})
     np.testing.assert_allclose(value, [-1.0, np.nan], rtol=1e-5)
 
 
@@ -63,7 +65,7 @@ def test_flags_and_lengths_are_no_aim():
     """Every metric of a walk may be named but those that follow from the run's length, and flags."""
     of_the_run = {"distance", "duration", "fell", "diverged", "failure_time"}
     assert set(OBJECTIVE_METRICS) == set(METRICS) - of_the_run | {TRAJECTORY_ERROR}
-    assert all(about.unit for about in OBJECTIVE_METRICS.values())
+    assert all(declaration.unit for declaration in OBJECTIVE_METRICS.values())
 
 
 to_unconstrained, from_unconstrained = (
@@ -99,7 +101,9 @@ def test_the_slope_is_the_derivative():
     u = jnp.array([[-2.0, 0.7, 1.3], [0.1, -1.9, 0.0]])
     diagonal = jax.jit(
         jax.vmap(
-            lambda row: jnp.diag(jax.jacfwd(lambda each: from_unconstrained(BOUNDS, each))(row))
+            lambda row: jnp.diag(
+                jax.jacfwd(lambda coordinate: from_unconstrained(BOUNDS, coordinate))(row)
+            )
         )
     )
     derivative = diagonal(u)

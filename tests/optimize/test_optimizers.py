@@ -13,13 +13,13 @@ from nermo_mjx.robot.quantity import ParameterError
 
 def walk(optimizer, steps=12):
     """The path of two starts under constant gradients, (steps, 2, 2)."""
-    chosen, u = optimizer.build(), jnp.array([[0.5, -0.3], [1.0, 2.0]])
-    state, path = jax.vmap(chosen.init)(u), []
+    transformation, u = optimizer.build(), jnp.array([[0.5, -0.3], [1.0, 2.0]])
+    state, path = jax.vmap(transformation.init)(u), []
     for _ in range(steps):
         slope = jnp.array([[3.0, -4.0], [0.3, 0.4]])
-        step, state = jax.vmap(lambda g, s, u: chosen.update(g, s, u, value=jnp.sum(g * u)))(
-            slope, state, u
-        )
+        step, state = jax.vmap(
+            lambda g, s, u: transformation.update(g, s, u, value=jnp.sum(g * u))
+        )(slope, state, u)
         u = u + step
         path.append(np.asarray(u))
     return np.stack(path)
@@ -38,10 +38,10 @@ def test_every_optimizer_with_gradients_alone_is_offered():
 def test_options_reach_optax():
     """The path is that of optax itself with the same options."""
     mine = walk(Optimizer("adam", {"learning_rate": 0.3, "b1": 0.5}))
-    chosen, u = optax.adam(0.3, b1=0.5), jnp.array([1.0, 2.0])
-    state = chosen.init(u)
+    transformation, u = optax.adam(0.3, b1=0.5), jnp.array([1.0, 2.0])
+    state = transformation.init(u)
     for row in mine[:, 1]:
-        step, state = chosen.update(jnp.array([0.3, 0.4]), state, u)
+        step, state = transformation.update(jnp.array([0.3, 0.4]), state, u)
         u = u + step
         np.testing.assert_allclose(row, u, rtol=1e-6)
 
@@ -141,13 +141,13 @@ def test_schedules_are_those_of_optax():
 def rough(seed):
     """A bowl in two dimensions, level far off, with teeth on its slope that are as steep as itself."""
     rng = np.random.default_rng(seed)
-    way, at = 2 * np.pi / 0.15 * rng.standard_normal((6, 2)), rng.uniform(0, 2 * np.pi, 6)
+    way, shifts = 2 * np.pi / 0.15 * rng.standard_normal((6, 2)), rng.uniform(0, 2 * np.pi, 6)
     height = 0.02 / np.linalg.norm(way, axis=1)
 
     def value(u):
         return (
             -0.1 * jnp.exp(-0.5 * (u[0] ** 2 + 3.0 * u[1] ** 2))
-            + (height * jnp.sin(way @ u + at)).sum()
+            + (height * jnp.sin(way @ u + shifts)).sum()
         )
 
     return jax.jit(jax.value_and_grad(value))
@@ -155,8 +155,11 @@ def rough(seed):
 
 def lowest(optimizer, function, steps=20, falls=lambda u: False):
     """The lowest value of `steps` evaluations from a corner, and where they were."""
-    chosen, u, path, values = optimizer.build(), jnp.array([1.2, -0.8]), [], []
-    state, update = chosen.init(u), jax.jit(lambda g, s, u, v: chosen.update(g, s, u, value=v))
+    transformation, u, path, values = optimizer.build(), jnp.array([1.2, -0.8]), [], []
+    state, update = (
+        transformation.init(u),
+        jax.jit(lambda g, s, u, v: transformation.update(g, s, u, value=v)),
+    )
     for _ in range(steps):
         value, slope = function(u)
         value, slope = (jnp.asarray(jnp.inf), jnp.zeros(2)) if falls(u) else (value, slope)

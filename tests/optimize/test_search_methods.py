@@ -37,9 +37,9 @@ def test_coordinates_are_reflected_at_bounds_and_turn_with_angles():
     space = space_of(
         {"frequency": {"uniform": [0.4, 1.0]}, "spine.phase": {"uniform": [-math.pi, math.pi]}}
     )
-    given = np.array([[1.1, 1.1], [-0.2, -0.2], [2.3, 2.3], [0.4, 0.4]])
+    points = np.array([[1.1, 1.1], [-0.2, -0.2], [2.3, 2.3], [0.4, 0.4]])
     np.testing.assert_allclose(
-        space.shares(given), [[0.9, 0.1], [0.2, 0.8], [0.3, 0.3], [0.4, 0.4]], atol=1e-12
+        space.shares(points), [[0.9, 0.1], [0.2, 0.8], [0.3, 0.3], [0.4, 0.4]], atol=1e-12
     )
 
 
@@ -187,20 +187,20 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     path.write_text(Search.from_dict(spec).to_yaml())
 
     def call(*arguments):
-        ran = CliRunner().invoke(main, [str(each) for each in arguments])
+        ran = CliRunner().invoke(main, [str(argument) for argument in arguments])
         assert ran.exit_code == 0, ran.output
         return ran.stdout
 
-    told = json.loads(call("search", path, "--out", out, "--engine", "c", "--json"))
-    assert set(told["best"]) >= {"parameters", "objective", "metrics"}
-    (file,) = told["recordings"]
+    report = json.loads(call("search", path, "--out", out, "--engine", "c", "--json"))
+    assert set(report["best"]) >= {"parameters", "objective", "metrics"}
+    (file,) = report["recordings"]
     recording = Recording.load(file)
-    assert file.endswith(f"recordings/row-{told['best']['row']:06d}.npz")
-    assert recording.metadata["metrics"]["speed"] == told["best"]["metrics"]["speed"]
+    assert file.endswith(f"recordings/row-{report['best']['row']:06d}.npz")
+    assert recording.metadata["metrics"]["speed"] == report["best"]["metrics"]["speed"]
     assert recording.metadata["parameters"]["stride"] == pytest.approx(
-        told["best"]["parameters"]["stride"], rel=1e-6
+        report["best"]["parameters"]["stride"], rel=1e-6
     )
-    again = json.loads(call("replay", out, "--row", told["best"]["row"], "--json"))
+    again = json.loads(call("replay", out, "--row", report["best"]["row"], "--json"))
     assert again["comparison"]["equal"]
     assert again["parameters"] == recording.metadata["parameters"]
     refused = CliRunner().invoke(main, ["replay", str(out), "--row", "8"])

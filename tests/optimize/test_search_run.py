@@ -105,11 +105,14 @@ def test_a_front_has_no_point_that_another_one_beats(tmp_path):
     well = np.array(table.column("status").to_pylist()) == "ok"
     cost = (values(table, "speed", "cost_of_transport") * [-1, 1])[well]
     for point in front:
-        own = np.array(point["objective"])
-        assert not ((cost <= own).all(axis=1) & (cost < own).any(axis=1)).any()
-    beaten = [(np.all(cost <= each, axis=1) & np.any(cost < each, axis=1)).any() for each in cost]
+        objective = np.array(point["objective"])
+        assert not ((cost <= objective).all(axis=1) & (cost < objective).any(axis=1)).any()
+    beaten = [
+        (np.all(cost <= candidate, axis=1) & np.any(cost < candidate, axis=1)).any()
+        for candidate in cost
+    ]
     assert len(front) == len(
-        {tuple(each) for each, lost in zip(cost, beaten, strict=True) if not lost}
+        {tuple(candidate) for candidate, lost in zip(cost, beaten, strict=True) if not lost}
     )
     assert 0 < result.best["hypervolume"] < 1
     assert result.best["row"] in [point["row"] for point in front]
@@ -131,9 +134,14 @@ def test_an_atlas_has_the_best_of_each_cell(tmp_path):
     assert atlas.column("spine.phase").to_pylist() == [
         best[cell]["spine.phase"] for cell in sorted(best)
     ]
-    about = json.loads(atlas.schema.metadata[b"atlas"])
-    assert about["objective"] == {"metric": "cost_of_transport", "direction": "minimize"}
-    assert about["measures"][0] == {"metric": "speed", "low": 0.0, "high": 0.16, "cells": 8}
+    atlas_metadata = json.loads(atlas.schema.metadata[b"atlas"])
+    assert atlas_metadata["objective"] == {"metric": "cost_of_transport", "direction": "minimize"}
+    assert atlas_metadata["measures"][0] == {
+        "metric": "speed",
+        "low": 0.0,
+        "high": 0.16,
+        "cells": 8,
+    }
     roles = {field.name: field.metadata[b"role"].decode() for field in atlas.schema}
     assert roles["cell"] == "index"
     assert roles["frequency"] == "varied"
@@ -196,21 +204,26 @@ def test_a_damaged_batch_is_run_again(tmp_path):
     run_search(SPEED, tmp_path / "out", simulator=FakeSimulator())
     before = numbers(tmp_path / "out")
     (path,) = (
-        each
-        for each in part_files(tmp_path / "out")
-        if pq.read_metadata(each).metadata[b"chunk"] == b"2"
+        part_path
+        for part_path in part_files(tmp_path / "out")
+        if pq.read_metadata(part_path).metadata[b"chunk"] == b"2"
     )
     content = bytearray(path.read_bytes())
     content[len(content) // 3] ^= 1
     path.write_bytes(content)
-    said = []
+    messages = []
     run_search(
-        SPEED, tmp_path / "out", simulator=(fake := FakeSimulator()), watch=Watch(warn=said.append)
+        SPEED,
+        tmp_path / "out",
+        simulator=(fake := FakeSimulator()),
+        watch=Watch(warn=messages.append),
     )
     assert fake.batches == [12]
     assert numbers(tmp_path / "out") == before
-    assert said == [f"{path} is damaged; it is kept in results.aside, and its runs are made again."]
-    assert [each.name for each in (tmp_path / "out/results.aside").iterdir()] == [
+    assert messages == [
+        f"{path} is damaged; it is kept in results.aside, and its runs are made again."
+    ]
+    assert [part_path.name for part_path in (tmp_path / "out/results.aside").iterdir()] == [
         f"{path.name}.aside-1"
     ]
 
@@ -311,8 +324,8 @@ def test_a_kill_at_any_moment_loses_a_batch_at_most(tmp_path):
 )
 def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, aim: Any) -> None:
     class Straight(FakeSimulator):
-        def run(self, *given: Any, **named: Any) -> Any:
-            result = super().run(*given, **named)
+        def run(self, *arguments: Any, **named: Any) -> Any:
+            result = super().run(*arguments, **named)
             result.metrics["turning_radius"] = np.full(len(result.status), np.nan)
             return result
 

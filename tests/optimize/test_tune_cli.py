@@ -30,18 +30,18 @@ def spec(tmp_path: Path) -> Path:
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Simulations in closed form; how the next problem behaves, what was made, and what walked."""
-    made: dict[str, Any] = {"options": {}, "problems": [], "walker": FakeWalker()}
+    created: dict[str, Any] = {"options": {}, "problems": [], "walker": FakeWalker()}
 
     def problem(tuning: Tuning, simulator: Any = None) -> Any:
         if simulator is not None:  # which walks from unseen starts
             return WalkProblem(tuning, simulator=simulator)
-        made["problems"].append(FakeProblem(tuning, **made["options"]))
-        return made["problems"][-1]
+        created["problems"].append(FakeProblem(tuning, **created["options"]))
+        return created["problems"][-1]
 
     monkeypatch.setattr("nermo_mjx.optimize.tuning_run.WalkProblem", problem)
-    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.Simulator", lambda *_: made["walker"])
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.Simulator", lambda *_: created["walker"])
     monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
-    return made
+    return created
 
 
 # --- tune
@@ -94,8 +94,8 @@ def test_tune_prints_start_and_best_as_people_read_them(
         rf"^spine\.phase +143\.2 +{phase:.4g} +[-+][\d.]+ +deg$", result.stdout, re.MULTILINE
     )
     before = 1e3 * float(speed(0.05, 2.5))
-    both = rf"{before:.4g} +{pace:.4g}"
-    assert re.search(rf"^speed +{both} +\+[\d.]+ +{both} +mm/s$", result.stdout, re.MULTILINE)
+    pattern = rf"{before:.4g} +{pace:.4g}"
+    assert re.search(rf"^speed +{pattern} +\+[\d.]+ +{pattern} +mm/s$", result.stdout, re.MULTILINE)
     assert re.search(r"^objective( +-0\.\d+){5} +lower is better$", result.stdout, re.MULTILINE)
     assert "Engine c: means of 8 walks from unseen starts; the best gave -" in result.stdout
     assert "Iteration 6 of start" in result.stdout

@@ -37,7 +37,9 @@ def other_code(monkeypatch):
     def upgrade(package="9.9.9"):
         real = tuning_run.stamp
         monkeypatch.setattr(
-            tuning_run, "stamp", lambda *known: dataclasses.replace(real(*known), package=package)
+            tuning_run,
+            "stamp",
+            lambda *arguments: dataclasses.replace(real(*arguments), package=package),
         )
 
     return upgrade
@@ -86,16 +88,16 @@ def test_a_users_own_file_is_kept_aside(tmp_path):
     spec.write_text(text)
     (tmp_path / "best.json").write_text("mine, too")
     tuning = dataclasses.replace(Tuning.from_file(spec), iterations=2)
-    said = []
-    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(warn=said.append))
+    messages = []
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(warn=messages.append))
     assert (tmp_path / "tuning.yaml.aside-1").read_text() == text
     assert (tmp_path / "best.json.aside-1").read_text() == "mine, too"
-    assert sorted(said) == [
+    assert sorted(messages) == [
         f"{tmp_path / 'best.json'} is of another history; it is kept as best.json.aside-1.",
         f"{spec} is of another history; it is kept as tuning.yaml.aside-1.",
     ]
-    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(warn=said.append))
-    assert len(said) == 2
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(warn=messages.append))
+    assert len(messages) == 2
 
 
 def test_a_history_that_goes_further_than_the_checkpoints_is_kept_aside(tmp_path):
@@ -192,13 +194,13 @@ def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
         directory.claim(TuningHistory(tuning))
         directory.keep(state, history)
     with TuningDirectory(tmp_path, tuning) as directory:
-        found = directory.restore()
-    assert jax.tree.structure(found[0]) == jax.tree.structure(state)
-    for a, b in zip(jax.tree.leaves(found[0]), jax.tree.leaves(state), strict=True):
+        restored = directory.restore()
+    assert jax.tree.structure(restored[0]) == jax.tree.structure(state)
+    for a, b in zip(jax.tree.leaves(restored[0]), jax.tree.leaves(state), strict=True):
         assert a.dtype == b.dtype
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
-    assert found[1].rows.tobytes() == rows.tobytes()
-    assert (found[1].metrics, found[1].codes) == (history.metrics, history.codes)
+    assert restored[1].rows.tobytes() == rows.tobytes()
+    assert (restored[1].metrics, restored[1].codes) == (history.metrics, history.codes)
 
 
 def test_the_last_few_are_kept(done):
@@ -269,34 +271,35 @@ def swapped(out, step):
 def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
     """If the newest is damaged in any way, it is moved aside, the iteration is repeated, and the result is the same."""
     damage(done.out, steps(done.out)[-1])
-    before, said = content(done.out / "checkpoints" / "7"), []
-    result, problem = tune(done.out, watch=Watch(warn=said.append))
+    before, messages = content(done.out / "checkpoints" / "7"), []
+    result, problem = tune(done.out, watch=Watch(warn=messages.append))
     assert len(problem.batches) == 1
     assert same(result, done)
     assert steps(done.out) == list(range(8 - KEPT, 8))
     assert content(done.out / "checkpoints" / "7.aside-1") == before
     assert (
-        f"checkpoint 7 in {done.out / 'checkpoints'} is damaged; it is kept as 7.aside-1." in said
+        f"checkpoint 7 in {done.out / 'checkpoints'} is damaged; it is kept as 7.aside-1."
+        in messages
     )
 
 
 def test_all_damaged_begins_again(done):
     """Nothing whole is left: the tuning starts from its beginning, and ends the same; what it had is kept aside."""
-    made = {
+    contents = {
         name: (done.out / name).read_bytes()
         for name in ("history.parquet", "best.json", "tuned.yaml", "tuning.yaml")
     }
     for step in steps(done.out):
         cut(done.out, step)
-    said = []
-    result, problem = tune(done.out, watch=Watch(warn=said.append))
+    messages = []
+    result, problem = tune(done.out, watch=Watch(warn=messages.append))
     assert len(problem.batches) == 7
     assert same(result, done)
     for step in (5, 6, 7):
         assert (done.out / "checkpoints" / f"{step}.aside-1").is_dir()
-    for name, before in made.items():
+    for name, before in contents.items():
         assert (done.out / f"{name}.aside-1").read_bytes() == before
-    assert len(said) == 7
+    assert len(messages) == 7
 
 
 def test_what_a_killed_process_left_half_written_is_removed(done):
@@ -351,28 +354,28 @@ def test_another_precision_is_refused_and_nothing_is_lost(done):
 
 def test_checkpoints_of_another_tuning_are_refused(tmp_path, done):
     """Copied in from elsewhere, they are neither taken nor lost, whatever is accepted."""
-    other = tmp_path / "other"
-    tune(other, {"iterations": 1, "seed": 8})
-    for path in (other / "checkpoints").iterdir():
+    second_out = tmp_path / "other"
+    tune(second_out, {"iterations": 1, "seed": 8})
+    for path in (second_out / "checkpoints").iterdir():
         shutil.rmtree(path)
-    shutil.copytree(done.out / "checkpoints" / "7", other / "checkpoints" / "7")
-    before = content(other)
+    shutil.copytree(done.out / "checkpoints" / "7", second_out / "checkpoints" / "7")
+    before = content(second_out)
     for accept in (False, True):
         with pytest.raises(
             WrongDirectory,
             match=r"of another tuning, with another seed \(3 there, 8 here\); choose",
         ):
-            tune(other, {"iterations": 1, "seed": 8}, accept_new_code=accept)
-    assert content(other) == before
+            tune(second_out, {"iterations": 1, "seed": 8}, accept_new_code=accept)
+    assert content(second_out) == before
 
 
 def changed_default(monkeypatch, name, value):
     """A new version with another default of one parameter."""
-    known = Tuning.parameters.fget
+    getter = Tuning.parameters.fget
 
     def parameters(self):
-        about = known(self)
-        return about | {name: dataclasses.replace(about[name], default=value)}
+        declarations = getter(self)
+        return declarations | {name: dataclasses.replace(declarations[name], default=value)}
 
     monkeypatch.setattr(Tuning, "parameters", property(parameters))
 

@@ -44,8 +44,8 @@ def traces_of(change=None, **of_problem):
     tuner, state = Tuner(tuning, FakeProblem(tuning, **of_problem)), initial_state(tuning)
     history = TuningHistory(tuning)
     for _ in range(tuning.iterations + 1):
-        state, found = tuner.step(state)
-        history = history.extended(found, 0.1, "a")
+        state, iterate = tuner.step(state)
+        history = history.extended(iterate, 0.1, "a")
     return Traces(tuning, history.table())
 
 
@@ -78,7 +78,7 @@ def undrawn(monkeypatch):
     """No figures; the landscapes that they would have had."""
     landscapes = []
     monkeypatch.setattr(
-        figures, "tuning_figures_of", lambda *known: landscapes.append(known[-1]) or []
+        figures, "tuning_figures_of", lambda *arguments: landscapes.append(arguments[-1]) or []
     )
     return landscapes
 
@@ -158,10 +158,12 @@ def test_objective_and_metrics_of_each_start_are_drawn():
     ):
         assert word in text
     assert f"star: best, {value.min():.4g} in iteration 6 of start {start}" in text
-    held = figures.objective_figure(
+    figure_held = figures.objective_figure(
         traces_of({"objective": [{"hold": "speed", "at": 0.09, "scale": 0.01}]})
     ).axes[1]
-    assert [90.0, 90.0] in [np.asarray(line.get_ydata(), float).tolist() for line in held.lines]
+    assert [90.0, 90.0] in [
+        np.asarray(line.get_ydata(), float).tolist() for line in figure_held.lines
+    ]
 
 
 def test_falls_are_marked_and_never_drawn_as_values():
@@ -204,8 +206,8 @@ def test_parameters_are_in_shown_units_with_their_bounds():
     assert bounds == pytest.approx([0.0, np.degrees(0.4)])
     walked = lines(phase, 21)[0]
     assert np.abs(np.diff(walked)).max() < 90
-    shown = np.degrees(traces.column("spine.phase")[:, 0])
-    np.testing.assert_allclose(np.cos(np.radians(walked)), np.cos(np.radians(shown)), atol=1e-5)
+    degrees = np.degrees(traces.column("spine.phase")[:, 0])
+    np.testing.assert_allclose(np.cos(np.radians(walked)), np.cos(np.radians(degrees)), atol=1e-5)
     assert "spine phase\n[deg]" in texts(figure)
     assert "-180 to 180, periodic" in texts(figure)
 

@@ -46,12 +46,14 @@ def lasting(table):
     return table.drop_columns(["wall_seconds"])
 
 
-def same(one, other):
+def same(first, second):
     """Bitwise the same state and history."""
-    leaves = zip(jax.tree.leaves(one.state), jax.tree.leaves(other.state), strict=True)
+    leaves = zip(jax.tree.leaves(first.state), jax.tree.leaves(second.state), strict=True)
     assert all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in leaves)
-    assert one.history["code"].equals(other.history["code"])
-    a, b = (lasting(result.history).drop_columns(["code"]).to_pandas() for result in (one, other))
+    assert first.history["code"].equals(second.history["code"])
+    a, b = (
+        lasting(result.history).drop_columns(["code"]).to_pandas() for result in (first, second)
+    )
     assert a.to_numpy(float).tobytes() == b.to_numpy(float).tobytes()
     return True
 
@@ -73,11 +75,11 @@ def test_it_finds_the_best_point():
     problem = FakeProblem(tuning)
     tuner, state = Tuner(tuning, problem), initial_state(tuning)
     for _ in range(80):
-        state, found = tuner.step(state)
-    amplitude, phase = found.points[0]
+        state, iterate = tuner.step(state)
+    amplitude, phase = iterate.points[0]
     assert abs(amplitude - 2.5 / 10.4) < 0.4 * 0.005
     assert abs(phase - BEST[1]) < 2 * np.pi * 0.005
-    assert float(state.best_value[0]) <= found.value[0]
+    assert float(state.best_value[0]) <= iterate.value[0]
     assert problem.compiled == 1
     assert problem.batches == [(1, True)] * 80
 
@@ -90,8 +92,8 @@ def test_tunings_of_one_optimizer_share_their_programs(compilations):
             SPEC
             | {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, high], "start": 0.05}}}
         )
-        _, found = Tuner(tuning, FakeProblem(tuning)).step(initial_state(tuning))
-        np.testing.assert_allclose(found.points[0], [0.05, 2.5], rtol=1e-5)
+        _, iterate = Tuner(tuning, FakeProblem(tuning)).step(initial_state(tuning))
+        np.testing.assert_allclose(iterate.points[0], [0.05, 2.5], rtol=1e-5)
     assert any("program" in name for name in compilations)
     assert not [name for name in compilations if "_placed" in name or "_advanced" in name]
 
@@ -179,12 +181,14 @@ def test_worlds_that_fall_poison_nothing(tmp_path):
 
 def test_a_start_does_not_depend_on_the_others(tmp_path):
     """The given start walks the same way beside a start that falls from the first step on as beside one that walks."""
-    kept, _ = tune(tmp_path / "a")
-    other = kept.history.column("spine.phase").to_pylist()[1]
-    beside, _ = tune(tmp_path / "b", falls=lambda points: jnp.abs(points[:, 1] - other) < 0.02)
+    reference, _ = tune(tmp_path / "a")
+    second_start = reference.history.column("spine.phase").to_pylist()[1]
+    beside, _ = tune(
+        tmp_path / "b", falls=lambda points: jnp.abs(points[:, 1] - second_start) < 0.02
+    )
     first = [
         lasting(result.history).to_pandas().query("start == 0").drop(columns="iteration")
-        for result in (kept, beside)
+        for result in (reference, beside)
     ]
     assert first[0].equals(first[1])
     assert not beside.history.column("ok").to_pylist()[1]
@@ -218,17 +222,17 @@ def test_a_problem_that_says_ok_to_nan_is_not_believed():
     real = problem.evaluate
 
     def careless(points, gradient):
-        found = real(points, gradient)
-        return type(found)(
-            found.value.at[0].set(jnp.nan),
-            found.gradient.at[1, 0].set(jnp.inf),
-            found.metrics,
-            found.ok,
+        evaluation = real(points, gradient)
+        return type(evaluation)(
+            evaluation.value.at[0].set(jnp.nan),
+            evaluation.gradient.at[1, 0].set(jnp.inf),
+            evaluation.metrics,
+            evaluation.ok,
         )
 
     problem.evaluate = careless
-    state, found = Tuner(tuning, problem).step(initial_state(tuning))
-    assert not found.ok.any()
+    state, iterate = Tuner(tuning, problem).step(initial_state(tuning))
+    assert not iterate.ok.any()
     assert np.isfinite(state.u).all()
     assert np.isinf(state.best_value).all(), "no point is the best"
     assert state.best_iteration.tolist() == [-1, -1]
@@ -249,8 +253,8 @@ def test_a_directory_with_the_former_name_of_a_method_goes_on(tmp_path, given):
     texts = {
         path.read_text() for path in (tmp_path / "out" / "checkpoints" / "2").rglob("metadata")
     }
-    (about,) = (text for text in texts if "identity" in text)
-    assert json.loads(about)["identity"]["fields"]["method"] == {
+    (identity_text,) = (text for text in texts if "identity" in text)
+    assert json.loads(identity_text)["identity"]["fields"]["method"] == {
         "differences": {"scheme": "central", "step": 0.02}
     }
     rest, _ = tune(tmp_path / "out", {"method": given})
@@ -365,13 +369,13 @@ def test_the_directory_holds_what_other_programs_rely_on(reference):
 
 def test_every_column_says_its_unit_meaning_and_role(reference):
     """Units of parameters, gradients and metrics stand in the Parquet file itself; pandas needs nothing else."""
-    about = {
+    column_metadata = {
         field.name: field.metadata for field in pq.read_schema(reference.out / "history.parquet")
     }
     names = ("spine.amplitude", "spine.phase")
     gradients = [f"{kind}.{name}" for name in names for kind in ("gradient",)]
     others = ("ok", "simulated_seconds", "wall_seconds", "code")
-    assert list(about) == [
+    assert list(column_metadata) == [
         "iteration",
         "start",
         "objective",
@@ -381,12 +385,12 @@ def test_every_column_says_its_unit_meaning_and_role(reference):
         "roll_std",
         *others,
     ]
-    assert about["spine.phase"][b"unit"] == b"rad"
-    assert about["gradient.spine.phase"][b"unit"] == b"1/(rad)"
-    assert about["speed"][b"unit"] == b"m/s"
-    assert about["speed"][b"role"] == b"metric"
-    assert about["simulated_seconds"][b"role"] == b"effort"
-    assert all(metadata[b"description"] for metadata in about.values())
+    assert column_metadata["spine.phase"][b"unit"] == b"rad"
+    assert column_metadata["gradient.spine.phase"][b"unit"] == b"1/(rad)"
+    assert column_metadata["speed"][b"unit"] == b"m/s"
+    assert column_metadata["speed"][b"role"] == b"metric"
+    assert column_metadata["simulated_seconds"][b"role"] == b"effort"
+    assert all(metadata[b"description"] for metadata in column_metadata.values())
     frame = read_history(reference.out).to_pandas()
     assert frame["wall_seconds"].is_monotonic_increasing
 
@@ -406,18 +410,18 @@ def test_progress_tells_how_far_and_how_good(tmp_path, reference):
     """One report before the first evaluation, one after each; a resumed tuning starts where it was."""
     with pytest.raises(Interrupted):
         tune(tmp_path, stop_at=3)
-    tuning, seen = Tuning.from_dict(SPEC), []
-    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(seen.append))
-    assert [(report.what, report.done) for report in seen] == [
+    tuning, messages = Tuning.from_dict(SPEC), []
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(messages.append))
+    assert [(report.what, report.done) for report in messages] == [
         ("", done) for done in (3, 4, 5, 6, 7)
     ]
-    assert {report.total for report in seen} == {7}
-    assert {report.resumed for report in seen} == {3}
-    best = [report.best for report in seen[1:]]
+    assert {report.total for report in messages} == {7}
+    assert {report.resumed for report in messages} == {3}
+    best = [report.best for report in messages[1:]]
     assert best == sorted(best, reverse=True)
     assert best[-1] == reference.best["objective"]
-    assert set(seen[-1].numbers) == {"objective", "speed", "roll_std", "simulated_seconds"}
-    assert seen[-1].numbers["simulated_seconds"] == reference.best["simulated_seconds"]
+    assert set(messages[-1].numbers) == {"objective", "speed", "roll_std", "simulated_seconds"}
+    assert messages[-1].numbers["simulated_seconds"] == reference.best["simulated_seconds"]
 
 
 # --- the end
@@ -468,15 +472,20 @@ def test_start_and_best_are_walked_again_from_unseen_starts(tmp_path):
     tuning = Tuning.from_dict(SPEC)
     walker = FakeWalker(falls=lambda values: values["start.yaw"] > 0.005)
     result = run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), simulator=walker)
-    found = json.loads((tmp_path / "best.json").read_text())["verified"]
-    assert found == result.best["verified"]
-    assert (found["engine"], found["walks"], walker.again, walker.batches) == ("c", 8, [16], [])
-    assert found["start"]["walks_ok"] == found["best"]["walks_ok"] < 8
-    for point, given in (("start", result.start), ("best", result.best)):
-        assert found[point]["metrics"]["speed"] == pytest.approx(
-            given["metrics"]["speed"], rel=1e-5
+    verified = json.loads((tmp_path / "best.json").read_text())["verified"]
+    assert verified == result.best["verified"]
+    assert (verified["engine"], verified["walks"], walker.again, walker.batches) == (
+        "c",
+        8,
+        [16],
+        [],
+    )
+    assert verified["start"]["walks_ok"] == verified["best"]["walks_ok"] < 8
+    for point, point_values in (("start", result.start), ("best", result.best)):
+        assert verified[point]["metrics"]["speed"] == pytest.approx(
+            point_values["metrics"]["speed"], rel=1e-5
         )
-        assert found[point]["objective"] == pytest.approx(given["objective"], rel=1e-5)
+        assert verified[point]["objective"] == pytest.approx(point_values["objective"], rel=1e-5)
 
 
 @pytest.mark.release

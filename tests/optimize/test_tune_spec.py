@@ -180,7 +180,7 @@ def test_all_sections_arrive():
     assert tuning.names == ("spine.amplitude", "spine.phase", "stride")
     assert tuning.setup.spine == "stride_extension"
     assert tuning.constants == {"frequency": 0.8}
-    assert [(each.low, each.high) for each in tuning.tuned] == [
+    assert [(parameter.low, parameter.high) for parameter in tuning.tuned] == [
         (0, 0.4),
         (-math.pi, math.pi),
         (0.5, 1.0),
@@ -198,7 +198,7 @@ def test_everything_but_parameters_and_objective_has_a_default():
             "objective": [{"maximize": "speed"}],
         }
     )
-    assert [(each.low, each.high, each.start) for each in tuning.tuned] == [
+    assert [(parameter.low, parameter.high, parameter.start) for parameter in tuning.tuned] == [
         (0.01, 1, 0.5),
         (0.4, 1.2, 0.67),
     ]
@@ -263,7 +263,7 @@ def test_the_digest_tells_tunings_apart():
         {"tune": {"duty": {"bounds": [0.4, 0.8]}}},
         {"method": "wide_differences"},
     ]
-    assert digest not in [Tuning.from_dict(SMALL | other).digest() for other in others]
+    assert digest not in [Tuning.from_dict(SMALL | change).digest() for change in others]
 
 
 @pytest.mark.parametrize(
@@ -342,8 +342,8 @@ def test_starts_are_drawn_within_the_bounds():
     np.testing.assert_array_equal(
         points[:5], Tuning.from_dict(tuning.resolved() | {"starts": 5}).start_points()
     )
-    other = Tuning.from_dict(tuning.resolved() | {"seed": 2}).start_points()
-    assert (points[1:] != other[1:]).any()
+    other_points = Tuning.from_dict(tuning.resolved() | {"seed": 2}).start_points()
+    assert (points[1:] != other_points[1:]).any()
 
 
 def test_a_recording_counts_from_the_file_and_by_its_content(tmp_path):
@@ -389,4 +389,4 @@ def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) ->
             "run": {"duration": 1.0},
             "tune": {"stride": {"bounds": [0.5, 1.0]}},
         }
-        refused(lambda given=tuning: tuning_forecasts(Tuning.from_dict(given)), message)
+        refused(lambda spec=tuning: tuning_forecasts(Tuning.from_dict(spec)), message)

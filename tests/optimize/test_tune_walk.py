@@ -50,10 +50,10 @@ def tuned(problem, tmp_path_factory):
 def test_a_problem_travels_without_the_file_that_it_compares_with(problem):
     """A worker on another machine has no recording, and gets its numbers."""
     poses = np.ones((10, problem.rollout.robot.model.nq))
-    there = pickle.loads(pickle.dumps(WalkProblem(problem.tuning, Reference(poses, poses[0]))))
-    assert (there.names, there.tuning) == (problem.names, problem.tuning)
-    assert there.simulated_seconds == problem.simulated_seconds
-    np.testing.assert_array_equal(there.reference.qpos, poses)
+    copied = pickle.loads(pickle.dumps(WalkProblem(problem.tuning, Reference(poses, poses[0]))))
+    assert (copied.names, copied.tuning) == (problem.names, problem.tuning)
+    assert copied.simulated_seconds == problem.simulated_seconds
+    np.testing.assert_array_equal(copied.reference.qpos, poses)
 
 
 @pytest.mark.release
@@ -83,7 +83,7 @@ def test_the_gradient_at_the_start_is_that_of_the_c_engine(tuned, simulator):
     _, history = tuned
     ends = 0.01 * np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
     values = {
-        name: about["start"] + ends[i] for i, (name, about) in enumerate(SPEC["tune"].items())
+        name: bounds["start"] + ends[i] for i, (name, bounds) in enumerate(SPEC["tune"].items())
     }
     walked = (
         simulator(spine="stride_extension")
@@ -91,8 +91,8 @@ def test_the_gradient_at_the_start_is_that_of_the_c_engine(tuned, simulator):
         .metrics["speed"]
     )
     slopes = -10 * (walked[::2] - walked[1::2]) / 0.02
-    found = [history[f"gradient.{name}"][0].as_py() for name in SPEC["tune"]]
-    assert found == pytest.approx(slopes, rel=0.1)
+    gradient = [history[f"gradient.{name}"][0].as_py() for name in SPEC["tune"]]
+    assert gradient == pytest.approx(slopes, rel=0.1)
 
 
 @pytest.mark.release

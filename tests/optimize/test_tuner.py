@@ -50,23 +50,23 @@ def slope_of(amplitude, phase):
 
 def test_central_differences_are_the_slope():
     """Of a parabola they are exact; of a cosine short by the sine of the step."""
-    found, _ = problem(DIFFERENCES)
+    result, _ = problem(DIFFERENCES)
     points = np.array([[0.1, 0.5], [0.3, -2.0]])
-    slope = found.evaluate(points, True).gradient
+    slope = result.evaluate(points, True).gradient
     step = 0.02 * 2 * math.pi
     expected = slope_of(points[:, 0], points[:, 1]) * [1.0, math.sin(step) / step]
     np.testing.assert_allclose(slope, expected, rtol=1e-5)
-    assert found.gradient_cost == 5.0
-    assert found.simulator.batches[0].shape == (10, 2)
+    assert result.gradient_cost == 5.0
+    assert result.simulator.batches[0].shape == (10, 2)
 
 
 def test_differences_stay_within_the_bounds():
     """At a bound a neighbour stands on it; a periodic parameter's comes back at the other side; slopes are right."""
     for scheme in ("central", "forward"):
         spec = DIFFERENCES | {"method": {"wide_differences": {"scheme": scheme, "step": 0.01}}}
-        found, _ = problem(spec)
-        slope = found.evaluate(np.array([[0.399, 3.14], [0.0005, -3.14]]), True).gradient
-        worlds = found.simulator.batches[0]
+        result, _ = problem(spec)
+        slope = result.evaluate(np.array([[0.399, 3.14], [0.0005, -3.14]]), True).gradient
+        worlds = result.simulator.batches[0]
         assert (worlds[:, 0] >= 0).all()
         assert (worlds[:, 0] <= 0.4).all()
         assert (np.abs(worlds[:, 1]) <= math.pi + 1e-6).all()
@@ -76,16 +76,16 @@ def test_differences_stay_within_the_bounds():
 
 
 def test_a_point_counts_as_fallen_if_a_neighbour_falls():
-    found, _ = problem(DIFFERENCES, falls_above=0.2)
-    assert found.evaluate(np.array([[0.1, 0.0], [0.199, 0.0]]), True).ok.tolist() == [True, False]
+    result, _ = problem(DIFFERENCES, falls_above=0.2)
+    assert result.evaluate(np.array([[0.1, 0.0], [0.199, 0.0]]), True).ok.tolist() == [True, False]
 
 
 @pytest.mark.release
 def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
     """With the same optimizer as by gradient; best.json and history have the same form."""
     spec = DIFFERENCES | {"iterations": 30}
-    found, _ = problem(spec)
-    result = run_tuning(spec, tmp_path / "out", problem=found)
+    evaluation, _ = problem(spec)
+    result = run_tuning(spec, tmp_path / "out", problem=evaluation)
     assert result.best["metrics"]["speed"] == pytest.approx(0.1, abs=4e-3)
     assert {"gradient.spine.phase", "objective", "iteration"} <= set(result.history.schema.names)
     assert [code.engine for code in codes_of(tmp_path / "out").values()] == ["c"]
@@ -94,7 +94,9 @@ def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
 def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
     monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
-    costs = {each.method: each for each in tuning_forecasts(Tuning.from_dict(DIFFERENCES))}
+    costs = {
+        forecast.method: forecast for forecast in tuning_forecasts(Tuning.from_dict(DIFFERENCES))
+    }
     assert list(costs) == ["wide_differences", "local_gradient"]
     assert costs["wide_differences"].counts["evaluations"] == 2 * 7 * 5
     assert costs["wide_differences"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
@@ -102,10 +104,10 @@ def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert costs["local_gradient"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
     path = tmp_path / "tuning.yaml"
     path.write_text(Tuning.from_dict(DIFFERENCES).to_yaml())
-    shown = call("tune", path, "--out", tmp_path / "out", "--dry-run").stdout
-    assert "method wide_differences: 70 evaluations;" in shown
-    assert "instead of it, method local_gradient: 70 evaluations;" in shown
-    assert "minutes to compile" not in shown, "nothing here runs in MJX"
+    output = call("tune", path, "--out", tmp_path / "out", "--dry-run").stdout
+    assert "method wide_differences: 70 evaluations;" in output
+    assert "instead of it, method local_gradient: 70 evaluations;" in output
+    assert "minutes to compile" not in output, "nothing here runs in MJX"
     assert not (tmp_path / "out").exists()
 
 

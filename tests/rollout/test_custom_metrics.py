@@ -76,21 +76,24 @@ def own(reduce: str, function: Any = lambda sensors: sensors.gyro[2]) -> OwnMetr
 
 def reduced(readings: np.ndarray, begin: float, end: float) -> dict[str, float]:
     """What all reductions make of the yaw rate, (ticks, STEPS), of a robot that stands, from `begin` to `end`."""
-    chosen = tuple(own(name) for name in REDUCTIONS)
+    custom = tuple(own(name) for name in REDUCTIONS)
     gyro = np.zeros((*readings.shape, 3))
     gyro[..., 2] = readings
-    seen, window = stream(len(readings), gyro=gyro), Window(begin=begin, end=end, distance=1e6)
+    readings_of_ticks, window = (
+        stream(len(readings), gyro=gyro),
+        Window(begin=begin, end=end, distance=1e6),
+    )
 
     def tick(state: Any, now: Any) -> tuple[Any, None]:
-        known = measures.Tick(now[1], now[0], DT, 1.0)
-        return measures.update(window, state, known, chosen), None
+        tick_record = measures.Tick(now[1], now[0], DT, 1.0)
+        return measures.update(window, state, tick_record, custom), None
 
     start = measures.init(
-        jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen
+        jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), readings_of_ticks), custom
     )
-    state, _ = jax.lax.scan(tick, start, (DT * np.arange(len(readings)), seen))
-    found = measures.result(state, jnp.asarray(0.27), custom=chosen)
-    return {name: float(found[name]) for name in REDUCTIONS}
+    state, _ = jax.lax.scan(tick, start, (DT * np.arange(len(readings)), readings_of_ticks))
+    result = measures.result(state, jnp.asarray(0.27), custom=custom)
+    return {name: float(result[name]) for name in REDUCTIONS}
 
 
 # --- reductions
@@ -100,7 +103,7 @@ def reduced(readings: np.ndarray, begin: float, end: float) -> dict[str, float]:
 def test_reductions_are_those_of_numpy() -> None:
     """Over whole ticks, in both of which readings stand for the step before them: NumPy over the same readings."""
     random = np.random.default_rng(0).normal(size=(12, STEPS)).astype(np.float32)
-    found = reduced(random, 3 * DT, 11 * DT)
+    actual = reduced(random, 3 * DT, 11 * DT)
     values = random[4:].ravel()  # the first reading is that at rest, which ends at time 0
     between = np.concatenate(
         [random[3, -1:], values]
@@ -116,7 +119,7 @@ def test_reductions_are_those_of_numpy() -> None:
         "last": values[-1],
         "integral": values.mean() * 8 * DT,
     }
-    assert found == pytest.approx(
+    assert actual == pytest.approx(
         {name: float(value) for name, value in expected.items()}, rel=1e-5, abs=1e-6
     )
 
@@ -129,8 +132,8 @@ def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None
     random = np.random.default_rng(1).normal(2.0, 1.0, (ticks, STEPS)).astype(np.float32)
     gyro = np.zeros((ticks, STEPS, 3))
     gyro[..., 2] = random
-    seen = stream(ticks, gyro=gyro, foot_force=0.66 * down[:, None])
-    chosen = tuple(
+    readings_of_ticks = stream(ticks, gyro=gyro, foot_force=0.66 * down[:, None])
+    custom = tuple(
         dataclasses.replace(
             own(reduce), name=f"{reduce}_{across}", per="stride", limb="front_right", across=across
         )
@@ -139,30 +142,30 @@ def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None
     )
 
     def tick(state: Any, now: Any) -> tuple[Any, None]:
-        known = measures.Tick(now[1], now[0], DT, 0.95)
+        tick_record = measures.Tick(now[1], now[0], DT, 0.95)
         window = Window(begin=0.0, end=1e6, distance=1e6)
-        return measures.update(window, state, known, chosen), None
+        return measures.update(window, state, tick_record, custom), None
 
     start = measures.init(
-        jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen
+        jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), readings_of_ticks), custom
     )
-    state, _ = jax.lax.scan(tick, start, (DT * np.arange(ticks), seen))
-    found = measures.result(state, jnp.asarray(0.27), custom=chosen)
+    state, _ = jax.lax.scan(tick, start, (DT * np.arange(ticks), readings_of_ticks))
+    result = measures.result(state, jnp.asarray(0.27), custom=custom)
     # The front right foot is down from ticks 55, 155, 255 and 355 on, and settles in the eleventh tick.
     strides = [random[begin : begin + period] for begin in (66, 166, 266)]
     ranges = [
         np.ptp(random[begin - 1 : begin + period].ravel()[STEPS - 1 :]) for begin in (66, 166, 266)
     ]
     values = {
-        "mean": [each.mean() for each in strides],
+        "mean": [stride.mean() for stride in strides],
         "range": ranges,
-        "integral": [each.mean() for each in strides],
+        "integral": [stride.mean() for stride in strides],
     }
-    for reduce, each in values.items():
-        std = np.std(each, ddof=1)
-        expected = {"mean": np.mean(each), "std": std, "cv": std / np.mean(each)}
+    for reduce, stride in values.items():
+        std = np.std(stride, ddof=1)
+        expected = {"mean": np.mean(stride), "std": std, "cv": std / np.mean(stride)}
         for across, value in expected.items():
-            assert float(found[f"{reduce}_{across}"]) == pytest.approx(value, rel=2e-3), (
+            assert float(result[f"{reduce}_{across}"]) == pytest.approx(value, rel=2e-3), (
                 reduce,
                 across,
             )
@@ -175,11 +178,11 @@ def test_a_metric_is_continuous_where_the_measuring_begins_and_ends() -> None:
         np.float32
     )
     for begin, end in ((0.0311, 0.0902), (0.03, 0.0999), (0.0349, 0.0451)):
-        found = reduced(ramp, begin, end)
-        assert (found["min"], found["max"], found["last"]) == pytest.approx(
+        actual = reduced(ramp, begin, end)
+        assert (actual["min"], actual["max"], actual["last"]) == pytest.approx(
             (begin, end, end), abs=2e-6
         )
-        assert found["range"] == pytest.approx(end - begin, abs=4e-6)
+        assert actual["range"] == pytest.approx(end - begin, abs=4e-6)
 
 
 @pytest.mark.release
@@ -193,16 +196,18 @@ def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
     root = own("mean", lambda sensors: jnp.sqrt(sensors.foot_force[0]))
 
     def mean(weight: Any) -> Any:
-        tick, seen = np.arange(4)[:, None, None], jax.tree.map(jnp.asarray, stream(4))
+        tick, readings_of_ticks = np.arange(4)[:, None, None], jax.tree.map(jnp.asarray, stream(4))
         force = jnp.where(tick == 0, 0.0, weight * 4.0) * np.ones((4, STEPS, 4))
-        seen = dataclasses.replace(seen, foot_force=jnp.where(tick == 3, jnp.nan, force))
-        start = measures.init(jax.tree.map(lambda leaf: leaf[0, -1], seen), (root,))
+        readings_of_ticks = dataclasses.replace(
+            readings_of_ticks, foot_force=jnp.where(tick == 3, jnp.nan, force)
+        )
+        start = measures.init(jax.tree.map(lambda leaf: leaf[0, -1], readings_of_ticks), (root,))
 
         def add(state: Any, now: Any) -> tuple[Any, None]:
-            known = measures.Tick(now[1], now[0], DT, 1.0)
-            return measures.update(Window(begin=0.0), state, known, (root,)), None
+            tick_record = measures.Tick(now[1], now[0], DT, 1.0)
+            return measures.update(Window(begin=0.0), state, tick_record, (root,)), None
 
-        state, _ = jax.lax.scan(add, start, (DT * np.arange(4), seen))
+        state, _ = jax.lax.scan(add, start, (DT * np.arange(4), readings_of_ticks))
         return measures.result(state, jnp.asarray(0.27), custom=(root,))["mean"]
 
     assert float(jax.jit(mean)(1.0)) == pytest.approx(2.0)
@@ -229,9 +234,9 @@ def test_a_simulator_measures_what_its_recording_shows(shake: Path) -> None:
         np.testing.assert_array_equal(column, result.metrics[name], err_msg=name)
     recording = result.recording(1)
     assert recording.metadata["setup"]["metrics"] == [str(shake)]
-    (shown,) = (table["rows"] for table in details_of(recording) if table["title"] == "Metrics")
+    (rows,) = (table["rows"] for table in details_of(recording) if table["title"] == "Metrics")
     assert ["hardest_step", f"{result.metrics['hardest_step'][1]:.4g} N"] in [
-        list(row) for row in shown
+        list(row) for row in rows
     ]
 
 
@@ -239,13 +244,17 @@ def test_a_simulator_measures_what_its_recording_shows(shake: Path) -> None:
 def test_a_metric_of_ones_own_has_the_derivative_of_the_engine_c(shake: Path) -> None:
     """By central differences of another implementation."""
     with jax.enable_x64(True):
-        run, at, eps = Run(duration=0.25, warmup=0.1), 0.2, 1e-5
+        run, amplitude, eps = Run(duration=0.25, warmup=0.1), 0.2, 1e-5
         setup = Setup(spine="stride_extension", metrics=str(shake))
         rollout = Rollout(setup, run, "mjx")
-        slope = jax.jit(jax.jacfwd(lambda x: rollout({"spine.amplitude": x})["yaw_shake"]))(at)
+        slope = jax.jit(jax.jacfwd(lambda x: rollout({"spine.amplitude": x})["yaw_shake"]))(
+            amplitude
+        )
         simulator = Simulator(setup, engine="c")
         simulator.engine.model.opt.tolerance = 0.0
-        high, low = simulator({"spine.amplitude": [at + eps, at - eps]}, run)["yaw_shake"]
+        high, low = simulator({"spine.amplitude": [amplitude + eps, amplitude - eps]}, run)[
+            "yaw_shake"
+        ]
     assert float(slope) == pytest.approx((high - low) / (2 * eps), rel=1e-3)
 
 
@@ -295,8 +304,8 @@ def test_the_directory_keeps_the_file_and_its_content_counts(shake: Path, tmp_pa
     digest = sweep.digest()
     run_sweep(sweep, out, simulator=Measuring())
     assert (out / "metrics.py").read_text() == SHAKE
-    kept = Sweep.from_file(out / "sweep.yaml")
-    assert kept.digest() == digest, "wherever the file is"
+    stored = Sweep.from_file(out / "sweep.yaml")
+    assert stored.digest() == digest, "wherever the file is"
     table = read_table(out)
     assert meta(table.schema.field("yaw_shake")) == {
         "unit": "rad/s",

@@ -36,16 +36,16 @@ def test_readings_at_rest_are_mujocos():
     qpos[bent] = np.linspace(-0.3, 0.3, len(bent))
     data.qpos[:] = qpos
     mujoco.mj_forward(robot.model, data)
-    found, expected = (
+    actual, expected = (
         robot.sensors(jax.jit(robot.sensordata_at_rest)(qpos)),
         robot.sensors(data.sensordata),
     )
-    np.testing.assert_allclose(found.position, expected.position, atol=1e-6)
-    np.testing.assert_allclose(found.orientation, expected.orientation, atol=1e-6)
-    np.testing.assert_allclose(found.servo_angle, expected.servo_angle, atol=1e-6)
-    np.testing.assert_allclose(found.knee_angle, expected.knee_angle, atol=1e-6)
-    assert not np.any(found.foot_force)
-    assert not np.any(found.linear_velocity)
+    np.testing.assert_allclose(actual.position, expected.position, atol=1e-6)
+    np.testing.assert_allclose(actual.orientation, expected.orientation, atol=1e-6)
+    np.testing.assert_allclose(actual.servo_angle, expected.servo_angle, atol=1e-6)
+    np.testing.assert_allclose(actual.knee_angle, expected.knee_angle, atol=1e-6)
+    assert not np.any(actual.foot_force)
+    assert not np.any(actual.linear_velocity)
 
 
 @pytest.mark.release
@@ -80,8 +80,8 @@ def test_a_rollout_in_float64_does_not_see_that_float32_was_there_before(simulat
     simulator("c", spine="stride_extension").run(values, Run(duration=0.02, warmup=0.0))
     with jax.enable_x64(True):
         rollout = Rollout(Setup(spine="stride_extension"), Run(duration=0.02, warmup=0.0))
-        found = jax.eval_shape(lambda a: rollout({"spine.amplitude": a}), jnp.asarray(0.2))
-    assert {leaf.dtype for leaf in jax.tree.leaves(found)} == {np.dtype(float)}
+        shapes = jax.eval_shape(lambda a: rollout({"spine.amplitude": a}), jnp.asarray(0.2))
+    assert {leaf.dtype for leaf in jax.tree.leaves(shapes)} == {np.dtype(float)}
 
 
 def test_default_parameters_in_float64_leave_none_of_it_behind():

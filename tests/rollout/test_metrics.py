@@ -79,10 +79,10 @@ def _run(on_line: bool) -> Any:
             beside = straight(Pilot(), sensors.position[-1]) if on_line else None
             # A trot on the spot: each diagonal pair is commanded to stand for half a cycle.
             stance = jnp.sin(2 * jnp.pi * RATE * time) * jnp.array([1.0, -1.0, -1.0, 1.0]) >= 0.0
-            known = metrics.Tick(
+            tick_record = metrics.Tick(
                 sensors, time, DT, rate, beside, stance, brake=servo.brake, servo=servo
             )
-            state = metrics.update(window, state, known)
+            state = metrics.update(window, state, tick_record)
             return state, state
 
         # As in the loop: the first reading is that at rest, at time 0, and belongs to no tick.
@@ -353,9 +353,9 @@ def test_power_is_at_least_work_whatever_the_motor(limit, stall, back_emf):
         limit * random.uniform(-1.0, 1.0, (STEPS, 40)),
         random.uniform(-20.0, 20.0, (STEPS, 40)),
     )
-    drawn = electrical.power_sums(torque, speed, servo)
+    sums = electrical.power_sums(torque, speed, servo)
     power = electrical.electrical_result(
-        drawn, 1.0, electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
+        sums, 1.0, electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
     )["electrical_power"]
     assert power >= np.maximum(torque * speed, 0.0).sum(axis=1).mean()
 
@@ -734,7 +734,7 @@ MAY_BE_NAN = {
 def _derivative(on_line: bool) -> Any:
     """The metrics at (window, readings, rate), and their derivatives in a direction."""
     run = _run(on_line)
-    return jax.jit(lambda at, towards: jax.jvp(lambda *at: run(*at)[0], at, towards))
+    return jax.jit(lambda point, towards: jax.jvp(lambda *point: run(*point)[0], point, towards))
 
 
 @pytest.mark.release
@@ -756,21 +756,21 @@ def test_derivatives_are_those_of_finite_differences(seed, whole_ticks, on_line)
     aside = jax.tree.map(
         lambda leaf: random.normal(size=leaf.shape) * (leaf.std() + 1e-3), readings
     )
-    at, towards = (
+    point, towards = (
         (window, readings, rate),
         (Window(begin=0.05, end=-0.07, distance=0.0), aside, 1.0),
     )
 
     with jax.enable_x64(True):
-        at, towards = jax.tree.map(np.float64, (at, towards))
+        point, towards = jax.tree.map(np.float64, (point, towards))
 
         def metrics_at(step: float) -> dict[str, Any]:
-            values = jax.tree.map(lambda here, way: here + step * way, at, towards)
+            values = jax.tree.map(lambda here, way: here + step * way, point, towards)
             return _program(on_line)(*values, np.float64(0.0))[0]
 
         step = 2e-7
         here, after, later = (jax.tree.map(float, metrics_at(step * i)) for i in range(3))
-        slopes = jax.tree.map(float, _derivative(on_line)(at, towards)[1])
+        slopes = jax.tree.map(float, _derivative(on_line)(point, towards)[1])
     for name, slope in slopes.items():
         expected = (4 * after[name] - later[name] - 3 * here[name]) / (2 * step)
         if np.isnan(here[name]):
@@ -810,7 +810,7 @@ DEGENERATE = {
 @functools.cache
 def _jacobian(on_line: bool) -> Any:
     run = _run(on_line)
-    return jax.jit(jax.jacrev(lambda *at: run(*at)[0], argnums=(0, 1, 2)))
+    return jax.jit(jax.jacrev(lambda *point: run(*point)[0], argnums=(0, 1, 2)))
 
 
 @pytest.mark.release
@@ -821,8 +821,8 @@ def test_derivatives_are_finite(name, on_line):
 
     In single precision, where squares underflow.
     """
-    at = jax.tree.map(np.float32, (limits(0.1, 0.5), DEGENERATE[name], 10.0))
-    for metric, slopes in _jacobian(on_line)(*at).items():
+    point = jax.tree.map(np.float32, (limits(0.1, 0.5), DEGENERATE[name], 10.0))
+    for metric, slopes in _jacobian(on_line)(*point).items():
         for leaf in jax.tree.leaves(slopes):
             assert leaf.dtype == np.float32
             assert np.isfinite(leaf).all(), metric
@@ -1021,15 +1021,17 @@ def test_strides_go_from_touch_down_to_touch_down():
         (lands, lifts, 0.6),
         (bounced, left, np.mean([0.57 + 0.04, 0.6, 0.54])),
     ):
-        found, _ = measure(stream(len(TIME), foot_force=steps(these, those), **walked), 1.0)
-        assert found["strides"] == 3
-        assert found["stride_time"] == pytest.approx(2.9 / 3, abs=1e-6)
-        assert found["stride_length"] == pytest.approx(0.1 * 2.9 / 3, rel=1e-3)
-        assert found["stride_length_cv"] == pytest.approx(
+        measured, _ = measure(stream(len(TIME), foot_force=steps(these, those), **walked), 1.0)
+        assert measured["strides"] == 3
+        assert measured["stride_time"] == pytest.approx(2.9 / 3, abs=1e-6)
+        assert measured["stride_length"] == pytest.approx(0.1 * 2.9 / 3, rel=1e-3)
+        assert measured["stride_length_cv"] == pytest.approx(
             np.std([0.9, 1.1, 0.9], ddof=1) / (2.9 / 3), rel=1e-2
         )
-        assert found["stance_time"] == pytest.approx(stance, abs=0.011)
-        assert found["duty_factor"] == pytest.approx(found["stance_time"] / found["stride_time"])
+        assert measured["stance_time"] == pytest.approx(stance, abs=0.011)
+        assert measured["duty_factor"] == pytest.approx(
+            measured["stance_time"] / measured["stride_time"]
+        )
 
 
 def test_only_whole_strides_count_and_too_few_have_no_spread():

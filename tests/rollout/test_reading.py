@@ -63,10 +63,11 @@ def test_sensors_that_are_read_have_their_values_and_places(names: tuple[str, ..
     ours, read = put_model(model), np.zeros(model.nsensordata, bool)
     for name in names:
         read[slice(*PLACES[name])] = True
-    chosen, data = with_sensors(ours, read), make_data(ours)
-    assert chosen.nsensor == len(names)
+    reduced_model, data = with_sensors(ours, read), make_data(ours)
+    assert reduced_model.nsensor == len(names)
     whole, part = (
-        jax.jit(differentiable.forward)(each, data).sensordata for each in (ours, chosen)
+        jax.jit(differentiable.forward)(model_variant, data).sensordata
+        for model_variant in (ours, reduced_model)
     )
     assert np.abs(np.asarray(whole)).sum() > 9.0
     np.testing.assert_allclose(part, np.where(read, whole, 0.0), rtol=1e-6, atol=1e-6)

@@ -56,20 +56,22 @@ def speed_of(walk: Rollout):
 @pytest.mark.release
 def test_the_derivative_is_that_of_mjx_in_float64() -> None:
     """Of how far the robot has come after 250, 1,000 and 3,000 steps; `data/walk_mjx64.py` made the numbers."""
-    kept = np.load(Path(__file__).parents[1] / "data" / "walk_mjx64.npz")
+    stored = np.load(Path(__file__).parents[1] / "data" / "walk_mjx64.npz")
     walk = Rollout(Setup(spine="stride_extension"), Run(duration=6.0, warmup=1.0), "c")
     root = walk.robot.joints.root
 
     def places(point):
         values = {"frequency": 0.8} | dict(zip(NAMES, point, strict=True))
-        return walk.record(values, qpos=kept["first"])[1].qpos[kept["ticks"] - 1, root : root + 2]
+        return walk.record(values, qpos=stored["first"])[1].qpos[
+            stored["ticks"] - 1, root : root + 2
+        ]
 
     with jax.enable_x64(True):
-        point = jnp.asarray(kept["point"])
-        np.testing.assert_allclose(jax.jit(places)(point), kept["place"], atol=1e-7)
+        point = jnp.asarray(stored["point"])
+        np.testing.assert_allclose(jax.jit(places)(point), stored["place"], atol=1e-7)
         slope = np.asarray(jax.jit(jax.jacfwd(places))(point))
-    apart = np.linalg.norm(slope - kept["slope"], axis=(1, 2)) / np.linalg.norm(
-        kept["slope"], axis=(1, 2)
+    apart = np.linalg.norm(slope - stored["slope"], axis=(1, 2)) / np.linalg.norm(
+        stored["slope"], axis=(1, 2)
     )
     assert (apart < 1e-4).all(), apart
 
@@ -85,8 +87,10 @@ COMPARED = (2, 5, 8, JUMP)
 @functools.cache
 def twelve_points() -> list[dict[str, float]]:
     random = np.random.default_rng(0)
-    at = zip(random.uniform(0.05, 0.35, 12), random.uniform(-3, 3, 12), strict=True)
-    return [{"frequency": 0.8} | dict(zip(NAMES, map(float, point), strict=True)) for point in at]
+    points = zip(random.uniform(0.05, 0.35, 12), random.uniform(-3, 3, 12), strict=True)
+    return [
+        {"frequency": 0.8} | dict(zip(NAMES, map(float, point), strict=True)) for point in points
+    ]
 
 
 @pytest.mark.release
@@ -155,14 +159,14 @@ def test_all_transformations_agree_to_the_last_bit(walk: Rollout) -> None:
         return point + rise * jax.grad(speed)(point), point
 
     value, jitted = jax.jit(jax.value_and_grad(speed))(point)
-    for name, other in {
+    for name, transformed in {
         "jit": jitted,
         "jacfwd": jax.jacfwd(speed)(point),
         "jacrev": jax.jit(jax.jacrev(speed))(point),
         "vmap": jax.jit(jax.vmap(jax.grad(speed)))(several)[0],
         "jvp": [jax.jvp(speed, (point,), (way,))[1] for way in jnp.eye(2)],
     }.items():
-        np.testing.assert_array_equal(slope, other, err_msg=name)
+        np.testing.assert_array_equal(slope, transformed, err_msg=name)
     assert value == speed(point) == jax.jit(speed)(point) == jax.vmap(speed)(several)[0]
     path = jax.jit(lambda point: jax.lax.scan(ascent, point, None, length=3)[1])(point)
     step = jax.jit(lambda point: ascent(point, None)[0])
@@ -328,14 +332,16 @@ def test_auto_takes_c_for_few_numbers_and_says_so_once(caplog: pytest.LogCapture
     names = [
         f"foot.{pair}.{axis}{i}" for pair in ("front", "rear") for axis in "yz" for i in range(1, 9)
     ]
-    chosen = []
+    engines = []
 
-    def ask(many):
-        chosen.append(walk._chosen(dict(zip(names, many, strict=False)), None, None, None))
+    def ask(amplitudes):
+        engines.append(walk._chosen(dict(zip(names, amplitudes, strict=False)), None, None, None))
 
     for count in (2, 2, 24):
-        jax.eval_shape(lambda many: ask(many), [jnp.float32(0.1)] * count)  # traced anew
-    assert chosen == ["c", "c", "mjx"]
+        jax.eval_shape(
+            lambda amplitudes: ask(amplitudes), [jnp.float32(0.1)] * count
+        )  # traced anew
+    assert engines == ["c", "c", "mjx"]
     assert [record.message.split(",")[0] for record in caplog.records] == [
         "Rollout: engine c for 2 traced numbers",
         "Rollout: engine mjx for 24 traced numbers",
@@ -348,17 +354,17 @@ def test_threads_share_a_walk(walk: Rollout) -> None:
         jax.jit(jax.grad(speed_of(walk))),
         [jnp.asarray(POINT + 0.01 * i) for i in range(3)],
     )
-    expected, found = [slope(point) for point in points], [None] * 3
+    expected, slopes = [slope(point) for point in points], [None] * 3
 
     def work(i: int) -> None:
-        found[i] = slope(points[i])
+        slopes[i] = slope(points[i])
 
     threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join(120)
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(slopes, expected)
 
 
 LATE = """

@@ -72,10 +72,17 @@ def test_at_the_ends_of_every_range_of_the_body_no_servo_chatters() -> None:
     But for servos too weak to carry it, whose torque is at its limit: finite.
     """
     physics = "fast"
-    robot, known = load_robot(physics=physics), all_parameters(Setup(physics=physics))
-    ends = [(name, end) for name in BODY for end in (known[name].low, known[name].high)]
+    robot, declarations = load_robot(physics=physics), all_parameters(Setup(physics=physics))
+    ends = [
+        (name, end) for name in BODY for end in (declarations[name].low, declarations[name].high)
+    ]
     values = {
-        name: np.array([end if name == own else known[name].default for own, end in ends])
+        name: np.array(
+            [
+                end if name == varied_name else declarations[name].default
+                for varied_name, end in ends
+            ]
+        )
         for name in BODY
     }
     fields = Variation(robot).batch(replace_quantities(ModelParameters(), values), len(ends), BODY)
@@ -124,8 +131,8 @@ def test_a_world_whose_solver_often_stopped_early_says_so(
 
         unsolved = np.array([0, 1, 1000])
 
-        def __init__(self, *given: Any) -> None:
-            self.session = opened(*given)
+        def __init__(self, *arguments: Any) -> None:
+            self.session = opened(*arguments)
 
         def __getattr__(self, name: str) -> Any:
             return getattr(self.session, name)

@@ -63,13 +63,13 @@ class Walk:
                 jnp.eye(len(point))
             )
 
-        (value, slopes), held = self._run(with_slopes)
-        return float(value), np.asarray(slopes), held
+        (value, slopes), auxiliary = self._run(with_slopes)
+        return float(value), np.asarray(slopes), auxiliary
 
     @functools.cached_property
     def reverse(self) -> tuple[np.ndarray, set[str]]:
-        slopes, held = self._run(jax.grad(self.speed))
-        return np.asarray(slopes), held
+        slopes, auxiliary = self._run(jax.grad(self.speed))
+        return np.asarray(slopes), auxiliary
 
     def _run(self, function):
         with jax.enable_x64(True):

@@ -26,9 +26,9 @@ TRIALS = 3000
 UNBALANCED = ((2, 3), (2, 16), (4, 8), (4, 16), (8, 16))
 
 
-def covered(found, truth=0.0) -> float:
+def covered(interval, truth=0.0) -> float:
     """The share of intervals that hold the truth."""
-    return float(np.mean((found.low <= truth) & (truth <= found.high)))
+    return float(np.mean((interval.low <= truth) & (truth <= interval.high)))
 
 
 def pairs(
@@ -45,40 +45,40 @@ def pairs(
     pair = rng.normal(size=shape) if noise == "normal noise" else rng.exponential(size=shape) - 1
     if noise == "skewed noise":
         pair = (pair - rng.exponential(size=shape) + 1) / np.sqrt(2)
-    found = two_stage(apart[cell] + pair, cell, np.arange(variants))
-    return covered(found, apart[0] if variants == 1 else 0.0)
+    interval = two_stage(apart[cell] + pair, cell, np.arange(variants))
+    return covered(interval, apart[0] if variants == 1 else 0.0)
 
 
 def sides(rng: np.random.Generator, counts: tuple[int, int], ratio: float) -> float:
     """Coverage of one variant whose two sides have no seed in common, where their noise differs by the ratio."""
-    base, other = (
+    base, other_values = (
         scale * rng.normal(size=(n, TRIALS)) for n, scale in zip(counts, (1.0, ratio), strict=True)
     )
     cell = np.repeat([0, 1], counts)
-    return covered(two_stage(np.concatenate([-base, other]), cell, np.zeros(2, int)))
+    return covered(two_stage(np.concatenate([-base, other_values]), cell, np.zeros(2, int)))
 
 
 @functools.cache
 def coverages() -> dict[tuple, float]:
     """Coverage by what is compared."""
-    rng, found = np.random.default_rng(51), dict[tuple, float]()
+    rng, coverage_by_case = np.random.default_rng(51), dict[tuple, float]()
     for variants in VARIANTS:
         for noise in NOISES:
             for repeats in REPEATS:
                 for ratio in RATIOS:
-                    found["pairs", variants, noise, repeats, ratio] = pairs(
+                    coverage_by_case["pairs", variants, noise, repeats, ratio] = pairs(
                         rng, variants, repeats, ratio, noise
                     )
     for counts in UNBALANCED:
         for ratio in RATIOS:
-            found["sides", counts, ratio] = sides(rng, counts, ratio)
-    return found
+            coverage_by_case["sides", counts, ratio] = sides(rng, counts, ratio)
+    return coverage_by_case
 
 
 def page() -> str:
     """The tables of the page: the first with the lowest share over the spreads of the variants, and over their numbers
     where there are several."""
-    found, lines = coverages(), list[str]()
+    coverage_by_case, lines = coverages(), list[str]()
     lines += [
         f"| pairs of each variant | {' | '.join(map(str, REPEATS))} |",
         f"|---|{'---:|' * len(REPEATS)}",
@@ -88,17 +88,21 @@ def page() -> str:
             ("1 variant", VARIANTS[:1]),
             (f"2 to {VARIANTS[-1]} variants", VARIANTS[1:]),
         ):
-            each = [
-                min(found["pairs", n, noise, repeats, ratio] for n in variants for ratio in RATIOS)
+            cells = [
+                min(
+                    coverage_by_case["pairs", n, noise, repeats, ratio]
+                    for n in variants
+                    for ratio in RATIOS
+                )
                 for repeats in REPEATS
             ]
-            lines.append(f"| {name}, {noise} | {' | '.join(f'{share:.2f}' for share in each)} |")
+            lines.append(f"| {name}, {noise} | {' | '.join(f'{share:.2f}' for share in cells)} |")
     lines += ["", f"| relative spread | {' | '.join(f'{ratio:g}' for ratio in RATIOS)} |"]
     lines.append(f"|---|{'---:|' * len(RATIOS)}")
     for counts in UNBALANCED:
-        each = [found["sides", counts, ratio] for ratio in RATIOS]
+        cells = [coverage_by_case["sides", counts, ratio] for ratio in RATIOS]
         lines.append(
-            f"| {counts[0]} runs against {counts[1]} | {' | '.join(f'{share:.2f}' for share in each)} |"
+            f"| {counts[0]} runs against {counts[1]} | {' | '.join(f'{share:.2f}' for share in cells)} |"
         )
     return "\n".join(lines)
 
@@ -120,15 +124,15 @@ def test_intervals_hold_the_truth_as_often_as_they_say(what: str) -> None:
 
 def test_the_page_has_the_table_of_this_test() -> None:
     """Made by `page`; a hundredth may differ by the machine."""
-    told = PAGE.read_text()
-    table = told[told.index("| pairs of each variant") :]
-    numbers, own = (
+    page_text = PAGE.read_text()
+    table = page_text[page_text.index("| pairs of each variant") :]
+    numbers, page_numbers = (
         np.array([*map(float, re.findall(r" (\d\.\d\d) \|", text))]) for text in (table, page())
     )
     assert [line.split("|")[1] for line in page().splitlines() if line] == [
         line.split("|")[1] for line in table.splitlines() if line.startswith("|")
     ]
-    np.testing.assert_allclose(numbers, own, atol=0.011)
+    np.testing.assert_allclose(numbers, page_numbers, atol=0.011)
 
 
 # --- through `compare`: every metric of a table is a data set of its own
@@ -137,27 +141,29 @@ def test_the_page_has_the_table_of_this_test() -> None:
 def table(speeds: np.ndarray, fell: np.ndarray | None = None, common: bool = True) -> pa.Table:
     """A table of runs (variants, 2 sides, repeats) of many metrics (..., m), whose seeds may be common to the sides."""
     metrics = speeds.shape[-1]
-    place = np.indices(speeds.shape[:3]).reshape(3, -1)
+    indices = np.indices(speeds.shape[:3]).reshape(3, -1)
     columns = Columns()
-    seed = (place[0] * 2 + (0 if common else 1) * place[1]) * 1000 + place[2]
+    seed = (indices[0] * 2 + (0 if common else 1) * indices[1]) * 1000 + indices[2]
     for name, values in {
-        "row": np.arange(place.shape[1]),
-        "repeat": place[2],
+        "row": np.arange(indices.shape[1]),
+        "repeat": indices[2],
         "seed": seed,
     }.items():
         columns.add(name, values, "index", "1", name)
     columns.add(
         "spine",
-        np.array(["none", "bending"], object)[place[1]],
+        np.array(["none", "bending"], object)[indices[1]],
         "varied",
         "1",
         "spine",
         scale="structure",
     )
-    columns.add("frequency", 0.4 + 0.001 * place[0], "varied", "Hz", "frequency", scale="linear")
+    columns.add("frequency", 0.4 + 0.001 * indices[0], "varied", "Hz", "frequency", scale="linear")
     for i, column in enumerate(speeds.reshape(-1, metrics).T):
         columns.add(f"speed{i}", column, "metric", "m/s", "speed")
-    status = np.full(place.shape[1], "ok") if fell is None else np.where(fell.ravel(), "fell", "ok")
+    status = (
+        np.full(indices.shape[1], "ok") if fell is None else np.where(fell.ravel(), "fell", "ok")
+    )
     columns.add("status", status, "status", "1", "status")
     return columns.table({"sampler": "grid"})
 
@@ -194,13 +200,13 @@ def test_findings_are_as_many_and_as_true_as_scipys(groups: int, families: int) 
     speeds = rng.normal(size=(groups, 2, repeats, families))
     real = np.arange(groups) % 10 == 0
     speeds[real, 1] += 3.0
-    found = compare(table(speeds), by="spine", groups=["frequency"])
+    comparison = compare(table(speeds), by="spine", groups=["frequency"])
     ours = np.full((groups, families), False)
-    for row in found.rows("bending", grouped=True):
+    for row in comparison.rows("bending", grouped=True):
         ours[row["group"], int(row["metric"].removeprefix("speed"))] = row["beyond_noise"]
     p = stats.ttest_rel(speeds[:, 1], speeds[:, 0], axis=1).pvalue
-    known = stats.false_discovery_control(p, axis=0) <= 0.05
-    assert ours[real].sum() >= 0.9 * known[real].sum() > 0
+    expected = stats.false_discovery_control(p, axis=0) <= 0.05
+    assert ours[real].sum() >= 0.9 * expected[real].sum() > 0
     false = ours[~real].sum(axis=0) / np.maximum(ours.sum(axis=0), 1)
     assert false.mean() <= 0.05 + 2 * false.std() / np.sqrt(families)
     nothing = compare(table(speeds[~real]), by="spine", groups=["frequency"])
@@ -213,9 +219,9 @@ def test_a_lone_difference_is_found_among_any_number_of_groups(groups: int) -> N
     """5 m/s with a noise of 0.01 m/s, in one group: a share of resamples could not be small enough to tell it."""
     speeds = 0.01 * np.random.default_rng(0).normal(size=(groups, 2, 8, 1))
     speeds[70, 1] += 5.0
-    found = compare(table(speeds), by="spine", groups=["frequency"]).rows("bending", grouped=True)
-    assert [row["group"] for row in found if row["beyond_noise"]] == [70]
-    assert found[70]["p"] == pytest.approx(
+    rows = compare(table(speeds), by="spine", groups=["frequency"]).rows("bending", grouped=True)
+    assert [row["group"] for row in rows if row["beyond_noise"]] == [70]
+    assert rows[70]["p"] == pytest.approx(
         stats.ttest_rel(speeds[70, 1, :, 0], speeds[70, 0, :, 0]).pvalue
     )
 

@@ -48,7 +48,7 @@ def table(
         for spine in SPINES:
             for frequency in FREQUENCIES:
                 rows += [(gait, spine, frequency, repeat) for repeat in range(repeats)]
-    gaits, spines, frequencies, repeat = (np.array(each) for each in zip(*rows, strict=True))
+    gaits, spines, frequencies, repeat = (np.array(column) for column in zip(*rows, strict=True))
     gain = np.where(spines == "none", 0.0, [GAIN[gait] for gait in gaits])
     # What runs of one seed share: as large as all else.
     common = {key: rng.normal() for key in {(g, f, r) for g, _, f, r in rows}}
@@ -57,11 +57,11 @@ def table(
         rng.normal(size=len(rows)) + 10 * shared
     )
     status = np.where(np.isin(gaits, fell) & (spines != "none") & (repeat == 0), "fell", "ok")
-    place = {key: i for i, key in enumerate(common)}
+    index_of_key = {key: i for i, key in enumerate(common)}
     seed = (
         np.arange(len(rows))
         if seeds == "own"
-        else np.array([place[g, f, r] for g, _, f, r in rows])
+        else np.array([index_of_key[g, f, r] for g, _, f, r in rows])
     )
     columns = Columns()
     for name, values in {"row": np.arange(len(rows)), "repeat": repeat, "seed": seed}.items():
@@ -78,24 +78,28 @@ def table(
     return columns.table({"sampler": "grid"})
 
 
-def speed_of(found, **group):
+def speed_of(comparison, **group):
     """The line on the speed of one group."""
-    rows = [row for row in found.rows(found.others[0], grouped=True) if row["metric"] == "speed"]
+    rows = [
+        row
+        for row in comparison.rows(comparison.others[0], grouped=True)
+        if row["metric"] == "speed"
+    ]
     return next(row for row in rows if all(row[name] == value for name, value in group.items()))
 
 
 def test_what_helps_is_found_where_it_helps_and_nowhere_else() -> None:
     """The trot gains 20 %, the lateral walk loses 10 %, the walking trot neither; each is within its interval."""
-    found = compare(table(), by="spine", groups=["gait", "frequency"])
-    assert (found.base, found.others) == ("none", ("stride_extension",))
+    comparison = compare(table(), by="spine", groups=["gait", "frequency"])
+    assert (comparison.base, comparison.others) == ("none", ("stride_extension",))
     for gait, gain in GAIN.items():
         for frequency in FREQUENCIES:
-            row = speed_of(found, gait=gait, frequency=frequency)
+            row = speed_of(comparison, gait=gait, frequency=frequency)
             assert row["beyond_noise"] == (gain != 0), row
             assert row["difference"] == pytest.approx(0.1 * frequency * gain, abs=0.003)
             assert row["relative"] == pytest.approx(row["difference"] / row["base_mean"])
             assert (row["variants"], row["runs_base"], row["runs_other"]) == (1, 8, 8)
-    overall = found.about()["metrics"]
+    overall = comparison.about()["metrics"]
     assert overall["shake"]["beyond_noise"]
     assert overall["shake"]["better"] == "low"
     assert not overall["slip"]["beyond_noise"]
@@ -104,7 +108,7 @@ def test_what_helps_is_found_where_it_helps_and_nowhere_else() -> None:
 def test_differences_are_means_over_variants_of_differences_of_means() -> None:
     """As pandas-free NumPy has them from the table, whatever the order of its rows."""
     data = table(repeats=3)
-    found = compare(
+    comparison_row = compare(
         data.take(np.random.default_rng(0).permutation(data.num_rows)), by="spine", groups=["gait"]
     )
     columns = {
@@ -112,20 +116,20 @@ def test_differences_are_means_over_variants_of_differences_of_means() -> None:
     }
 
     def mean(gait: str, spine: str, frequency: float) -> float:
-        chosen = (
+        is_selected = (
             (columns["gait"] == gait)
             & (columns["spine"] == spine)
             & (columns["frequency"] == frequency)
         )
-        return float(columns["speed"][chosen].mean())
+        return float(columns["speed"][is_selected].mean())
 
     for gait in GAITS:
-        each = [
+        differences = [
             mean(gait, SPINES[1], frequency) - mean(gait, SPINES[0], frequency)
             for frequency in FREQUENCIES
         ]
-        row = speed_of(found, gait=gait)
-        assert row["difference"] == pytest.approx(np.mean(each))
+        row = speed_of(comparison_row, gait=gait)
+        assert row["difference"] == pytest.approx(np.mean(differences))
         assert row["low"] < row["difference"] < row["high"]
 
 
@@ -145,8 +149,8 @@ def test_intervals_hold_the_truth_in_95_of_100_cases(
         for v in range(variants)
     ]
     cell = np.repeat(np.arange(2 * variants), repeats)
-    found = two_stage(np.concatenate(values), cell, np.tile(np.arange(variants), 2))
-    covered = np.mean((found.low <= 1) & (found.high >= 1))
+    interval = two_stage(np.concatenate(values), cell, np.tile(np.arange(variants), 2))
+    covered = np.mean((interval.low <= 1) & (interval.high >= 1))
     assert 0.91 <= covered <= 0.99
     false = np.mean(
         two_stage(
@@ -162,33 +166,35 @@ def test_intervals_hold_the_truth_in_95_of_100_cases(
 def test_one_variant_of_many_repeats_has_scipys_interval() -> None:
     """There the second stage is all there is: the percentile interval of `scipy.stats.bootstrap`."""
     sample = np.random.default_rng(2).exponential(size=300)
-    found = two_stage(sample[:, None], np.zeros(300, int), np.zeros(1, int))
-    known = stats.bootstrap(
+    interval = two_stage(sample[:, None], np.zeros(300, int), np.zeros(1, int))
+    expected = stats.bootstrap(
         (sample,), np.mean, method="percentile", rng=np.random.default_rng(0)
     ).confidence_interval
-    assert (found.low[0], found.high[0]) == pytest.approx(tuple(known), abs=0.02)
-    assert found.p[0] < 0.001
+    assert (interval.low[0], interval.high[0]) == pytest.approx(tuple(expected), abs=0.02)
+    assert interval.p[0] < 0.001
 
 
 def test_a_mean_of_very_many_variants_has_the_normal_interval() -> None:
     """Its standard error is that of the variants' means, whatever the noise of their runs."""
     variants, rng = 12_000, np.random.default_rng(4)
     values = rng.normal(0.5, 1.0, (2 * variants, 2))
-    found = two_stage(values, np.repeat(np.arange(variants), 2), np.arange(variants))
+    interval = two_stage(values, np.repeat(np.arange(variants), 2), np.arange(variants))
     means = values.reshape(variants, 2, 2).mean(axis=1)
     half = 1.96 * means.std(axis=0, ddof=1) / np.sqrt(variants)
-    np.testing.assert_allclose(found.estimate, means.mean(axis=0))
-    np.testing.assert_allclose(found.high - found.low, 2 * half, rtol=0.05)
+    np.testing.assert_allclose(interval.estimate, means.mean(axis=0))
+    np.testing.assert_allclose(interval.high - interval.low, 2 * half, rtol=0.05)
 
 
 def test_runs_of_one_seed_are_compared_with_each_other() -> None:
     """Their common part cancels: the interval is several times narrower than without."""
     data = table(seeds="shared")
-    place = data.schema.get_field_index("seed")
-    without = data.set_column(place, data.schema.field("seed"), pa.array(np.arange(data.num_rows)))
+    column_index = data.schema.get_field_index("seed")
+    without = data.set_column(
+        column_index, data.schema.field("seed"), pa.array(np.arange(data.num_rows))
+    )
     widths = [
-        speed_of(compare(each, by="spine", groups=["gait", "frequency"]))
-        for each in (data, without)
+        speed_of(compare(runs, by="spine", groups=["gait", "frequency"]))
+        for runs in (data, without)
     ]
     paired, apart = (row["high"] - row["low"] for row in widths)
     assert paired < 0.4 * apart
@@ -196,34 +202,36 @@ def test_runs_of_one_seed_are_compared_with_each_other() -> None:
 
 def test_runs_that_fell_are_counted_and_compared_but_not_averaged() -> None:
     """One of eight repeats fell with the spine: the speed leaves it out, `fell` has it, and each line counts it."""
-    found = compare(table(fell=("lateral_walk",)), by="spine", groups=["gait"])
-    row = speed_of(found, gait="lateral_walk")
+    comparison = compare(table(fell=("lateral_walk",)), by="spine", groups=["gait"])
+    row = speed_of(comparison, gait="lateral_walk")
     assert (row["failed_base"], row["failed_other"]) == (0, 3)
     assert (row["runs_base"], row["runs_other"]) == (24, 21)
     assert row["difference"] == pytest.approx(-0.1 * 0.06, abs=0.002)
-    falls = [row for row in found.rows("stride_extension", grouped=True) if row["metric"] == "fell"]
+    falls = [
+        row for row in comparison.rows("stride_extension", grouped=True) if row["metric"] == "fell"
+    ]
     assert [row["difference"] for row in falls] == pytest.approx([0, 0, 1 / 8])
-    assert found.status == {"none": {"ok": 72}, "stride_extension": {"fell": 3, "ok": 69}}
+    assert comparison.status == {"none": {"ok": 72}, "stride_extension": {"fell": 3, "ok": 69}}
 
 
 def changed(data: pa.Table, **columns: object) -> pa.Table:
     """A table with other values in some columns."""
     for name, values in columns.items():
-        place = data.schema.get_field_index(name)
+        column_index = data.schema.get_field_index(name)
         data = data.set_column(
-            place, data.schema.field(name), pa.array(values, data.schema.field(name).type)
+            column_index, data.schema.field(name), pa.array(values, data.schema.field(name).type)
         )
     return data
 
 
 def one_less(data: pa.Table, side: str, how: str, places: int = 1) -> pa.Table:
     """A table of which some runs of a side, the first of a variant, have no speed: they fell, diverged, or lack it."""
-    own = np.flatnonzero(np.array(data.column("spine").to_pylist()) == side)[:places]
+    side_rows = np.flatnonzero(np.array(data.column("spine").to_pylist()) == side)[:places]
     speed, status = (
         data.column("speed").to_numpy().copy(),
         np.array(data.column("status").to_pylist(), object),
     )
-    status[own], speed[own] = ("ok", np.nan) if how == "no number" else (how, 9.0)
+    status[side_rows], speed[side_rows] = ("ok", np.nan) if how == "no number" else (how, 9.0)
     return changed(data, speed=speed, status=status.tolist())
 
 
@@ -232,11 +240,13 @@ def one_less(data: pa.Table, side: str, how: str, places: int = 1) -> pa.Table:
 def test_a_lost_run_takes_its_partner_with_it_and_no_other(side: str, how: str) -> None:
     """The difference is that of all other pairs, to the last digit, as beyond noise as before, and it is said."""
     data = table(seeds="shared")
-    found = compare(one_less(data, side, how), by="spine", groups=["gait", "frequency"])
-    both = one_less(one_less(data, SPINES[0], how), SPINES[1], how)
-    for row, known in zip(
-        found.rows("stride_extension") + found.rows("stride_extension", grouped=True),
-        (oracle := compare(both, by="spine", groups=["gait", "frequency"])).rows("stride_extension")
+    rows = compare(one_less(data, side, how), by="spine", groups=["gait", "frequency"])
+    without_both = one_less(one_less(data, SPINES[0], how), SPINES[1], how)
+    for row, expected in zip(
+        rows.rows("stride_extension") + rows.rows("stride_extension", grouped=True),
+        (oracle := compare(without_both, by="spine", groups=["gait", "frequency"])).rows(
+            "stride_extension"
+        )
         + oracle.rows("stride_extension", grouped=True),
         strict=True,
     ):
@@ -251,9 +261,9 @@ def test_a_lost_run_takes_its_partner_with_it_and_no_other(side: str, how: str) 
                 "runs_base",
                 "runs_other",
             ):
-                assert row[name] == known[name], name
+                assert row[name] == expected[name], name
             assert row["paired"] == row["variants"]
-    everything = found.rows("stride_extension")[0]
+    everything = rows.rows("stride_extension")[0]
     assert everything["metric"] == "speed"
     lost, whole = ("base", "other") if side == "none" else ("other", "base")
     assert (everything[f"lost_{lost}"], everything[f"lost_{whole}"]) == (pytest.approx(1 / 72), 0)
@@ -263,32 +273,32 @@ def test_a_lost_run_takes_its_partner_with_it_and_no_other(side: str, how: str) 
         71,
     )
     assert everything[f"failed_{lost}"] == (how != "no number")
-    slip = found.rows("stride_extension")[1]
+    slip = rows.rows("stride_extension")[1]
     assert slip["lost_base"] + slip["lost_other"] == pytest.approx((how != "no number") / 72)
-    assert found.notes[0] == found.lost[0]
-    assert f"1 of 72 runs of {side} (1 {how})" in found.lost[0]
-    assert "may not be the same robots" in found.lost[0]
+    assert rows.notes[0] == rows.lost[0]
+    assert f"1 of 72 runs of {side} (1 {how})" in rows.lost[0]
+    assert "may not be the same robots" in rows.lost[0]
     assert any(
-        "is lost or not there: 1, of none and stride_extension" in note for note in found.notes
+        "is lost or not there: 1, of none and stride_extension" in note for note in rows.notes
     )
 
 
 def test_pairs_are_those_of_common_seeds_and_others_are_said_to_be_none() -> None:
     """More repeats on one side are left out; a variant without a common seed is compared as two samples."""
     data = table(seeds="shared", noise=0.05)
-    kept = (np.array(data.column("spine").to_pylist()) == "none") | (
+    is_kept = (np.array(data.column("spine").to_pylist()) == "none") | (
         data.column("repeat").to_numpy() < 5
     )
-    longer = compare(data.filter(pa.array(kept)), by="spine")
-    row, other = (
+    longer = compare(data.filter(pa.array(is_kept)), by="spine")
+    row, other_row = (
         longer.rows("stride_extension")[0],
         compare(data.filter(pa.array(data.column("repeat").to_numpy() < 5)), by="spine").rows(
             "stride_extension"
         )[0],
     )
     assert (row["difference"], row["low"], row["left_out"]) == (
-        other["difference"],
-        other["low"],
+        other_row["difference"],
+        other_row["low"],
         27,
     )
     assert any("is lost or not there: 27, of" in note for note in longer.notes)
@@ -302,25 +312,27 @@ def test_pairs_are_those_of_common_seeds_and_others_are_said_to_be_none() -> Non
     assert any("Not paired: 3 of 9 variants" in note for note in mixed.notes)
     speed = data.to_pandas().set_index(["gait", "frequency", "spine"])["speed"]
     row = speed_of(mixed, gait="lateral_walk", frequency=0.4)
-    known = stats.ttest_ind(
+    expected = stats.ttest_ind(
         speed["lateral_walk", 0.4, "stride_extension"],
         speed["lateral_walk", 0.4, "none"],
         equal_var=False,
     )
-    assert row["p"] == pytest.approx(known.pvalue)
-    assert (row["low"], row["high"]) == pytest.approx(tuple(known.confidence_interval()))
+    assert row["p"] == pytest.approx(expected.pvalue)
+    assert (row["low"], row["high"]) == pytest.approx(tuple(expected.confidence_interval()))
     row = speed_of(mixed, gait="trot", frequency=0.4)
-    known = stats.ttest_rel(speed["trot", 0.4, "stride_extension"], speed["trot", 0.4, "none"])
-    assert row["p"] == pytest.approx(known.pvalue)
-    assert (row["low"], row["high"]) == pytest.approx(tuple(known.confidence_interval()))
+    expected = stats.ttest_rel(speed["trot", 0.4, "stride_extension"], speed["trot", 0.4, "none"])
+    assert row["p"] == pytest.approx(expected.pvalue)
+    assert (row["low"], row["high"]) == pytest.approx(tuple(expected.confidence_interval()))
 
 
 def test_runs_with_the_same_seed_count_once() -> None:
     """Each run of one side twice in the table makes nothing surer."""
     data = table(seeds="shared")
     twice = np.flatnonzero(np.array(data.column("spine").to_pylist()) == "none")
-    more = data.take(np.concatenate([np.arange(data.num_rows), twice]))
-    once, again = (compare(each, by="spine").rows("stride_extension")[0] for each in (data, more))
+    with_repeats = data.take(np.concatenate([np.arange(data.num_rows), twice]))
+    once, again = (
+        compare(runs, by="spine").rows("stride_extension")[0] for runs in (data, with_repeats)
+    )
     for name in ("difference", "low", "high", "p"):
         assert once[name] == pytest.approx(again[name])
 
@@ -328,10 +340,10 @@ def test_runs_with_the_same_seed_count_once() -> None:
 def test_a_comparison_of_yes_and_no_is_no_surer_than_the_test_of_signs() -> None:
     """All four runs of a variant fell with the spine and none without: p is 1/8, and no interval has width 0."""
     data = table(repeats=4, seeds="shared")
-    chosen = (np.array(data.column("gait").to_pylist()) == "lateral_walk") & (
+    is_selected = (np.array(data.column("gait").to_pylist()) == "lateral_walk") & (
         data.column("frequency").to_numpy() == 0.4
     )
-    fell = chosen & (np.array(data.column("spine").to_pylist()) != "none")
+    fell = is_selected & (np.array(data.column("spine").to_pylist()) != "none")
     data = changed(data, fell=fell.astype(float), status=np.where(fell, "fell", "ok").tolist())
     rows = compare(data, by="spine", groups=["gait", "frequency"]).rows(
         "stride_extension", grouped=True
@@ -352,52 +364,54 @@ def test_values_that_differ_in_their_last_digits_are_one(last: float) -> None:
     frequency = data.column("frequency").to_numpy().copy()
     frequency[frequency == 0.6] = 0.7
     spine = np.array(data.column("spine").to_pylist())
-    other = changed(
+    rounded = changed(
         data, frequency=np.where((frequency == 0.7) & (spine != "none"), last, frequency)
     )
     data = changed(data, frequency=frequency)
-    for given in ({"groups": ["frequency"]}, {"where": {"frequency": 0.7}}):
-        known, found = (
-            compare(each, by="spine", **given).table.to_pandas() for each in (data, other)
+    for options in ({"groups": ["frequency"]}, {"where": {"frequency": 0.7}}):
+        expected, actual = (
+            compare(runs, by="spine", **options).table.to_pandas() for runs in (data, rounded)
         )
-        known, found = (each.drop(columns="frequency", errors="ignore") for each in (known, found))
-        assert known.equals(found)
-    assert compare(data, other).rows("table (B)")[0]["variants"] == 18
-    assert compare(other, by="frequency").others == compare(data, by="frequency").others
+        expected, actual = (
+            runs.drop(columns="frequency", errors="ignore") for runs in (expected, actual)
+        )
+        assert expected.equals(actual)
+    assert compare(data, rounded).rows("table (B)")[0]["variants"] == 18
+    assert compare(rounded, by="frequency").others == compare(data, by="frequency").others
 
 
 def test_a_thousand_groups_take_seconds_and_say_how_far_they_are() -> None:
     """100,000 runs in 1,000 groups: the processor's time of a group is a thousandth of that of all, or less."""
     groups, runs = 1000, 100
-    place = np.arange(groups * runs)
+    row_index = np.arange(groups * runs)
     columns, rng = Columns(), np.random.default_rng(0)
     for name, values in {
-        "row": place,
-        "repeat": place % 50,
-        "seed": place // runs * 50 + place % 50,
+        "row": row_index,
+        "repeat": row_index % 50,
+        "seed": row_index // runs * 50 + row_index % 50,
     }.items():
         columns.add(name, values, "index", "1", name)
     columns.add(
         "spine",
-        np.array(SPINES, object)[place // 50 % 2],
+        np.array(SPINES, object)[row_index // 50 % 2],
         "varied",
         "1",
         "spine",
         scale="structure",
     )
     columns.add(
-        "frequency", 0.4 + 0.001 * (place // runs), "varied", "Hz", "frequency", scale="linear"
+        "frequency", 0.4 + 0.001 * (row_index // runs), "varied", "Hz", "frequency", scale="linear"
     )
     for name in ("speed", "slip", "shake"):
-        columns.add(name, rng.normal(size=len(place)), "metric", "1", name)
+        columns.add(name, rng.normal(size=len(row_index)), "metric", "1", name)
     columns.add(
-        "status", np.where(rng.random(len(place)) < 0.02, "fell", "ok"), "status", "1", "status"
+        "status", np.where(rng.random(len(row_index)) < 0.02, "fell", "ok"), "status", "1", "status"
     )
     shares: list[float] = []
-    found = compare(
+    comparison = compare(
         columns.table({"sampler": "grid"}), by="spine", groups=["frequency"], progress=shares.append
     )
-    assert len(found.rows("stride_extension", grouped=True)) == 3 * groups
+    assert len(comparison.rows("stride_extension", grouped=True)) == 3 * groups
     assert shares == sorted(shares)
     assert shares[0] == 0 < shares[-1] < 1
 
@@ -415,43 +429,45 @@ def test_the_table_fits_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyP
     pq.write_table(
         one_less(data, "none", "fell"), tmp_path / "results" / "part-aa-0000000000000000.parquet"
     )
-    asked = ("compare", tmp_path, "--by", "spine", "--for", "frequency")
+    arguments = ("compare", tmp_path, "--by", "spine", "--for", "frequency")
     monkeypatch.setenv("COLUMNS", "80")
-    shown = call(*asked).stdout
+    output = call(*arguments).stdout
     rows = [
         line
-        for line in shown.splitlines()
+        for line in output.splitlines()
         if re.match(r"(metric|speed|slip|shake|fell|frequency|─| +0\.)", line)
     ]
     assert len(rows) > 8
     assert max(map(len, rows)) <= 80
-    assert shown.startswith(
+    assert output.startswith(
         "Lost for speed, electrical cost of transport: 1 of 72 runs of none (1 fell)"
     )
-    assert re.search(r"^metric +unit +difference +95 % interval +.*lost", shown, re.MULTILINE)
-    assert re.search(r"^speed +mm/s .*1\.4 %, 0 %", shown, re.MULTILINE)
-    assert not re.search(r"^(never_measured|electrical_cost_of_transport)", shown, re.MULTILINE)
+    assert re.search(r"^metric +unit +difference +95 % interval +.*lost", output, re.MULTILINE)
+    assert re.search(r"^speed +mm/s .*1\.4 %, 0 %", output, re.MULTILINE)
+    assert not re.search(r"^(never_measured|electrical_cost_of_transport)", output, re.MULTILINE)
     assert (
         "but with --all: rows equal on both sides (5); rows without a run (1); the columns none"
-        in shown
+        in output
     )
-    whole = call(*asked, "--all").stdout
+    whole = call(*arguments, "--all").stdout
     assert re.search(r"^never_measured .*no run has it", whole, re.MULTILINE)
     assert re.search(r"^electrical_cost_of_transport ", whole, re.MULTILINE)
     assert "variants" in whole
     monkeypatch.delenv("COLUMNS")
-    assert call(*asked).stdout == whole
+    assert call(*arguments).stdout == whole
 
 
 def test_several_values_are_each_compared_with_the_base() -> None:
     """Of the gaits, with the trot by name, over the frequencies of one spine."""
-    found = compare(table(), by="gait", base="trot", where={"spine": "none"})
-    assert (found.base, found.others) == ("trot", ("walking_trot", "lateral_walk"))
-    assert [each["other"] for each in found.about()["comparisons"]] == [
+    comparison = compare(table(), by="gait", base="trot", where={"spine": "none"})
+    assert (comparison.base, comparison.others) == ("trot", ("walking_trot", "lateral_walk"))
+    assert [entry["other"] for entry in comparison.about()["comparisons"]] == [
         "walking_trot",
         "lateral_walk",
     ]
-    assert all(each["metrics"]["speed"]["variants"] == 3 for each in found.about()["comparisons"])
+    assert all(
+        entry["metrics"]["speed"]["variants"] == 3 for entry in comparison.about()["comparisons"]
+    )
 
 
 def test_a_base_may_have_a_unit() -> None:
@@ -465,11 +481,11 @@ def test_a_base_may_have_a_unit() -> None:
 def test_without_repeats_there_is_no_interval_and_a_sentence_says_so() -> None:
     """One run of one variant gives no estimate of noise; two variants do."""
     data = table(repeats=1)
-    found = compare(data, by="spine", where={"gait": "trot", "frequency": 0.4})
-    row = found.rows("stride_extension")[0]
+    comparison = compare(data, by="spine", where={"gait": "trot", "frequency": 0.4})
+    row = comparison.rows("stride_extension")[0]
     assert np.isnan(row["low"])
     assert row["beyond_noise"] is None
-    assert "give repeats" in found.notes[0]
+    assert "give repeats" in comparison.notes[0]
     assert json.loads(json.dumps(row["difference"])) > 0
     assert np.isfinite(
         compare(data, by="spine", where={"gait": "trot"}).rows("stride_extension")[0]["low"]
@@ -493,10 +509,10 @@ def test_two_directories_are_paired_over_what_both_have(tmp_path: Path) -> None:
     assert row["variants"] == 2
     assert abs(row["relative"]) < 0.02
     assert any("2 variants are in" in note for note in same.notes)
-    other = compare(tmp_path / "stiff", tmp_path / "both")
-    assert other.rows(other.others[0])[0]["relative"] == pytest.approx(0.1, abs=0.02)
-    assert any("spine: none and stride_extension" in note for note in other.notes)
-    assert any("spine.amplitude varies in" in note for note in other.notes)
+    comparison = compare(tmp_path / "stiff", tmp_path / "both")
+    assert comparison.rows(comparison.others[0])[0]["relative"] == pytest.approx(0.1, abs=0.02)
+    assert any("spine: none and stride_extension" in note for note in comparison.notes)
+    assert any("spine.amplitude varies in" in note for note in comparison.notes)
 
 
 def test_structures_of_a_sweep_pair_and_a_parameter_of_one_of_them_makes_groups(
@@ -513,8 +529,8 @@ def test_structures_of_a_sweep_pair_and_a_parameter_of_one_of_them_makes_groups(
     summary = run_sweep(spec, tmp_path / "both", simulator=FakeSimulator()).summary
     assert summary["rows"] == (2 + 4) * 12
     gains = {
-        tuple(each["for"].values()): each["metrics"]["speed"]
-        for each in summary["comparison"]["groups"]
+        tuple(group["for"].values()): group["metrics"]["speed"]
+        for group in summary["comparison"]["groups"]
     }
     assert set(gains) == {(0.2, 0.5), (0.2, 0.9), (0.4, 0.5), (0.4, 0.9)}
     for (amplitude, _), speed in gains.items():
@@ -542,50 +558,53 @@ def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:
     result = run_sweep(
         spec | {"plots": True}, tmp_path, simulator=FakeSimulator(fail_at=0, error=AssertionError())
     )
-    about = json.loads((tmp_path / "summary.json").read_text())["comparison"]
-    assert (about["base"], about["other"]) == ("0", "0.4")
-    assert [each["for"] for each in about["groups"]] == [{"frequency": 0.5}, {"frequency": 0.9}]
-    assert about["groups"][0]["metrics"]["speed"]["relative"] == pytest.approx(0.2, abs=0.02)
-    assert pq.read_table(tmp_path / "comparison.parquet").num_rows == 3 * len(about["metrics"])
+    comparison = json.loads((tmp_path / "summary.json").read_text())["comparison"]
+    assert (comparison["base"], comparison["other"]) == ("0", "0.4")
+    assert [group["for"] for group in comparison["groups"]] == [
+        {"frequency": 0.5},
+        {"frequency": 0.9},
+    ]
+    assert comparison["groups"][0]["metrics"]["speed"]["relative"] == pytest.approx(0.2, abs=0.02)
+    assert pq.read_table(tmp_path / "comparison.parquet").num_rows == 3 * len(comparison["metrics"])
     assert Sweep.from_file(tmp_path / "sweep.yaml").compare is not None
     assert {"differences.png", "speed-gain-by-frequency.png"} <= {
         path.name for path in result.plots
     }
-    known = compare(tmp_path, by="spine.amplitude", groups=["frequency"]).about()["metrics"][
+    expected = compare(tmp_path, by="spine.amplitude", groups=["frequency"]).about()["metrics"][
         "speed"
     ]
-    assert about["metrics"]["speed"] == pytest.approx(known)
+    assert comparison["metrics"]["speed"] == pytest.approx(expected)
 
 
 def test_the_command_prints_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """JSON as other programs rely on it, a directory that `plot` and `status` know, and tables in one file."""
     monkeypatch.delenv("COLUMNS", raising=False)  # a plain pipe gets all rows and columns
     run_sweep(RANDOM, tmp_path / "sweep", simulator=FakeSimulator())
-    asked = ("compare", tmp_path / "sweep", "--by", "spine.amplitude", "--for", "frequency")
-    speed = json_of(*asked, "--out", tmp_path / "gain")["metrics"]["speed"]
+    arguments = ("compare", tmp_path / "sweep", "--by", "spine.amplitude", "--for", "frequency")
+    speed = json_of(*arguments, "--out", tmp_path / "gain")["metrics"]["speed"]
     assert speed["low"] < speed["difference"] < speed["high"]
-    made = {path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")}
-    assert {"differences.svg", "speed-gain-by-frequency.png"} <= set(made)
+    plots = {path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")}
+    assert {"differences.svg", "speed-gain-by-frequency.png"} <= set(plots)
     assert call("plot", tmp_path / "gain").exit_code == 0
-    assert made == {
+    assert plots == {
         path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")
     }
     status = json_of("status", tmp_path / "gain")
     assert (status["kind"], status["complete"]) == ("comparison", True)
-    shown = call(*asked, "--out", tmp_path / "gain.csv")
-    assert "0.4 minus 0, profile exact" in shown.stdout
-    assert "24 ok" in shown.stdout
-    assert re.search(r"^speed +mm/s +6\d\.", shown.stdout, re.MULTILINE)
-    assert re.search(r"^roll_std +deg ", shown.stdout, re.MULTILINE)
-    assert "speed [mm/s]: 0.4 minus 0, profile exact" in shown.stdout
-    kept = pq.read_table(tmp_path / "gain" / "comparison.parquet")
-    assert pa.csv.read_csv(tmp_path / "gain.csv").num_rows == kept.num_rows
+    output = call(*arguments, "--out", tmp_path / "gain.csv")
+    assert "0.4 minus 0, profile exact" in output.stdout
+    assert "24 ok" in output.stdout
+    assert re.search(r"^speed +mm/s +6\d\.", output.stdout, re.MULTILINE)
+    assert re.search(r"^roll_std +deg ", output.stdout, re.MULTILINE)
+    assert "speed [mm/s]: 0.4 minus 0, profile exact" in output.stdout
+    stored = pq.read_table(tmp_path / "gain" / "comparison.parquet")
+    assert pa.csv.read_csv(tmp_path / "gain.csv").num_rows == stored.num_rows
 
 
 def test_figures_mark_what_is_beyond_noise(drawing) -> None:
     """Filled marks as many as the table has findings, for each gait a line, and the runs that fell below."""
-    found = compare(table(fell=("lateral_walk",)), by="spine", groups=["gait", "frequency"])
-    figures = dict(figures_of_comparison(found.table))
+    comparison = compare(table(fell=("lateral_walk",)), by="spine", groups=["gait", "frequency"])
+    figures = dict(figures_of_comparison(comparison.table))
     assert list(figures) == ["differences", "speed-gain-by-gait-and-frequency"]
     figure = figures["speed-gain-by-gait-and-frequency"]
     filled = sum(
@@ -593,7 +612,9 @@ def test_figures_mark_what_is_beyond_noise(drawing) -> None:
         for marks in figure.axes[0].collections
         if len(marks.get_offsets()) > 0 and len(marks.get_facecolor())
     )
-    rows = [row for row in found.rows("stride_extension", grouped=True) if row["metric"] == "speed"]
+    rows = [
+        row for row in comparison.rows("stride_extension", grouped=True) if row["metric"] == "speed"
+    ]
     assert filled == sum(row["beyond_noise"] for row in rows) > 0
     texts = " ".join(
         text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))
@@ -606,12 +627,12 @@ def test_figures_mark_what_is_beyond_noise(drawing) -> None:
 def test_a_difference_names_its_profiles(drawing, tmp_path: Path) -> None:
     """The comparison and each figure's note do, where one profile holds, where two differ, and where some do."""
 
-    def named(found) -> set[str]:
+    def named(comparison) -> set[str]:
         """What the figures' notes say of profiles."""
         texts = [
-            each.get_text()
-            for _, figure in figures_of_comparison(found.table)
-            for each in figure.findobj(Text)
+            figure_text.get_text()
+            for _, figure in figures_of_comparison(comparison.table)
+            for figure_text in figure.findobj(Text)
         ]
         return {
             name for text in texts for name in re.findall(r"^(profile.*?);", text, re.MULTILINE)
@@ -621,21 +642,21 @@ def test_a_difference_names_its_profiles(drawing, tmp_path: Path) -> None:
     run_sweep(
         RANDOM | {"profile": "as_published"}, tmp_path / "published", simulator=FakeSimulator()
     )
-    one = compare(tmp_path / "exact", by="spine.amplitude", groups=["frequency"])
-    assert (one.about()["profiles"], named(one)) == (["exact"], {"profile exact"})
+    single = compare(tmp_path / "exact", by="spine.amplitude", groups=["frequency"])
+    assert (single.about()["profiles"], named(single)) == (["exact"], {"profile exact"})
     two = compare(tmp_path / "exact", tmp_path / "published")
     clock = "(as_published simulates 2.5 times the given frequency by default)"
     assert (two.profiles, named(two)) == (
         ("exact", "as_published"),
         {f"profiles exact and as_published {clock}"},
     )
-    varied = {name: each for name, each in RANDOM.items() if name != "vary"} | {
+    varied = {name: value for name, value in RANDOM.items() if name != "vary"} | {
         "vary": {"profile": ["exact", "as_published"], "spine.amplitude": [0.0, 0.4]}
     }
     run_sweep(varied, tmp_path / "varied", simulator=FakeSimulator())
     assert compare(tmp_path / "varied", by="profile").profiles == ("exact", "as_published")
-    chosen = compare(tmp_path / "varied", by="spine.amplitude", where={"profile": "as_published"})
-    assert chosen.profiles == ("as_published",)
+    selected = compare(tmp_path / "varied", by="spine.amplitude", where={"profile": "as_published"})
+    assert selected.profiles == ("as_published",)
     assert named(compare(table(), by="spine")) == {"profile not recorded"}
 
 
@@ -654,16 +675,16 @@ def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
         data = data.append_column(
             field, pa.array(cost * (1 + 0.001 * np.arange(len(cost)) / len(cost)))
         )
-    found = compare(data, by="spine", groups=["gait", "frequency"])
-    figures = dict(figures_of_comparison(found.table))
+    comparison = compare(data, by="spine", groups=["gait", "frequency"])
+    figures = dict(figures_of_comparison(comparison.table))
     assert list(figures) == ["differences", "gains-by-gait-and-frequency"]
     titles = [ax.get_title() for ax in figures["gains-by-gait-and-frequency"].axes]
     assert titles == ["Speed", "Mechanical cost of transport", "Electrical cost of transport"]
     for ax, sign in zip(figures["gains-by-gait-and-frequency"].axes, (0, -1, 1), strict=True):
-        drawn = np.concatenate(
+        heights = np.concatenate(
             [line.get_ydata() for line in ax.get_lines() if len(line.get_xdata()) == 3]
         )
-        assert not sign or (np.sign(drawn) == sign).all()
+        assert not sign or (np.sign(heights) == sign).all()
     listed = [label.get_text() for label in figures["differences"].axes[0].get_yticklabels()]
     assert listed[:3] == titles
     assert listed[-1] == "Yaw, minimum"
@@ -672,14 +693,16 @@ def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
 def test_a_panel_may_lack_a_line_of_the_others(drawing) -> None:
     """The lateral walk is on flat ground alone: the panel of the other scene has the lines of the trots."""
     data = table(repeats=4)
-    there = (data.column("repeat").to_numpy() % 2 == 1) & (
+    is_there = (data.column("repeat").to_numpy() % 2 == 1) & (
         np.array(data.column("gait").to_pylist()) != "lateral_walk"
     )
-    about = {"role": "varied", "unit": "1", "description": "scene", "scale": "structure"}
-    scene = pa.array(np.where(there, "planks", "flat").tolist())
-    data = data.append_column(pa.field("scene", pa.string(), metadata=about), scene)
-    found = compare(data, by="spine", groups=["gait", "frequency", "scene"])
-    figure = dict(figures_of_comparison(found.table))["speed-gain-by-gait-and-frequency-and-scene"]
+    metadata = {"role": "varied", "unit": "1", "description": "scene", "scale": "structure"}
+    scene = pa.array(np.where(is_there, "planks", "flat").tolist())
+    data = data.append_column(pa.field("scene", pa.string(), metadata=metadata), scene)
+    comparison = compare(data, by="spine", groups=["gait", "frequency", "scene"])
+    figure = dict(figures_of_comparison(comparison.table))[
+        "speed-gain-by-gait-and-frequency-and-scene"
+    ]
     lines = [sum(len(line.get_xdata()) == 3 for line in ax.get_lines()) for ax in figure.axes]
     assert sorted(lines) == [2, 3]
 
@@ -764,10 +787,12 @@ def test_a_wrong_section_is_refused_before_anything_runs(section: str, said: str
 
 def test_a_comparison_changes_no_row(tmp_path: Path) -> None:
     """Two sweeps that differ in it alone are one sweep, and give one table."""
-    asked = RANDOM | {"compare": {"by": "frequency", "base": 0.9}}
-    assert Sweep.from_dict(asked).digest() == Sweep.from_dict(RANDOM).digest()
-    assert Sweep.from_text(Sweep.from_dict(asked).to_yaml()) == Sweep.from_dict(asked)
-    for name, spec in {"with": asked, "without": RANDOM}.items():
+    with_comparison = RANDOM | {"compare": {"by": "frequency", "base": 0.9}}
+    assert Sweep.from_dict(with_comparison).digest() == Sweep.from_dict(RANDOM).digest()
+    assert Sweep.from_text(Sweep.from_dict(with_comparison).to_yaml()) == Sweep.from_dict(
+        with_comparison
+    )
+    for name, spec in {"with": with_comparison, "without": RANDOM}.items():
         run_sweep(spec, tmp_path / name, simulator=FakeSimulator())
     assert read_table(tmp_path / "with").equals(read_table(tmp_path / "without"))
 
@@ -789,11 +814,11 @@ def test_how_strides_vary_with_the_soles_radius_has_a_command(tmp_path: Path) ->
         places = walk.rear_left_foot_position_y.to_numpy()[np.flatnonzero(on[1:] & ~on[:-1]) + 1]
         lengths = -np.diff(places)
         expected.append(lengths[lengths > 0.02].mean())
-    told = json_of("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length")
-    line = told["metrics"]["stride_length"]
+    report = json_of("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length")
+    line = report["metrics"]["stride_length"]
     assert [line["base_mean"], line["other_mean"]] == pytest.approx(expected, rel=0.01)
-    shown = call(
+    output = call(
         "compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length_cv", "--all"
     ).output
-    assert re.search(r"stride_length_cv\s+1\s+0\.00\d+\s+0\.00\d+", shown), shown
-    assert "which tells no noise; give repeats" in shown
+    assert re.search(r"stride_length_cv\s+1\s+0\.00\d+\s+0\.00\d+", output), output
+    assert "which tells no noise; give repeats" in output

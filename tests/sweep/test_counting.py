@@ -20,8 +20,8 @@ def side(*runs: tuple[int, int, float]) -> pd.DataFrame:
 def test_units_with_a_common_seed_have_pairs_and_others_keep_their_own_runs():
     """Unit 0: the runs of seed 8. Unit 1: no common seed, so that all runs count. Unit 2 is on one side alone."""
     base = side((0, 7, 1.0), (0, 8, 2.0), (1, 1, 3.0), (1, 2, 5.0), (2, 1, 9.0))
-    other = side((0, 8, 4.0), (0, 9, 6.0), (1, 3, 7.0))
-    (first, second), paired = matched([base, other], [np.full(5, True), np.full(3, True)])
+    other_side = side((0, 8, 4.0), (0, 9, 6.0), (1, 3, 7.0))
+    (first, second), paired = matched([base, other_side], [np.full(5, True), np.full(3, True)])
     assert first.index.tolist() == [(0, 8), (1, 1), (1, 2)]
     assert first.speed.tolist() == [2.0, 3.0, 5.0]
     assert second.index.tolist() == [(0, 8), (1, 3)]
@@ -31,8 +31,10 @@ def test_units_with_a_common_seed_have_pairs_and_others_keep_their_own_runs():
 
 def test_a_lost_run_takes_its_partner_along_and_leaves_no_unpaired_run():
     """A common seed makes the unit paired even if the run of one side is lost."""
-    base, other = side((0, 7, 1.0), (0, 8, 2.0)), side((0, 7, 4.0), (0, 8, 6.0))
-    (first, second), paired = matched([base, other], [np.array([False, True]), np.full(2, True)])
+    base, other_side = side((0, 7, 1.0), (0, 8, 2.0)), side((0, 7, 4.0), (0, 8, 6.0))
+    (first, second), paired = matched(
+        [base, other_side], [np.array([False, True]), np.full(2, True)]
+    )
     assert (first.speed.tolist(), second.speed.tolist(), paired.tolist()) == ([2.0], [6.0], [0])
 
 
@@ -44,20 +46,20 @@ def test_the_interval_over_variants_is_students_over_their_means(variants):
         0.0, 1e-3, (4 * variants, 1)
     )
     cell = np.repeat(np.arange(variants), 4)
-    found = two_stage(values, cell, np.arange(variants))
+    interval = two_stage(values, cell, np.arange(variants))
     means = values.reshape(variants, 4).mean(axis=1)
     low, high = stats.t.interval(0.95, variants - 1, means.mean(), stats.sem(means))
-    assert (found.estimate[0], found.low[0], found.high[0]) == pytest.approx(
+    assert (interval.estimate[0], interval.low[0], interval.high[0]) == pytest.approx(
         (means.mean(), low, high)
     )
-    assert found.p[0] == pytest.approx(stats.ttest_1samp(means, 0.0).pvalue)
+    assert interval.p[0] == pytest.approx(stats.ttest_1samp(means, 0.0).pvalue)
 
 
 def test_the_interval_of_one_variant_is_welchs():
     """Five runs of each side: Welch's test, whose degrees of freedom are below those of equal spreads."""
     random = np.random.default_rng(1)
-    base, other = random.normal(0.0, 1.0, 5), random.normal(2.0, 1.0, 5)
-    values = np.concatenate([other, -base])[:, None]
-    found = two_stage(values, np.repeat([0, 1], 5), np.zeros(2, int))
-    expected = stats.ttest_ind(other, base, equal_var=False).confidence_interval(0.95)
-    assert (found.low[0], found.high[0]) == pytest.approx((expected.low, expected.high))
+    base, second = random.normal(0.0, 1.0, 5), random.normal(2.0, 1.0, 5)
+    values = np.concatenate([second, -base])[:, None]
+    interval = two_stage(values, np.repeat([0, 1], 5), np.zeros(2, int))
+    expected = stats.ttest_ind(second, base, equal_var=False).confidence_interval(0.95)
+    assert (interval.low[0], interval.high[0]) == pytest.approx((expected.low, expected.high))

@@ -33,56 +33,57 @@ def draws(
 ) -> np.ndarray:
     """Runs (repeats, points): what a repeat's friction does to all of them, and noise of each."""
     common = rng.normal(0.0, 0.005, (repeats, 1))
-    own = (
+    noise_values = (
         rng.normal(size=(repeats, len(truth)))
         if noise == "normal"
         else rng.exponential(size=(repeats, len(truth))) - 1
     )
-    return truth + common + spread * own
+    return truth + common + spread * noise_values
 
 
-def study(rng, truth, asked: SoughtOptimum, spread=0.002, noise="normal"):
+def study(rng, truth, question: SoughtOptimum, spread=0.002, noise="normal"):
     """Judge a landscape as a sweep does, with the runs that are asked for: the verdict, and its gain with interval on
     fresh runs and on those that chose."""
-    size = (REPEATS + asked.fresh + REPEATS * (2 + asked.budget // REPEATS), len(truth))
+    size = (REPEATS + question.fresh + REPEATS * (2 + question.budget // REPEATS), len(truth))
     all_runs = draws(rng, truth, size[0], spread, noise)
-    there = np.zeros(size, bool)
+    is_there = np.zeros(size, bool)
     while True:
-        found = judged(np.where(there, all_runs, np.nan), there, asked, REPEATS)
-        if not len(found.wanted[0]):
+        verdict = judged(np.where(is_there, all_runs, np.nan), is_there, question, REPEATS)
+        if not len(verdict.wanted[0]):
             break
-        there[found.wanted] = True
-    assert not there[REPEATS : REPEATS + asked.fresh].any(), "fresh runs choose nothing"
-    assert there[REPEATS:].sum() == found.spent <= asked.budget
+        is_there[verdict.wanted] = True
+    assert not is_there[REPEATS : REPEATS + question.fresh].any(), "fresh runs choose nothing"
+    assert is_there[REPEATS:].sum() == verdict.spent <= question.budget
     base = draws(
         rng, np.zeros(1), len(all_runs), spread, noise
     )  # of the same draws, but for the friction: added below
     base += (all_runs - truth).mean(axis=1, keepdims=True)
-    gains = all_runs[:, found.best] - base[:, 0]
-    chose = there[:, found.best]
-    each = [gains[REPEATS : REPEATS + asked.fresh], gains[chose]]
-    return found, [
-        two_stage(own[:, None], np.zeros(len(own), int), np.zeros(1, int)) for own in each
+    gains = all_runs[:, verdict.best] - base[:, 0]
+    chose = is_there[:, verdict.best]
+    samples = [gains[REPEATS : REPEATS + question.fresh], gains[chose]]
+    return verdict, [
+        two_stage(sample[:, None], np.zeros(len(sample), int), np.zeros(1, int))
+        for sample in samples
     ]
 
 
 def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
     """Of 400 landscapes: how often the region holds the best point, and both intervals the gain; sizes and biases."""
-    rng, truth, found = np.random.default_rng(7), LANDSCAPES[landscape], []
-    asked = SoughtOptimum.model_validate(
+    rng, truth, outcomes = np.random.default_rng(7), LANDSCAPES[landscape], []
+    question = SoughtOptimum.model_validate(
         {"over": ["a"], "base": {"b": "none"}, "fresh": FRESH, "budget": budget}
     )
     for _ in range(TRIALS):
-        verdict, each = study(rng, truth, asked, noise=noise)
+        verdict, intervals = study(rng, truth, question, noise=noise)
         gain = truth[verdict.best]
         line = {"region holds it": verdict.region[truth.argmax()], "points": verdict.region.sum()}
-        for name, own in zip(("fresh", "chosen"), each, strict=True):
+        for name, interval in zip(("fresh", "chosen"), intervals, strict=True):
             line |= {
-                name: own.low[0] <= gain <= own.high[0],
-                f"{name} bias": 1e3 * (own.estimate[0] - gain),
+                name: interval.low[0] <= gain <= interval.high[0],
+                f"{name} bias": 1e3 * (interval.estimate[0] - gain),
             }
-        found.append(line)
-    return {name: float(np.mean([line[name] for line in found])) for name in found[0]}
+        outcomes.append(line)
+    return {name: float(np.mean([line[name] for line in outcomes])) for name in outcomes[0]}
 
 
 @pytest.mark.release
@@ -98,19 +99,23 @@ def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
 def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landscape, noise, budget):
     """400 landscapes with a known optimum: a standard error of a hundredth. The region holds it 95 times of 100 where
     all points are alike, which is the case that the method is made for, and more often where most are worse."""
-    found = shares(landscape, noise, budget)
-    assert 0.93 <= found["region holds it"] <= (0.98 if landscape == "plateau" else 0.995), found
-    assert found["points"] <= (48 if landscape == "plateau" else 14 if noise == "normal" else 16), (
-        found
+    shares_found = shares(landscape, noise, budget)
+    assert 0.93 <= shares_found["region holds it"] <= (0.98 if landscape == "plateau" else 0.995), (
+        shares_found
     )
+    assert shares_found["points"] <= (
+        48 if landscape == "plateau" else 14 if noise == "normal" else 16
+    ), shares_found
     # Differences of two skewed sides are symmetric with long tails, where Student's t is a little too wide.
     assert (
-        0.925 <= found["fresh"] <= (0.985 if (landscape, noise) == ("plateau", "skewed") else 0.975)
-    ), found
-    assert abs(found["fresh bias"]) <= 0.1, (
-        found
+        0.925
+        <= shares_found["fresh"]
+        <= (0.985 if (landscape, noise) == ("plateau", "skewed") else 0.975)
+    ), shares_found
+    assert abs(shares_found["fresh bias"]) <= 0.1, (
+        shares_found
     )  # of noise of 0.6 mm/s: 400 means have a standard error of 0.03
-    assert found["chosen bias"] >= 0.4, "the winner's curse"
+    assert shares_found["chosen bias"] >= 0.4, "the winner's curse"
 
 
 @pytest.mark.release
@@ -147,16 +152,16 @@ def done(tmp_path_factory):
 
 def test_further_runs_are_rows_of_the_table_and_fresh_ones_chose_nothing(done):
     """Draws of all points and the base are pairs; of the second stage only points of the region have rows."""
-    table, about = done.table.to_pandas(), done.summary["optimum"]
+    table, optimum = done.table.to_pandas(), done.summary["optimum"]
     variants = 2 * (1 + 6)
     assert done.complete
     assert done.rows == len(table) == done.rows_done
-    own = table[table.row < 3 * variants]
-    assert len(own) == 3 * variants
-    assert (own.groupby(["repeat"]).seed.nunique() == 1).all(), (
+    first_rows = table[table.row < 3 * variants]
+    assert len(first_rows) == 3 * variants
+    assert (first_rows.groupby(["repeat"]).seed.nunique() == 1).all(), (
         "paired, also across gaits and with the base"
     )
-    for answer in about["answers"]:
+    for answer in optimum["answers"]:
         here = table[table.gait == answer["for"]["gait"]]
         fresh = here[(here.repeat >= 3) & (here.repeat < 7)]
         best = fresh[fresh.spine != "none"]
@@ -197,7 +202,7 @@ def test_files_say_the_same(done):
 
 def texts(figure) -> str:
     """All that stands in a figure."""
-    return " ".join(" ".join(each.get_text() for each in figure.findobj(Text)).split())
+    return " ".join(" ".join(text.get_text() for text in figure.findobj(Text)).split())
 
 
 def test_the_figure_has_a_map_for_each_gait_with_the_gain_on_fresh_runs(done):
@@ -205,9 +210,11 @@ def test_the_figure_has_a_map_for_each_gait_with_the_gain_on_fresh_runs(done):
     for answer, ax in zip(done.summary["optimum"]["answers"], figure.axes, strict=False):
         line = answer["metrics"]["speed"]
         assert f"{100 * line['relative']:+.1f} %" in ax.get_title()
-        (colours,) = (each for each in ax.collections if each.get_array() is not None)
+        (colours,) = (
+            collection for collection in ax.collections if collection.get_array() is not None
+        )
         assert colours.get_array().size == 6
-    said = texts(figure)
+    figure_texts = texts(figure)
     for words in (
         "Trot",
         "Lateral walk",
@@ -215,7 +222,7 @@ def test_the_figure_has_a_map_for_each_gait_with_the_gain_on_fresh_runs(done):
         "intervals over contact",
         "exact",
     ):
-        assert words in said
+        assert words in figure_texts
 
 
 def test_one_parameter_is_a_line_and_less_may_be_better(tmp_path):
@@ -256,8 +263,8 @@ def test_gains_and_best_variants_are_told_for_each_structure(tmp_path):
     figure = dict(sweep_figures(tmp_path))["speed-gain-over-spine.amplitude-and-spine.phase"]
     assert [ax.get_title() for ax in figure.axes[:2]] == ["trot", "lateral walk"]
     best = result.summary["best_of_each"]
-    assert len({each["parameters"]["gait"] for each in best}) == len(best) == 2
-    assert all(each["parameters"]["spine.amplitude"] == 0.4 for each in best)
+    assert len({point["parameters"]["gait"] for point in best}) == len(best) == 2
+    assert all(point["parameters"]["spine.amplitude"] == 0.4 for point in best)
 
 
 @pytest.mark.release
@@ -299,10 +306,12 @@ def test_it_may_be_sought_in_a_finished_directory(tmp_path):
     assert answer["at"]["spine.amplitude"] == 0.3
     assert answer["points"] == 6
     assert answer["metrics"]["speed"]["pairs"] == 0
-    (said,) = (each for each in optimum_in(tmp_path).how() if "fresh runs each" in each)
-    assert "3 runs a point, 4 fresh runs each, no pairs (randomize.paired makes them)" in said
+    (sentence,) = (
+        candidate for candidate in optimum_in(tmp_path).how() if "fresh runs each" in candidate
+    )
+    assert "3 runs a point, 4 fresh runs each, no pairs (randomize.paired makes them)" in sentence
     fresh = result.table.slice(len(first)).to_pandas()
-    best, base = (fresh[fresh["spine.amplitude"] == each].speed for each in (0.3, 0.0))
+    best, base = (fresh[fresh["spine.amplitude"] == candidate].speed for candidate in (0.3, 0.0))
     welch = stats.ttest_ind(best, base, equal_var=False)
     assert answer["metrics"]["speed"]["p"] == pytest.approx(welch.pvalue, rel=0.2)
 
@@ -347,22 +356,22 @@ def test_lost_points_are_not_the_best(tmp_path):
     fell = table[table.status == "fell"]
     assert {*fell["spine.amplitude"]} >= {0.3}
     for answer in result.summary["optimum"]["answers"]:
-        own = fell[fell.gait == answer["for"]["gait"]]
+        gait_rows = fell[fell.gait == answer["for"]["gait"]]
         for point in answer["region"]:
-            assert not np.all(own[[*point]] == [*point.values()], axis=1).any()
+            assert not np.all(gait_rows[[*point]] == [*point.values()], axis=1).any()
 
 
 def test_runs_that_measure_the_gain_are_not_among_those_that_choose():
     """Blocks of a second stage begin after the fresh runs: of repeats 0, 1, fresh 2 to 6, the next are 7 and 8."""
-    asked = SoughtOptimum.model_validate(
+    question = SoughtOptimum.model_validate(
         {"over": ["a"], "base": {"b": "none"}, "fresh": 5, "budget": 40, "until": 1}
     )
     values = np.random.default_rng(0).normal(size=(30, 4))
     values[:2] = [[1.0, 1.01, 0.99, -9.0], [1.02, 1.0, 0.98, -9.1]]
-    there = np.zeros(values.shape, bool)
-    there[:2] = True
-    first = judged(values, there, asked, 2)
+    is_there = np.zeros(values.shape, bool)
+    is_there[:2] = True
+    first = judged(values, is_there, question, 2)
     assert sorted(set(first.wanted[0].tolist())) == [7, 8]
-    there[first.wanted] = True
-    second = judged(values, there, asked, 2)
+    is_there[first.wanted] = True
+    second = judged(values, is_there, question, 2)
     assert set(second.wanted[0].tolist()) <= {9, 10}

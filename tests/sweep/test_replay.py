@@ -28,7 +28,9 @@ from nermo_mjx.view import Recording
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
 
-call, json_of = (functools.partial(each, "replay") for each in (command.call, command.json_of))
+call, json_of = (
+    functools.partial(function, "replay") for function in (command.call, command.json_of)
+)
 #: Eight rows in chunks of 3, 3 and 2, so that the last chunk's batch is padded. With so heavy a rear and 1.2 Hz, the
 #: robot falls. Repeats start from different places.
 WALKS = {
@@ -54,8 +56,8 @@ SHORT = {"run": {"duration": 0.4, "warmup": 0.1}, "plots": False, "vary": {"freq
 @pytest.fixture(scope="module")
 def walks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Made by a simulator of its own: those that replay its rows are others."""
-    own = Simulator(Sweep.from_dict(WALKS).setup, "c")
-    return run_sweep(WALKS, tmp_path_factory.mktemp("walks"), engine="c", simulator=own).out
+    simulator = Simulator(Sweep.from_dict(WALKS).setup, "c")
+    return run_sweep(WALKS, tmp_path_factory.mktemp("walks"), engine="c", simulator=simulator).out
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +66,8 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def row_of(out: Path, row: int) -> dict[str, Any]:
-    (found,) = (line for line in read_table(out).to_pylist() if line["row"] == row)
-    return found
+    (matching_row,) = (line for line in read_table(out).to_pylist() if line["row"] == row)
+    return matching_row
 
 
 def same(replayed: dict[str, float], stored: dict[str, Any]) -> None:
@@ -240,17 +242,17 @@ def test_the_engine_is_that_of_the_sweep(
     run_sweep(SHORT, tmp_path, simulator=FakeSimulator(engine=begun))
     if begun is None:
         shutil.rmtree(tmp_path / "results")
-    asked = []
+    engines = []
 
     def simulator(setup: object, engine: str) -> None:
-        asked.append(engine)
+        engines.append(engine)
         raise SpecError("no further")
 
     monkeypatch.setattr(module, "Simulator", simulator)
     for engine in (None, "c"):
         with pytest.raises(SpecError, match="no further"):
             replay_row(find_row(tmp_path, 1), engine)
-    assert asked == [taken, "c"]
+    assert engines == [taken, "c"]
 
 
 def test_rows_of_a_changed_sweep_are_not_compared(short: Path, tmp_path: Path) -> None:
@@ -415,9 +417,9 @@ def test_one_last_digit_is_a_difference(short: Path, tmp_path: Path) -> None:
     shutil.copytree(short, out)
     (path,) = (out / "results").iterdir()
     table = pq.read_table(path)
-    at, values = table.column_names.index("roll_std"), table.column("roll_std").to_numpy()
+    column_index, values = table.column_names.index("roll_std"), table.column("roll_std").to_numpy()
     changed = table.set_column(
-        at, table.schema.field("roll_std"), pa.array(np.nextafter(values, 1.0))
+        column_index, table.schema.field("roll_std"), pa.array(np.nextafter(values, 1.0))
     )
     pq.write_table(changed.replace_schema_metadata(table.schema.metadata), path)
     difference = json_of(out, "--row", "0")["comparison"]

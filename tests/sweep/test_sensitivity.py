@@ -66,25 +66,25 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def indices(found) -> dict[tuple[str, str], dict]:
+def indices(analysis) -> dict[tuple[str, str], dict]:
     return {
         (line["parameter"], line["order"]): line
-        for line in found.table.to_pylist()
+        for line in analysis.table.to_pylist()
         if not line["second"]
     }
 
 
 def test_ishigamis_indices_are_those_in_closed_form(out: Path) -> None:
     """First, total and of pairs, each within its interval, and within 0.04."""
-    found = sensitivity(out)
-    assert found.method == "sobol"
-    assert np.isnan(found.noise)
-    for key, line in indices(found).items():
+    analysis = sensitivity(out)
+    assert analysis.method == "sobol"
+    assert np.isnan(analysis.noise)
+    for key, line in indices(analysis).items():
         assert line["index"] == pytest.approx(KNOWN[key], abs=0.04), key
         assert line["low"] <= KNOWN[key] <= line["high"] or KNOWN[key] == 0
     pairs = {
         (line["parameter"], line["second"]): line
-        for line in found.table.to_pylist()
+        for line in analysis.table.to_pylist()
         if line["order"] == "second"
     }
     assert set(pairs) == {("frequency", "stride"), ("frequency", "duty"), ("stride", "duty")}
@@ -94,10 +94,10 @@ def test_ishigamis_indices_are_those_in_closed_form(out: Path) -> None:
 
 def test_the_sweep_itself_finds_them(out: Path) -> None:
     """The summary has them, and so has a table beside it."""
-    about = json.loads((out / "summary.json").read_text())["sensitivity"]
-    assert (about["metric"], about["method"]) == ("speed", "sobol")
-    assert about["indices"] == sensitivity(out).about()["indices"]
-    assert pq.read_table(out / "sensitivity.parquet").num_rows == len(about["indices"]) == 9
+    summary = json.loads((out / "summary.json").read_text())["sensitivity"]
+    assert (summary["metric"], summary["method"]) == ("speed", "sobol")
+    assert summary["indices"] == sensitivity(out).about()["indices"]
+    assert pq.read_table(out / "sensitivity.parquet").num_rows == len(summary["indices"]) == 9
 
 
 @pytest.mark.release
@@ -106,10 +106,10 @@ def test_a_given_sample_tells_the_first_indices(tmp_path: Path) -> None:
     run_sweep(
         SPEC | {"sample": {"latin_hypercube": 2000}, "chunk": 2000}, tmp_path, simulator=Ishigami()
     )
-    found = sensitivity(tmp_path)
-    assert found.method == "rbd_fast"
-    assert "Interactions are not known" in found.notes[0]
-    for (name, order), line in indices(found).items():
+    analysis = sensitivity(tmp_path)
+    assert analysis.method == "rbd_fast"
+    assert "Interactions are not known" in analysis.notes[0]
+    for (name, order), line in indices(analysis).items():
         assert order == "first"
         assert line["index"] == pytest.approx(KNOWN[name, order], abs=0.06)
 
@@ -123,11 +123,11 @@ def test_noise_is_in_the_total_indices_and_is_told(tmp_path: Path) -> None:
         "start.x": {"uniform": [0, 0.001]},
     }
     run_sweep(spec, tmp_path, simulator=Ishigami())
-    found, half = sensitivity(tmp_path), 100 / 12 / 2
-    assert found.noise == pytest.approx(half / (WHOLE + half), abs=0.03)
-    assert "of the variance" in found.notes[-2]
-    assert found.notes[-1] == "Profile exact."
-    for (name, order), line in indices(found).items():
+    analysis, half = sensitivity(tmp_path), 100 / 12 / 2
+    assert analysis.noise == pytest.approx(half / (WHOLE + half), abs=0.03)
+    assert "of the variance" in analysis.notes[-2]
+    assert analysis.notes[-1] == "Profile exact."
+    for (name, order), line in indices(analysis).items():
         noise = half if order == "total" else 0.0
         assert line["index"] == pytest.approx(
             (KNOWN[name, order] * WHOLE + noise) / (WHOLE + half), abs=0.07
@@ -158,14 +158,14 @@ def test_runs_without_a_number_are_not_said_to_have_fallen(out: Path) -> None:
     def notes(**columns: object) -> str:
         changed = table
         for name, values in columns.items():
-            place = changed.schema.get_field_index(name)
-            changed = changed.set_column(place, changed.schema.field(name), pa.array(values))
+            column_index = changed.schema.get_field_index(name)
+            changed = changed.set_column(column_index, changed.schema.field(name), pa.array(values))
         return sensitivity(changed).notes[0]
 
     assert notes(speed=speed) == "20 of 8,192 runs have no number, 20 variants with all of theirs."
     status[5:30] = "diverged"
-    both = "25 of 8,192 runs fell or were lost and 5 of 8,192 runs have no number, 30 variants with all of theirs."
-    assert notes(speed=speed, status=status.tolist()) == both
+    sentence = "25 of 8,192 runs fell or were lost and 5 of 8,192 runs have no number, 30 variants with all of theirs."
+    assert notes(speed=speed, status=status.tolist()) == sentence
 
 
 @pytest.mark.release
@@ -178,15 +178,15 @@ def test_a_share_below_0_is_told_to_be_noise(tmp_path: Path) -> None:
             result.metrics["speed"] = values["frequency"] + 2 * values["stride"]
             return result
 
-    said = []
+    notes_said = []
     for seed in range(4):
         spec = SPEC | {"sample": {"sobol": 128}, "seed": seed}
         run_sweep(spec, tmp_path / str(seed), simulator=Linear())
-        found = sensitivity(tmp_path / str(seed))
-        below = any(line["index"] < 0 for line in found.table.to_pylist())
-        assert any("below 0 is the estimate's noise" in note for note in found.notes) == below
-        said.append(below)
-    assert any(said)
+        analysis = sensitivity(tmp_path / str(seed))
+        below = any(line["index"] < 0 for line in analysis.table.to_pylist())
+        assert any("below 0 is the estimate's noise" in note for note in analysis.notes) == below
+        notes_said.append(below)
+    assert any(notes_said)
 
 
 def test_the_design_begins_as_a_smaller_one_and_changes_one_parameter_at_a_time() -> None:
@@ -218,8 +218,8 @@ def test_the_command_writes_what_plot_and_status_know(out: Path, tmp_path: Path)
     figure = (tmp_path / "report" / "plots" / "speed-sensitivity.png").read_bytes()
     assert call("plot", tmp_path / "report").exit_code == 0
     assert (tmp_path / "report" / "plots" / "speed-sensitivity.png").read_bytes() == figure
-    drawn = call("plot", out, "--out", tmp_path / "plots")
-    assert drawn.exit_code == 0, drawn.output
+    plot_result = call("plot", out, "--out", tmp_path / "plots")
+    assert plot_result.exit_code == 0, plot_result.output
     assert (tmp_path / "plots" / "speed-sensitivity.png").read_bytes() == figure
     assert "stride" in call("sensitivity", out).stdout
 
@@ -229,7 +229,7 @@ def test_what_tells_nothing_says_why(out: Path, tmp_path: Path) -> None:
     grid = {"vary": {name: [0.6, 0.7] for name in NAMES}, "plots": False}
     run_sweep(grid, tmp_path / "grid", simulator=Ishigami())
     run_sweep(SPEC | {"sample": {"sobol": 16}}, tmp_path / "few", simulator=Ishigami())
-    for folder, metric, said in (
+    for folder, metric, message in (
         (tmp_path / "grid", "speed", "sample is grid, whose variants are not drawn at random"),
         (out, "sped", "metric is 'sped': not one of the table; did you mean 'speed'?"),
         (out, "slip", "metric is 'slip', which is the same in all variants"),
@@ -237,7 +237,7 @@ def test_what_tells_nothing_says_why(out: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(ParameterError) as error:
             sensitivity(folder, metric)
-        assert said in str(error.value)
+        assert message in str(error.value)
     with pytest.raises(
         SpecError, match=r"1: field 'sample.saltelli' is 100: expected a power of two, such as 64"
     ):

@@ -50,11 +50,11 @@ def test_accepted_code_keeps_what_is_there_and_tells_the_rows_apart(begun, newer
     simulator = FakeSimulator()
     result = run_sweep(SPEC, begun, simulator=simulator)
     assert simulator.batches == [9]
-    made = result.table.column("code").to_pylist()
-    assert {name: made.count(name) for name in codes_of(begun)} == dict.fromkeys(
+    codes = result.table.column("code").to_pylist()
+    assert {name: codes.count(name) for name in codes_of(begun)} == dict.fromkeys(
         codes_of(begun), 18
     )
-    assert [each.package for each in codes_of(begun).values()][1:] == ["9.9.9"]
+    assert [code.package for code in codes_of(begun).values()][1:] == ["9.9.9"]
 
 
 def test_a_directory_keeps_its_engine_unless_another_one_is_accepted(begun):
@@ -105,21 +105,23 @@ def test_an_engine_that_cannot_run_here_does_not_claim_a_directory(tmp_path):
 
 def test_rows_made_with_other_defaults_are_kept_and_not_used(begun, monkeypatch):
     """They are told, run again, and out of the table; with the former defaults they are back."""
-    kept = {path.name: path.read_bytes() for path in begun.glob("results/*.parquet")}
+    contents = {path.name: path.read_bytes() for path in begun.glob("results/*.parquet")}
     with monkeypatch.context() as patch:
         defaults = Setup.defaults
         patch.setattr(Setup, "defaults", lambda self: defaults(self) | {"stride": 0.123})
         patch.setattr(Sweep, "digest", lambda self: "beef")
-        said = []
-        result = run_sweep(SPEC, begun, simulator=FakeSimulator(), watch=Watch(warn=said.append))
-        assert said == [
+        messages = []
+        result = run_sweep(
+            SPEC, begun, simulator=FakeSimulator(), watch=Watch(warn=messages.append)
+        )
+        assert messages == [
             f"{begun} has parts of another job, or made with other defaults: now in former."
         ]
-        assert {path.name: path.read_bytes() for path in begun.glob("former/results/*")} == kept
+        assert {path.name: path.read_bytes() for path in begun.glob("former/results/*")} == contents
         assert result.chunks_run == result.table.num_rows / 9 == 4
         assert len(list(begun.glob("results/*"))) == 4
     assert run_sweep(SPEC, begun, simulator=FakeSimulator()).chunks_run == 2
-    assert kept.keys() < {path.name for path in begun.glob("results/*")}
+    assert contents.keys() < {path.name for path in begun.glob("results/*")}
 
 
 def test_a_stamp_reads_every_room_that_decides_the_numbers():

@@ -113,13 +113,13 @@ EXTENSIONS = {
 class Counting(FakeSimulator):
     """Counts the different rows that it simulates, padding apart."""
 
-    def __init__(self, **more):
-        super().__init__(**more)
+    def __init__(self, **options):
+        super().__init__(**options)
         self.rows = 0
 
-    def run(self, values, run, **more):
+    def run(self, values, run, **options):
         self.rows += len(np.unique(np.column_stack(list(values.values())), axis=0))
-        return super().run(values, run, **more)
+        return super().run(values, run, **options)
 
 
 def extended(small, large, out, chunk=4):
@@ -153,11 +153,11 @@ def test_an_extension_that_is_killed_at_any_moment_loses_nothing(tmp_path, monke
     left = [move]
 
     def mortal(function):
-        def moved(*given, **more):
+        def moved(*arguments, **options):
             left[0] -= 1
             if left[0] == 0:
                 raise Killed
-            return function(*given, **more)
+            return function(*arguments, **options)
 
         return moved
 
@@ -167,20 +167,20 @@ def test_an_extension_that_is_killed_at_any_moment_loses_nothing(tmp_path, monke
         with pytest.raises(Killed):
             run_sweep(large, tmp_path, simulator=FakeSimulator(), extend=True)
     assert before <= {path.read_bytes() for path in tmp_path.rglob("*.parquet")}
-    made = read_table(tmp_path).num_rows if any(tmp_path.glob("results/*")) else 0
+    row_count = read_table(tmp_path).num_rows if any(tmp_path.glob("results/*")) else 0
     again = Counting()
     assert run_sweep(large, tmp_path, simulator=again, extend=True).complete
     table = read_table(tmp_path)
     assert table.equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)
     assert again.rows <= table.num_rows - shared
-    assert made == 0 or again.rows <= table.num_rows - min(made, shared)
+    assert row_count == 0 or again.rows <= table.num_rows - min(row_count, shared)
 
 
 def test_between_its_steps_the_former_sweep_can_be_gone_on_with_instead(tmp_path, monkeypatch):
     """Its rows are in the folder by then; nothing is simulated again."""
     run_sweep(SMALL, tmp_path, chunk=2, simulator=FakeSimulator())
     table = read_table(tmp_path)
-    monkeypatch.setattr("nermo_mjx.sweep.directory._with_files", lambda *given: 1 / 0)
+    monkeypatch.setattr("nermo_mjx.sweep.directory._with_files", lambda *arguments: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run_sweep(
             changed(randomize={"repeats": 2}), tmp_path, simulator=FakeSimulator(), extend=True
@@ -249,14 +249,14 @@ def test_what_is_no_extension_is_refused(tmp_path, spec, sentence):
 
 def test_a_latin_hypercube_has_no_further_points(tmp_path):
     """Its points depend on how many there are; repeats can be added."""
-    few, many = (changed(vary=UNIFORM, sample={"latin_hypercube": count}) for count in (4, 8))
-    run_sweep(few, tmp_path, simulator=FakeSimulator())
+    smaller, larger = (changed(vary=UNIFORM, sample={"latin_hypercube": count}) for count in (4, 8))
+    run_sweep(smaller, tmp_path, simulator=FakeSimulator())
     with pytest.raises(
         DirectoryError, match="a Latin hypercube of 4 points is not part of one of 8"
     ):
-        run_sweep(many, tmp_path, simulator=FakeSimulator(), extend=True)
-    more = few | {"randomize": few["randomize"] | {"repeats": 2}}
-    assert run_sweep(more, tmp_path, simulator=FakeSimulator(), extend=True).rows == 8
+        run_sweep(larger, tmp_path, simulator=FakeSimulator(), extend=True)
+    extended = smaller | {"randomize": smaller["randomize"] | {"repeats": 2}}
+    assert run_sweep(extended, tmp_path, simulator=FakeSimulator(), extend=True).rows == 8
 
 
 def test_without_being_told_another_sweep_is_refused_and_extend_is_named(tmp_path):
@@ -288,7 +288,7 @@ def test_rows_are_taken_from_another_directory(tmp_path):
     damaged = part_of(source, 1)
     damaged.write_bytes(b"nothing")
     before = contents(source)
-    said, simulator = [], Counting()
+    messages, simulator = [], Counting()
     large = changed(vary={"frequency": [0.5, 0.7, 0.9, 1.1], **FRICTION})
     result = run_sweep(
         large,
@@ -296,10 +296,10 @@ def test_rows_are_taken_from_another_directory(tmp_path):
         chunk=8,
         use=[source],
         simulator=simulator,
-        watch=Watch(warn=said.append),
+        watch=Watch(warn=messages.append),
     )
     assert simulator.rows == 8 - 4
-    assert said == [f"{damaged} is damaged; its runs are not used."]
+    assert messages == [f"{damaged} is damaged; its runs are not used."]
     assert result.table.equals(
         run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table
     )
@@ -323,14 +323,14 @@ def test_directories_merge_into_one(tmp_path):
     sources = [tmp_path / name for name in ("a", "b")]
     plain = {"plots": False, "gait": "lateral_walk", "vary": {"frequency": [0.5, 0.7], **FRICTION}}
     run_sweep(plain, sources[0], simulator=FakeSimulator())
-    other = {"plots": False, "vary": {"gait": ["trot", "lateral_walk"], "frequency": [0.7, 0.9]}}
-    run_sweep(other | {"set": {"contact.friction": 1.2}}, sources[1], simulator=FakeSimulator())
+    spec = {"plots": False, "vary": {"gait": ["trot", "lateral_walk"], "frequency": [0.7, 0.9]}}
+    run_sweep(spec | {"set": {"contact.friction": 1.2}}, sources[1], simulator=FakeSimulator())
     before = contents(*sources)
     result = merge_sweeps(sources, tmp_path / "both")
     assert result.complete
     assert result.chunks_run == 0
-    kept = ["gait", "frequency", "contact.friction"]
-    rows = list(zip(*(result.table.column(name).to_pylist() for name in kept), strict=True))
+    label_names = ["gait", "frequency", "contact.friction"]
+    rows = list(zip(*(result.table.column(name).to_pylist() for name in label_names), strict=True))
     expected = {("lateral_walk", f, x) for f in (0.5, 0.7) for x in (1.0, 1.2)}
     expected |= {(g, f, 1.2) for g in ("trot", "lateral_walk") for f in (0.7, 0.9)}
     assert sorted(rows) == sorted(expected)
@@ -348,12 +348,12 @@ def test_directories_merge_into_one(tmp_path):
 def test_draws_of_a_row_are_the_same_whatever_else_is_varied(tmp_path):
     """So that merged directories and a single run agree: a row's draws depend only on its own values."""
     turned = changed(vary={"contact.friction": [1.2, 1.0], "frequency": [0.9, 0.5, 0.7]})
-    few, many = sample(Sweep.from_dict(SMALL)), sample(Sweep.from_dict(turned))
-    for rows in (few, many):
+    small_sample, large_sample = sample(Sweep.from_dict(SMALL)), sample(Sweep.from_dict(turned))
+    for rows in (small_sample, large_sample):
         assert len(np.unique(rows.seed)) == 6
-    assert sorted(few.seed) == sorted(many.seed)
+    assert sorted(small_sample.seed) == sorted(large_sample.seed)
     sweep = Sweep.from_dict(SMALL)
-    assert sorted(keys_of_rows(sweep, few)) == sorted(keys_of_rows(sweep, many))
+    assert sorted(keys_of_rows(sweep, small_sample)) == sorted(keys_of_rows(sweep, large_sample))
 
 
 def test_what_does_not_go_together_is_not_merged(tmp_path):
@@ -428,9 +428,11 @@ def test_values_that_differ_in_their_last_digits_are_one_variant(tmp_path):
     assert merged.complete
     assert sorted(set(merged.table.column("frequency").to_pylist())) == [0.3, 0.5, 0.7, 0.9]
     assert merged.rows == 12
-    for each, place in ((first, 3), (listed, 0)):
-        assert each.table.column("frequency")[place].as_py() == 0.7
-        assert each.table.column("seed")[place].as_py() == first.table.column("seed")[3].as_py()
+    for sweep_rows, digits in ((first, 3), (listed, 0)):
+        assert sweep_rows.table.column("frequency")[digits].as_py() == 0.7
+        assert (
+            sweep_rows.table.column("seed")[digits].as_py() == first.table.column("seed")[3].as_py()
+        )
     with pytest.raises(SpecError, match=r"lists 0\.7 twice"):
         Sweep.from_dict(changed(vary={"frequency": [0.7, 7 * 0.1]}))
     with pytest.raises(SpecError, match="a row is the same as that of"):

@@ -66,14 +66,21 @@ def test_the_directory_holds_what_other_programs_rely_on(done):
     names = {path.name for path in done.iterdir() if path.name[0] != "."}
     assert names == {"plots", "results", "run.json", "summary.json", "sweep.json", "sweep.yaml"}
     assert Sweep.from_file(done / "sweep.yaml").digest() == Sweep.from_dict(SPEC).digest()
-    about = {field.name: field.metadata for field in pq.read_schema(part_of(done, 0))}
-    assert (about["frequency"][b"unit"], about["speed"][b"unit"]) == (b"Hz", b"m/s")
-    assert (about["frequency"][b"role"], about["speed"][b"role"], about["key"][b"role"]) == (
+    metadata_by_name = {field.name: field.metadata for field in pq.read_schema(part_of(done, 0))}
+    assert (metadata_by_name["frequency"][b"unit"], metadata_by_name["speed"][b"unit"]) == (
+        b"Hz",
+        b"m/s",
+    )
+    assert (
+        metadata_by_name["frequency"][b"role"],
+        metadata_by_name["speed"][b"role"],
+        metadata_by_name["key"][b"role"],
+    ) == (
         b"varied",
         b"metric",
         b"key",
     )
-    assert all(metadata[b"description"] for metadata in about.values())
+    assert all(metadata[b"description"] for metadata in metadata_by_name.values())
     assert sorted(pandas.read_parquet(done / "results")["row"]) == list(range(36))
     assert (
         "key"
@@ -87,22 +94,22 @@ def test_the_directory_holds_what_other_programs_rely_on(done):
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda path, other: path.unlink(),
-        lambda path, other: path.write_bytes(
+        lambda path, second_path: path.unlink(),
+        lambda path, second_path: path.write_bytes(
             path.read_bytes()[:-300] + b"?" + path.read_bytes()[-299:]
         ),
     ],
 )
 def test_damaged_rows_are_told_kept_and_run_again(done, reference, damage):
     """One sentence names the file; all others stay as they are."""
-    path, said = part_of(done, 3), []
+    path, messages = part_of(done, 3), []
     damage(path, part_of(done, 35))
     damaged = [path.read_bytes()] if path.exists() else []
-    result = run_sweep(SPEC, done, simulator=FakeSimulator(), watch=Watch(warn=said.append))
-    assert said == [
+    result = run_sweep(SPEC, done, simulator=FakeSimulator(), watch=Watch(warn=messages.append))
+    assert messages == [
         f"{path} is damaged; it is kept in results.aside, and its runs are made again."
     ] * len(damaged)
-    assert [kept.read_bytes() for kept in done.glob("results.aside/*")] == damaged
+    assert [backup.read_bytes() for backup in done.glob("results.aside/*")] == damaged
     assert result.chunks_run == 1
     assert result.table.equals(reference)
 
@@ -132,11 +139,11 @@ def test_a_part_that_cannot_be_read_is_named(done):
 
 def test_rows_that_two_processes_made_count_once(done, tmp_path, reference):
     """As of a part that was moved aside and put back after its rows were made again, in other company."""
-    kept = part_of(done, 3)
-    kept.rename(tmp_path / kept.name)
+    part_path = part_of(done, 3)
+    part_path.rename(tmp_path / part_path.name)
     run_sweep(SPEC, done, simulator=FakeSimulator())
     run_sweep(SPEC, tmp_path / "other", chunk=7, simulator=FakeSimulator())
-    for path in [tmp_path / kept.name, *(tmp_path / "other/results").glob("*")]:
+    for path in [tmp_path / part_path.name, *(tmp_path / "other/results").glob("*")]:
         path.rename(done / "results" / path.name)
     assert read_table(done).equals(reference)
     assert Results(sorted(done.glob("results/*"))).statuses == {"ok": 36}
@@ -429,7 +436,7 @@ WRONG = ({"rows": "3"}, {"fields": {}}, {"parameters": 1})
         "null",
         '{"rows": 3}',
         "[" * 5000,
-        *(json.dumps(RECORD_OF_THREE | each) for each in WRONG),
+        *(json.dumps(RECORD_OF_THREE | wrong_entry) for wrong_entry in WRONG),
     ],
 )
 def test_a_damaged_record_is_one_sentence(tmp_path: Path, text: str) -> None:

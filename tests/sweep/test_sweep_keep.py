@@ -36,13 +36,13 @@ class Saver(FakeSimulator):
         result = super().run(values, run, **how)
         count = np.round(10 * values["frequency"]).astype(int)
         time = (1 + np.arange(count.max())) / 20
-        held = {
+        series = {
             name: np.tile(time, (len(count), 1)).astype(np.float32)
             for name in ("gyro_x", "gyro_y", "gyro_z")
         }
         assert save == Saving(("gyro", "speed"), 20.0)
         speed = np.repeat(result.metrics["speed"][:, None], len(time), axis=1)
-        result.series = Series(time, held | {"speed": speed}, count)
+        result.series = Series(time, series | {"speed": speed}, count)
         return result
 
 
@@ -179,30 +179,30 @@ def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
     result = simulator.run(
         {"frequency": [1.0, 2.0]}, Run(cycles=0.6, warmup_cycles=0), record=True, save=saving
     )
-    kept, trace = result.series, result.trace
-    assert kept is not None
+    series, trace = result.series, result.trace
+    assert series is not None
     assert trace is not None
-    np.testing.assert_allclose(kept.time, 0.03 * np.arange(1, 21), atol=1e-9)
-    assert kept.count.tolist() == [20, 10], "0.6 and 0.3 s"
-    at = np.searchsorted(trace.time, kept.time - 1e-6)
+    np.testing.assert_allclose(series.time, 0.03 * np.arange(1, 21), atol=1e-9)
+    assert series.count.tolist() == [20, 10], "0.6 and 0.3 s"
+    sample_index = np.searchsorted(trace.time, series.time - 1e-6)
     velocity, foot = (
-        trace.sensors["linear_velocity"][:, at],
-        trace.sensors["foot_velocity"][:, at, 0],
+        trace.sensors["linear_velocity"][:, sample_index],
+        trace.sensors["foot_velocity"][:, sample_index, 0],
     )
     expected = {
         "front_left_foot_velocity_x": foot[..., 0],
         "front_left_foot_velocity_y": foot[..., 1],
         "front_left_foot_velocity_z": foot[..., 2],
-        "spine_servo_command": trace.ctrl[:, at, 8],
-        "qvel_root_z": trace.qvel[:, at, 2],
+        "spine_servo_command": trace.ctrl[:, sample_index, 8],
+        "qvel_root_z": trace.qvel[:, sample_index, 2],
         "speed": np.linalg.norm(velocity[..., :2], axis=-1),
     }
-    assert set(kept.values) == {*expected, "yaw"}
+    assert set(series.values) == {*expected, "yaw"}
     for name, values in expected.items():
-        np.testing.assert_allclose(kept.values[name], values, atol=1e-6, err_msg=name)
-    w, x, y, z = np.moveaxis(trace.sensors["orientation"][:, at], -1, 0)
+        np.testing.assert_allclose(series.values[name], values, atol=1e-6, err_msg=name)
+    w, x, y, z = np.moveaxis(trace.sensors["orientation"][:, sample_index], -1, 0)
     np.testing.assert_allclose(
-        kept.values["yaw"], np.arctan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)), atol=1e-6
+        series.values["yaw"], np.arctan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)), atol=1e-6
     )
 
 
@@ -210,12 +210,14 @@ def test_signals_have_the_names_of_the_models_sensors() -> None:
     """And each number of the state has a signal, by the names of MuJoCo's joints."""
     robot = load_robot()
     model, every = robot.physical, all_signals(robot)
-    known = {name for signal in every for name in signal.names}
+    signal_names = {name for signal in every for name in signal.names}
     # Velocities of the compliant joints are those of the state.
     joints = {
-        f"{name.removeprefix('qvel_')}_velocity" for name in known if name.startswith("qvel_")
+        f"{name.removeprefix('qvel_')}_velocity"
+        for name in signal_names
+        if name.startswith("qvel_")
     }
-    assert {model.sensor(i).name for i in range(model.nsensor)} - known - joints == {
+    assert {model.sensor(i).name for i in range(model.nsensor)} - signal_names - joints == {
         "tail_tip_force"
     }
     assert sum(signal.source == "qpos" for signal in every) == model.nq
@@ -269,13 +271,13 @@ def test_the_best_are_variants_not_their_luckiest_runs() -> None:
         status=["ok"] * 8 + ["fell"] + ["ok"] * 6,
     )
     assert kept_rows(table, Keep(best=1)) == {4: "number 1 by speed"}
-    kept = sorted(kept_rows(table, Keep(best=9)).items(), key=lambda item: item[1])
-    assert [row for row, _ in kept] == [4, 0, 12, 9, 6]
+    reasons = sorted(kept_rows(table, Keep(best=9)).items(), key=lambda item: item[1])
+    assert [row for row, _ in reasons] == [4, 0, 12, 9, 6]
 
 
 def test_every_metric_with_a_better_direction_can_choose_what_is_kept() -> None:
     """The highest, the lowest, or the nearest to zero; also of a table whose columns do not name the direction."""
-    directed = [name for name, about in METRICS.items() if about.better]
+    directed = [name for name, declaration in METRICS.items() if declaration.better]
     assert {"battery_time", "penetration", "lateral_drift"} < {*directed}
     for name in directed:
         assert Sweep.from_dict({**SPEC, "keep": {"best": 1, "metric": name}}).keep == Keep(
@@ -295,8 +297,8 @@ def test_every_metric_with_a_better_direction_can_choose_what_is_kept() -> None:
             schema=pa.schema([*(pa.field(n, c.type) for n, c in rows.items()), *fields]),
         )
     )
-    found = {name: [*kept_rows(table, Keep(best=1, metric=name))] for name in columns}
-    assert found == {"battery_time": [0], "penetration": [3], "lateral_drift": [2]}
+    rows_by_metric = {name: [*kept_rows(table, Keep(best=1, metric=name))] for name in columns}
+    assert rows_by_metric == {"battery_time": [0], "penetration": [3], "lateral_drift": [2]}
 
 
 KEPT: dict[str, Any] = {
@@ -309,11 +311,11 @@ KEPT: dict[str, Any] = {
 
 def test_kept_rows_are_recorded_once_and_again_if_they_are_lost(tmp_path: Path) -> None:
     """When the table is complete, by whichever command asks; `keep` may be another one then."""
-    told: list[str] = []
-    result = run_sweep(KEPT, tmp_path, engine="c", watch=Watch(warn=told.append))
+    messages: list[str] = []
+    result = run_sweep(KEPT, tmp_path, engine="c", watch=Watch(warn=messages.append))
     best = int(np.argmax(read_table(tmp_path).column("speed").to_numpy()))
     (file,) = result.recordings
-    assert (told, file) == ([], tmp_path / "recordings" / f"row-{best:06d}.npz")
+    assert (messages, file) == ([], tmp_path / "recordings" / f"row-{best:06d}.npz")
     recording = Recording.load(file)
     assert recording.time[-1] == pytest.approx(0.4)
     assert (
@@ -335,11 +337,11 @@ def test_a_stopped_sweep_records_what_is_missing(
 ) -> None:
     spec, done = {**KEPT, "keep": {"best": 3}}, []
 
-    def stopped(found: Any, *args: Any, **how: Any) -> Any:
+    def stopped(sweep_row: Any, *args: Any, **how: Any) -> Any:
         if len(done) == 1:
             raise KeyboardInterrupt
-        done.append(found.row)
-        return replay_row(found, *args, **how)
+        done.append(sweep_row.row)
+        return replay_row(sweep_row, *args, **how)
 
     with monkeypatch.context() as patch:
         patch.setattr("nermo_mjx.sweep.replay.replay_row", stopped)
@@ -354,9 +356,11 @@ def test_a_stopped_sweep_records_what_is_missing(
 
 def test_a_replay_that_gives_other_numbers_says_so(tmp_path: Path) -> None:
     """A table in closed form is not what the robot does."""
-    told: list[str] = []
-    run_sweep(KEPT, tmp_path, simulator=FakeSimulator(engine="c"), watch=Watch(warn=told.append))
-    (sentence,) = told
+    messages: list[str] = []
+    run_sweep(
+        KEPT, tmp_path, simulator=FakeSimulator(engine="c"), watch=Watch(warn=messages.append)
+    )
+    (sentence,) = messages
     assert sentence.startswith(
         "row 2 as it is recorded: The metrics differ from the table's (engine c), most of all "
     )
@@ -404,14 +408,14 @@ def test_series_open_in_the_lines_of_the_page(tmp_path: Path, package: str) -> N
         line.replace("DIR", str(tmp_path)) for line in section.partition("\n## ")[0].splitlines()
     ]
     (line,) = (line for line in lines if line.startswith(f"{package}."))
-    found = eval(line.replace("time > 1", "time > 0.3"), {package: module})
+    answer = eval(line.replace("time > 1", "time > 0.3"), {package: module})
     table = read_table(tmp_path)
     samples = np.round(10 * table.column("frequency").to_numpy()).astype(int)
     if package == "duckdb":
         expected = {row: n / 20 for row, n in enumerate(samples.tolist()) if n > 6}
-        assert dict(found.fetchall()) == pytest.approx(expected)
+        assert dict(answer.fetchall()) == pytest.approx(expected)
         return
-    assert len(found) == samples.sum()
+    assert len(answer) == samples.sum()
     if package == "pandas":
         scope: dict[str, Any] = {"pandas": module}
         exec("\n".join(line for line in lines if line.startswith(("one = ", "both = "))), scope)
@@ -428,11 +432,11 @@ def test_runs_without_their_series_are_made_again(tmp_path: Path, damage: str) -
         file.unlink()
     else:
         file.write_bytes(file.read_bytes().replace(b"gyro_x", b"gyro_y", 1))
-    damaged, told = file.read_bytes() if file.exists() else b"", []
-    result = run_sweep(SAVED, tmp_path, simulator=Saver(), watch=Watch(warn=told.append))
+    damaged, messages = file.read_bytes() if file.exists() else b"", []
+    result = run_sweep(SAVED, tmp_path, simulator=Saver(), watch=Watch(warn=messages.append))
     assert result.chunks_run == 1
-    assert len(told) == 1
-    assert f"{part} has no time series, or damaged ones; it is kept in results.aside" in told[0]
+    assert len(messages) == 1
+    assert f"{part} has no time series, or damaged ones; it is kept in results.aside" in messages[0]
     assert samples(tmp_path).equals(before)
     assert [path.read_bytes() for path in tmp_path.glob("series.aside/*")] == [damaged] * (
         damage == "flipped"

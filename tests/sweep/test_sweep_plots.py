@@ -80,9 +80,9 @@ def test_cells_show_the_tables_numbers_on_one_colour_scale():
     f, x, y, z = points()
     panels = [(f"{value}", f == value) for value in FREQUENCIES]
     figure = heat_maps(x, y, shown("speed", "m/s", z), panels, "t", "")
-    found = meshes(figure)
-    assert len(found) == 4
-    for mesh, value in zip(found, FREQUENCIES, strict=True):
+    cells = meshes(figure)
+    assert len(cells) == 4
+    for mesh, value in zip(cells, FREQUENCIES, strict=True):
         expected = 1000 * speed(value, np.array(AMPLITUDES)[None, :], np.array(PHASES)[:, None])
         np.testing.assert_allclose(np.asarray(mesh.get_array()), expected, rtol=1e-9)
         assert mesh.get_clim() == pytest.approx((1000 * z.min(), 1000 * z.max()))
@@ -148,9 +148,9 @@ def test_gain_figure_shows_speed_relative_to_the_stiff_spine_in_percent(tmp_path
     result = run_sweep(SPEC | {"vary": vary}, tmp_path / "run", simulator=FakeSimulator())
     figure = gain_figure(result.table)
     expected = 50 * np.array(AMPLITUDES)[None, :] * np.cos(vary["spine.phase"])[:, None]
-    found = meshes(figure)
-    assert len(found) == 4
-    for mesh in found:
+    cells = meshes(figure)
+    assert len(cells) == 4
+    for mesh in cells:
         np.testing.assert_allclose(np.asarray(mesh.get_array()), expected, atol=1e-4)
         assert mesh.get_clim() == pytest.approx((-20, 20), abs=1e-4)
         assert mesh.get_cmap()(0.5)[:3] == pytest.approx((1, 1, 1), abs=0.05)

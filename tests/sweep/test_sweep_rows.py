@@ -144,11 +144,11 @@ def test_rows_of_every_combination_are_a_grid(tmp_path):
     base = {"spine": "stride_extension", "plots": False}
     grid = run_sweep(base | {"rows": rows}, tmp_path / "a", simulator=FakeSimulator())
     assert grid.table.schema.metadata[b"sampler"] == b"grid"
-    assert [each["value"] for each in grid.summary["marginal_means"]["frequency"]] == [0.5, 0.8]
-    other = run_sweep(base | {"rows": rows[:3]}, tmp_path / "b", simulator=FakeSimulator())
-    assert other.table.schema.metadata[b"sampler"] == b"rows"
+    assert [entry["value"] for entry in grid.summary["marginal_means"]["frequency"]] == [0.5, 0.8]
+    listed = run_sweep(base | {"rows": rows[:3]}, tmp_path / "b", simulator=FakeSimulator())
+    assert listed.table.schema.metadata[b"sampler"] == b"rows"
     expected = speed(np.array([0.5, 0.8, 0.5]), np.array([0, 0, 0.2]))
-    np.testing.assert_allclose(other.table.column("speed").to_numpy(), expected, rtol=1e-6)
+    np.testing.assert_allclose(listed.table.column("speed").to_numpy(), expected, rtol=1e-6)
 
 
 #: A CSV file, and what is said of it.

@@ -56,12 +56,12 @@ def test_a_stopped_sweep_goes_on_and_gives_the_same_table(tmp_path, reference, n
     if number == signal.SIGTERM:
         assert code == 3
         assert f"nermo-mjx sweep {out}/sweep.yaml --out {out}" in printed
-    kept = len(list(out.glob("results/*.parquet")))
-    assert kept in ((2, 3) if number == signal.SIGKILL else (3,))
+    part_count = len(list(out.glob("results/*.parquet")))
+    assert part_count in ((2, 3) if number == signal.SIGKILL else (3,))
     assert not (out / "summary.json").exists()
     simulator = FakeSimulator()
     result = run_sweep(out / "sweep.yaml", out, simulator=simulator)
-    assert simulator.batches == [4] * (9 - kept)
+    assert simulator.batches == [4] * (9 - part_count)
     assert result.table.equals(reference.table)
     assert result.table.to_pydict() == reference.table.to_pydict()
     assert len(json.loads((out / "run.json").read_text())["sessions"]) == 2
@@ -181,10 +181,10 @@ def test_repeats_are_averaged_and_their_spread_is_given(tmp_path):
         simulator=FakeSimulator(),
     )
     best = result.summary["best"]["speed"]
-    own = result.table.column("speed").to_numpy()[result.table.column("variant").to_numpy() == 1]
+    speeds = result.table.column("speed").to_numpy()[result.table.column("variant").to_numpy() == 1]
     assert best["runs"] == 5
-    assert best["mean"] == pytest.approx(own.mean())
-    assert best["std"] == pytest.approx(own.std(ddof=1))
+    assert best["mean"] == pytest.approx(speeds.mean())
+    assert best["std"] == pytest.approx(speeds.std(ddof=1))
     assert best["std"] > 1e-5
 
 
@@ -207,8 +207,8 @@ class Falling(FakeSimulator):
         super().__init__()
         self.how = how
 
-    def run(self, values, run, **given):
-        result = super().run(values, run, **given)
+    def run(self, values, run, **options):
+        result = super().run(values, run, **options)
         lost = (values["frequency"] > 0.9) & (values["start.x"] != 0)
         if self.how == "no number":
             result.metrics["speed"] = np.where(lost, np.nan, result.metrics["speed"])
@@ -240,12 +240,12 @@ def test_a_variant_with_lost_runs_is_not_best_before_one_without(tmp_path, how):
     alone = json.loads((tmp_path / "one" / "summary.json").read_text())["best"]["speed"]
     assert (alone["std"], alone["low"], alone["runs"], alone["lost"]) == (None, None, 1, 0.75)
     assert alone["why"] == {how: 3}
-    shown = call("sweep", tmp_path / "one" / "sweep.yaml", "--out", tmp_path / "one").stdout
+    output = call("sweep", tmp_path / "one" / "sweep.yaml", "--out", tmp_path / "one").stdout
     assert re.search(
-        rf"mean ± 95 % interval.*\n.*\n *speed +max +100 +mm/s +75 % \(3 {how}\)", shown
+        rf"mean ± 95 % interval.*\n.*\n *speed +max +100 +mm/s +75 % \(3 {how}\)", output
     )
-    shown = call("sweep", tmp_path / "three" / "sweep.yaml", "--out", tmp_path / "three").stdout
-    assert re.search(r"speed +max +\d+\.?\d* ± \d.* mm/s +0 % ", shown)
+    output = call("sweep", tmp_path / "three" / "sweep.yaml", "--out", tmp_path / "three").stdout
+    assert re.search(r"speed +max +\d+\.?\d* ± \d.* mm/s +0 % ", output)
 
 
 def test_a_sweep_in_which_all_fall_still_ends(tmp_path):
@@ -308,9 +308,9 @@ def test_the_sweeps_of_the_repository_run(tmp_path, path):
         dataclasses.replace(sweep, plots=False, keep=None), tmp_path, simulator=FakeSimulator()
     )
     assert result.complete
-    own = sweep.variants * sweep.repeats
-    assert np.array_equal(result.table.column("row").to_numpy()[:own], np.arange(own))
-    assert (result.table.num_rows > own) == (sweep.optimum is not None)
+    row_count = sweep.variants * sweep.repeats
+    assert np.array_equal(result.table.column("row").to_numpy()[:row_count], np.arange(row_count))
+    assert (result.table.num_rows > row_count) == (sweep.optimum is not None)
     if path.stem == "quickstart":
         assert sweep.variants >= 200
         assert read_table(tmp_path).num_rows == sweep.variants

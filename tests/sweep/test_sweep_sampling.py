@@ -77,21 +77,25 @@ def test_a_seed_repeats_a_sample_and_another_seed_changes_it(sampler):
     """The same seed gives the same table of values, bit by bit."""
     spec = {"vary": {"frequency": {"uniform": [0.5, 1.5]}}, "sample": sampler}
     spec["randomize"] = {"contact.friction": {"uniform": [1.0, 1.6]}}
-    first, again, other = rows_of(**spec, seed=1), rows_of(**spec, seed=1), rows_of(**spec, seed=2)
+    first, again, other_seed = (
+        rows_of(**spec, seed=1),
+        rows_of(**spec, seed=1),
+        rows_of(**spec, seed=2),
+    )
     for name, column in first.values.items():
         np.testing.assert_array_equal(column, again.values[name])
-        assert not np.any(column == other.values[name])
+        assert not np.any(column == other_seed.values[name])
 
 
 def test_draws_of_a_variant_do_not_depend_on_the_other_variants():
     """More variants, or more repeats, leave the draws of a (variant, repeat) as they were."""
     draw = {"contact.friction": {"uniform": [1.0, 1.6]}}
     few = rows_of(vary={"frequency": [0.5, 0.6]}, randomize={"repeats": 2, **draw})
-    many = rows_of(vary={"frequency": [0.5, 0.6, 0.7]}, randomize={"repeats": 3, **draw})
-    kept = many.repeat < 2
+    three_variants = rows_of(vary={"frequency": [0.5, 0.6, 0.7]}, randomize={"repeats": 3, **draw})
+    is_shared = three_variants.repeat < 2
     for name in ("contact.friction", "start.x", "start.phase"):
-        np.testing.assert_array_equal(few.values[name], many.values[name][kept][:4])
-    np.testing.assert_array_equal(few.seed, many.seed[kept][:4])
+        np.testing.assert_array_equal(few.values[name], three_variants.values[name][is_shared][:4])
+    np.testing.assert_array_equal(few.seed, three_variants.seed[is_shared][:4])
 
 
 def test_repeats_differ_from_each_other():
@@ -132,11 +136,11 @@ def test_a_wide_normal_distribution_stays_within_the_parameters_range():
         "vary": {"frequency": [0.5]},
         "randomize": {"repeats": 500, "stance.stance_amplitude": {"normal": [0.0, 0.004]}},
     }
-    drawn = rows_of(**spec).values["stance.stance_amplitude"]
-    assert drawn.min() >= 0.0
-    assert np.sum(drawn == 0.0) == 0
+    samples = rows_of(**spec).values["stance.stance_amplitude"]
+    assert samples.min() >= 0.0
+    assert np.sum(samples == 0.0) == 0
     assert (
-        abs(np.median(drawn) - 0.6745 * 0.004) < 0.0008
+        abs(np.median(samples) - 0.6745 * 0.004) < 0.0008
     )  # half-normal: its median is the quartile of the normal
 
 
@@ -146,27 +150,29 @@ def test_bodies_are_drawn_whole_by_weight_and_leave_other_draws_alone(monkeypatc
     monkeypatch.setattr(
         identified, "bodies", lambda source="identified": identified.read_ensemble(text)
     )
-    other = {"repeats": 2000, "mass.front": {"uniform": [0.15, 0.17]}}
+    randomized = {"repeats": 2000, "mass.front": {"uniform": [0.15, 0.17]}}
     spec = {"vary": {"frequency": [0.5, 0.6]}}
-    plain, drawn = (
-        rows_of(**spec, randomize=other),
-        rows_of(**spec, randomize={"from": "identified", **other}),
+    plain, with_bodies = (
+        rows_of(**spec, randomize=randomized),
+        rows_of(**spec, randomize={"from": "identified", **randomized}),
     )
     assert plain.body is None
     for name, column in plain.values.items():
-        np.testing.assert_array_equal(drawn.values[name], column)
-    np.testing.assert_array_equal(drawn.values["servo.kp"], 5.0 + drawn.body)
-    np.testing.assert_allclose(drawn.values["contact.friction"], 1.1 + 0.1 * drawn.body)
-    shares = np.bincount(drawn.body) / len(drawn)
+        np.testing.assert_array_equal(with_bodies.values[name], column)
+    np.testing.assert_array_equal(with_bodies.values["servo.kp"], 5.0 + with_bodies.body)
+    np.testing.assert_allclose(with_bodies.values["contact.friction"], 1.1 + 0.1 * with_bodies.body)
+    shares = np.bincount(with_bodies.body) / len(with_bodies)
     np.testing.assert_allclose(shares, [1 / 8, 2 / 8, 5 / 8], atol=4 * np.sqrt(0.25 / 4000))
-    assert abs(np.corrcoef(drawn.body, drawn.values["mass.front"])[0, 1]) < 4 / np.sqrt(4000)
+    assert abs(np.corrcoef(with_bodies.body, with_bodies.values["mass.front"])[0, 1]) < 4 / np.sqrt(
+        4000
+    )
 
 
 @pytest.mark.parametrize(("mean", "std"), [(0.0, 0.004), (0.004, 0.001), (0.01, 0.02)])
 def test_a_normal_draw_is_truncated_to_the_parameters_range(mean, std):
     """Quantiles of scipy's truncated normal distribution; a clipped one would have the ends many times."""
-    about = Quantity(0.0, "m", 0.0, 0.01, "a length")
-    draw = Draw.model_validate({"normal": [mean, std]}).of("stance.stance_amplitude", about)
+    declaration = Quantity(0.0, "m", 0.0, 0.01, "a length")
+    draw = Draw.model_validate({"normal": [mean, std]}).of("stance.stance_amplitude", declaration)
     share = np.linspace(0.0, 0.999, 50)
     low, high = (0.0 - mean) / std, (0.01 - mean) / std
     np.testing.assert_allclose(

@@ -374,7 +374,7 @@ def test_the_digest_tells_sweeps_apart():
         {"run": {"cycles": 9}},
         {"vary": {"duty": [0.5, 0.6], "frequency": [0.5, 0.6]}},
     ]
-    assert digest not in [Sweep.from_dict(base | other).digest() for other in others]
+    assert digest not in [Sweep.from_dict(base | change).digest() for change in others]
 
 
 def test_bodies_are_part_of_what_a_sweep_is(monkeypatch):
@@ -382,18 +382,18 @@ def test_bodies_are_part_of_what_a_sweep_is(monkeypatch):
     from nermo_mjx.robot import identified
 
     spec = {"vary": {"frequency": [0.5, 0.6]}}
-    without, drawn = (
+    without, with_bodies = (
         Sweep.from_dict(spec),
         Sweep.from_dict(spec | {"randomize": {"from": "identified"}}),
     )
-    assert drawn.resolved()["randomize"] == {"repeats": 1, "from": "identified"}
+    assert with_bodies.resolved()["randomize"] == {"repeats": 1, "from": "identified"}
     assert "from" not in without.resolved()["randomize"]
-    digests = [without.digest(), drawn.digest()]
+    digests = [without.digest(), with_bodies.digest()]
     assert digests[0] != digests[1]
-    other = identified.read_ensemble(["servo.kp,objective,weight", "5.0,0.1,1"])
-    monkeypatch.setattr(identified, "bodies", lambda source="identified": other)
+    other_ensemble = identified.read_ensemble(["servo.kp,objective,weight", "5.0,0.1,1"])
+    monkeypatch.setattr(identified, "bodies", lambda source="identified": other_ensemble)
     assert without.digest() == digests[0]
-    assert drawn.digest() != digests[1]
+    assert with_bodies.digest() != digests[1]
 
 
 def test_bodies_alone_are_enough_to_sweep():

@@ -56,9 +56,9 @@ class Asked(FakeSimulator):
     def with_setup(self, setup):
         return Asked(setup, self.engine)
 
-    def run(self, values, run, **more):
+    def run(self, values, run, **options):
         Asked.made.append((self.setup, run, values))
-        return super().run(values, run, **more)
+        return super().run(values, run, **options)
 
 
 @pytest.fixture
@@ -90,9 +90,9 @@ def test_runs_of_two_structures_have_the_same_draws(tmp_path):
     spec = {"vary": {"gait": GAITS, "frequency": [0.5, 0.8]}, "randomize": SPEC["randomize"]}
     rows = sample(Sweep.from_dict(spec))
     for name in ("contact.friction", "start.x"):
-        each = rows.values[name].reshape(3, 4)
-        np.testing.assert_array_equal(each[0], each[1])
-        np.testing.assert_array_equal(each[0], each[2])
+        values_by_structure = rows.values[name].reshape(3, 4)
+        np.testing.assert_array_equal(values_by_structure[0], values_by_structure[1])
+        np.testing.assert_array_equal(values_by_structure[0], values_by_structure[2])
     assert len(np.unique(rows.values["contact.friction"])) == 4
 
 
@@ -148,16 +148,16 @@ def test_the_simulator_of_all_structures_travels_and_reuses_programs(asked):
     sweep = Sweep.from_dict({"vary": {"gait": ["trot", "lateral_walk"], "spine": SPINES}})
     here = simulating.SweepSimulator(sweep.structures, "c", notify=print)
     here.warm()
-    there = pickle.loads(pickle.dumps(here))
-    assert there._kept == {}
+    copied = pickle.loads(pickle.dumps(here))
+    assert copied._kept == {}
     for structure in (0, 1, 2, 3, 0):
-        there((structure, {"frequency": np.full(2, 0.7)}))
+        copied((structure, {"frequency": np.full(2, 0.7)}))
     assert [(setup.gait, setup.spine) for setup, _, _ in asked] == [
         *itertools.product(["trot", "lateral_walk"], SPINES),
         ("trot", "none"),
     ]
-    assert len(there._kept) == 2
-    assert {here.stamp(k).id for k in range(4)} == {there.stamp().id}
+    assert len(copied._kept) == 2
+    assert {here.stamp(k).id for k in range(4)} == {copied.stamp().id}
 
 
 def test_each_model_has_its_own_code_and_they_are_no_other_code(tmp_path, asked):
@@ -173,10 +173,10 @@ def test_each_model_has_its_own_code_and_they_are_no_other_code(tmp_path, asked)
 
 def test_a_time_step_is_that_of_each_physics_unless_it_is_given():
     vary = {"physics": ["reference", "fast"]}
-    steps = [each.setup.timestep for each in Sweep.from_dict({"vary": vary}).structures]
+    steps = [structure.setup.timestep for structure in Sweep.from_dict({"vary": vary}).structures]
     assert steps == pytest.approx([0.002, 0.01 / 3])
-    given = Sweep.from_text(Sweep.from_dict({"vary": vary, "timestep": 0.0025}).to_yaml())
-    assert [each.setup.timestep for each in given.structures] == [0.0025, 0.0025]
+    explicit = Sweep.from_text(Sweep.from_dict({"vary": vary, "timestep": 0.0025}).to_yaml())
+    assert [structure.setup.timestep for structure in explicit.structures] == [0.0025, 0.0025]
 
 
 def test_a_scene_of_ones_own_is_told_by_its_name_and_content(tmp_path):
@@ -187,10 +187,10 @@ def test_a_scene_of_ones_own_is_told_by_its_name_and_content(tmp_path):
     )
     run_sweep(tmp_path / "sweep.yaml", tmp_path / "out", simulator=FakeSimulator())
     (tmp_path / "step.xml").unlink()
-    flat, own = read_table(tmp_path / "out").column("scene").to_pylist()
+    flat, custom = read_table(tmp_path / "out").column("scene").to_pylist()
     assert flat == "flat"
-    assert own.startswith("step ")
-    assert find_row(tmp_path / "out", 1).walk.labels == {"scene": own}
+    assert custom.startswith("step ")
+    assert find_row(tmp_path / "out", 1).walk.labels == {"scene": custom}
 
 
 #: What stands under `vary`, and what is said of it.
@@ -256,8 +256,8 @@ def test_the_summary_names_structures(tmp_path):
         0.2,
         0.8,
     )
-    assert [each["value"] for each in summary["marginal_means"]["gait"]] == sorted(GAITS)
-    assert [each["value"] for each in summary["marginal_means"]["spine.amplitude"]] == [0.1, 0.2]
+    assert [entry["value"] for entry in summary["marginal_means"]["gait"]] == sorted(GAITS)
+    assert [entry["value"] for entry in summary["marginal_means"]["spine.amplitude"]] == [0.1, 0.2]
     assert "gait" not in summary["rank_correlations"]
     gain = summary["spine_gain"][-1]["best"]
     assert gain["parameters"]["spine.amplitude"] == 0.2
@@ -280,14 +280,14 @@ def test_the_authors_codes_of_gaits_are_accepted_and_shown_nowhere(tmp_path):
     for part in part_files(tmp_path):
         rows = pq.read_table(part)
         former = pa.array([codes[gait] for gait in rows.column("gait").to_pylist()])
-        place = rows.column_names.index("gait")
-        pq.write_table(rows.set_column(place, rows.schema.field(place), former), part)
+        column_index = rows.column_names.index("gait")
+        pq.write_table(rows.set_column(column_index, rows.schema.field(column_index), former), part)
     assert read_table(tmp_path).equals(table)
-    found, named = (
+    coded, named = (
         compare(tmp_path, by="spine", where={"gait": gait}) for gait in ("lat", "lateral_walk")
     )
-    assert found.table.column("base_mean").equals(named.table.column("base_mean"))
-    shown = call(
+    assert coded.table.column("base_mean").equals(named.table.column("base_mean"))
+    output = call(
         "compare",
         tmp_path,
         "--by",
@@ -299,39 +299,39 @@ def test_the_authors_codes_of_gaits_are_accepted_and_shown_nowhere(tmp_path):
         "--metric",
         "speed",
     ).stdout
-    assert "walking_trot" in shown
-    assert "trt1" not in shown
-    assert "roll_std" not in shown
+    assert "walking_trot" in output
+    assert "trt1" not in output
+    assert "roll_std" not in output
 
 
 def test_figures_put_structures_side_by_side(tmp_path):
     """A line and a panel for each; one without the parameter is a level line; two axes may be any columns."""
     run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
-    drawn = dict(sweep_figures(tmp_path))
-    assert list(drawn) == [
+    figures = dict(sweep_figures(tmp_path))
+    assert list(figures) == [
         "speed-over-structures",
         "speed-over-frequency-by-structure",
         "speed-over-spine.amplitude-by-structure",
         "speed-over-frequency-and-spine.amplitude-by-structure",
         "speed-against-roll_std",
     ]
-    dots = drawn["speed-over-structures"].axes[0]
+    dots = figures["speed-over-structures"].axes[0]
     assert [label.get_text() for label in dots.get_yticklabels()] == [
         f"{spoken(g)}, {spoken(s)}" for g in GAITS for s in SPINES
     ]
-    over = drawn["speed-over-spine.amplitude-by-structure"].axes[0]
+    over = figures["speed-over-spine.amplitude-by-structure"].axes[0]
     assert sorted(len(line.get_xdata()) for line in over.get_lines()) == [2] * 6
     level = [line for line in over.get_lines() if list(line.get_xdata()) == [0, 1]]
     well = Results(read_table(tmp_path))
     stiff = (well.column("gait") == "trot") & (well.column("spine") == "none")
     assert level[0].get_ydata()[0] == pytest.approx(1000 * well.column("speed")[stiff].mean())
-    panels = drawn["speed-over-frequency-and-spine.amplitude-by-structure"].axes
+    panels = figures["speed-over-frequency-and-spine.amplitude-by-structure"].axes
     assert [ax.get_title() for ax in panels if ax.get_title()] == [
         f"{spoken(gait)}, stride extension" for gait in GAITS
     ]
-    ((name, chosen),) = sweep_figures(tmp_path, x="gait", y="frequency")
+    ((name, figure),) = sweep_figures(tmp_path, x="gait", y="frequency")
     assert name == "speed-over-gait-and-frequency"
-    assert [label.get_text() for label in chosen.axes[0].get_xticklabels()] == [*map(spoken, GAITS)]
+    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == [*map(spoken, GAITS)]
     ((_, scatter),) = sweep_figures(tmp_path, x="spine", y="roll_std", color="speed")
     assert [label.get_text() for label in scatter.axes[0].get_xticklabels()] == [
         *map(spoken, SPINES)
