@@ -40,12 +40,12 @@ INSTALL = nbformat.read(NOTEBOOKS[0], as_version=4).cells[1].source
 QUICK = """
 import gc
 import jax
-from nermo_mjx.experiments import log_identification, log_report
+from nermo_mjx.identify import identification, report
 from nermo_mjx.physics import c_engine
 from nermo_mjx.plotting import files
-c_engine.LANES, files._DPI = 8, 100
-log_identification.STARTS, log_identification.SCANNED, log_identification.STEPS = 2, 8, 4
-log_report.BODIES = 8
+c_engine.BLOCK_WORLDS, files._FILE_DPI = 8, 100
+identification.STARTS, identification.SCANNED, identification.STEPS = 2, 8, 4
+report.BODIES = 8
 gc.set_threshold(50_000, 20, 10)
 jax.config.update("jax_traceback_in_locations_limit", 0)
 """

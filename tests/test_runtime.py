@@ -94,8 +94,6 @@ def test_batches_are_limited_where_jax_started_before_us() -> None:
 
 
 TOMORROW = """
-from conftest import known_flags
-
 from nermo_mjx import runtime
 runtime.COMPILER_OPTIONS = {'xla_of_tomorrow': True}
 print(runtime.compiler_options())
@@ -112,8 +110,6 @@ def test_a_robot_walks_with_an_xla_that_knows_none_of_our_options() -> None:
 
 
 OPTIONS = """
-from conftest import known_flags
-
 from nermo_mjx import runtime
 import jax
 known = {}

@@ -321,7 +321,12 @@ class Results:
                     part_table = file.read([*dict.fromkeys(["row", *names])], use_threads=False)
                     batch.append(part_table.replace_schema_metadata(None))
             tables.append(joined_tables(batch, path).select(names).combine_chunks())
-        table = _with_gaits_named(pa.concat_tables(tables))
+        try:
+            table = _with_gaits_named(pa.concat_tables(tables))
+        except pa.ArrowInvalid:
+            raise DirectoryError(
+                f"{self._called} contains parts with different columns: run the same command again."
+            ) from None
         for name, column in zip(table.column_names, table.columns, strict=True):
             # What the code of some rows did not know is null, but none of these.
             if column.null_count and (
