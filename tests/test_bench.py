@@ -51,6 +51,7 @@ def test_a_measurement_that_fails_is_a_sentence(measure: Any, option: Any, messa
     assert "\n" not in sentence
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
 def test_a_walk_is_measured(engine: str) -> None:

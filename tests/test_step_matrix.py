@@ -114,6 +114,7 @@ def test_every_study_finds_what_it_imports(name: str) -> None:
     importlib.import_module(name)
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_the_stages_of_a_profile_are_a_step() -> None:
     engine = Simulator(Setup(), "mjx").engine

@@ -270,6 +270,7 @@ def test_a_failure_is_exit_code_1_and_one_sentence(
     assert result.stderr.startswith("nermo-mjx: stopped; ")
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(
     "sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]

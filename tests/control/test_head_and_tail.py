@@ -188,6 +188,7 @@ def gazing(simulator):
     }
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_the_gaze_halves_the_yaw_of_the_head_and_more(gazing) -> None:
     """In trot with the spine, and with it the motion of the picture; the walk stays the same."""

@@ -133,6 +133,7 @@ def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
     return poses
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_contacts_are_those_of_c_or_it_is_said(pair: tuple[str, str]) -> None:
@@ -189,6 +190,7 @@ def test_coincident_centres_have_the_normal_of_c(kind: str) -> None:
         assert max(apart(ours, in_c(data, pose))) < 1e-14
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "ellipsoid"])
 def test_a_contact_of_an_ellipsoid_has_its_derivative(kind: str) -> None:

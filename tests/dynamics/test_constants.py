@@ -87,6 +87,7 @@ def _wrong(fields: dict[str, Any], model: mujoco.MjModel) -> list[str]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_constants_of_every_model_at_hand_are_mujocos() -> None:
     """With the masses they were compiled with, the models' own fields; with others, those of `mj_setConst`."""

@@ -250,6 +250,7 @@ def small(request):
     return Measured(state, slopes @ weights, reverse, ends[0], (high - low) / (2 * widths))
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_forward_and_reverse_mode_agree(small):
     """The rule is linear, and JAX transposes it: both modes give the same numbers."""

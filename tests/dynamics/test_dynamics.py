@@ -199,6 +199,7 @@ def test_a_muscle_has_a_derivative_in_float32(width: float) -> None:
     assert fall == pytest.approx(-1.0 / 0.0065 - 0.3 * 0.015 / 0.0065**2, rel=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_the_check_finds_a_derivative_that_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     """With ours all is well; without the solution's derivative, as if contacts had none, it is not."""

@@ -124,6 +124,7 @@ def _problems() -> tuple[Layout, Callable[[Any], ConstraintProblem]]:
     return Layout(EQUALITY, DRY, CONES), problem
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_second_derivatives_of_the_rows() -> None:
     """By every array of the problem at once."""
@@ -243,6 +244,7 @@ MODELS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(
     "name",

@@ -140,6 +140,7 @@ def error(solution: np.ndarray, right: np.ndarray, problem: ConstraintProblem) -
     return np.sqrt(size[0] / size[1])
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("real", [np.float64, np.float32])
 @pytest.mark.parametrize(

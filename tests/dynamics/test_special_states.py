@@ -58,6 +58,7 @@ def _is_right(*names: str) -> str:
     return "" if right and result.is_finite else f"{names}: {result}"
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("kind", CHOSEN)
 def test_special_states_are_those_of_c(kind: str) -> None:

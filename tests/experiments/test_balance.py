@@ -27,6 +27,7 @@ def outcome():
     return balance.run(Settings(SIMULATED, repeats=REPEATS, engine="c"))
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("profile", ["exact", "as_published"])
 @pytest.mark.parametrize(("leg", "sbc"), list(PUBLISHED))

@@ -47,6 +47,7 @@ def settings(where=None):
     return Settings(("exact",), repeats=1, quick=True, controller=controller, engine="c")
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_another_does_not(
     files, monkeypatch
@@ -65,6 +66,7 @@ def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_anothe
     assert not np.allclose(some["speed"], published["speed"], rtol=0.02, equal_nan=False)
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch):
     """Circles are walked, and full lock by a policy that observes no path."""

@@ -177,6 +177,7 @@ def entries(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("experiment", ["turning", "maze"])
 def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):

@@ -50,6 +50,7 @@ GAITS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(("setup", "values"), GAITS, ids=["trot", "turn", "modes", "published"])
 def test_a_table_is_what_the_simulation_commands(setup: Setup, values: dict[str, float]) -> None:

@@ -87,6 +87,7 @@ def sensors(**fields) -> Sensors:
     return Sensors(**(zero | fields))
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_without_an_action_the_published_controller_walks(environment):
     """As far, and with as much work, as in a run of it: every world with the frequency, friction and mass drawn."""

@@ -99,6 +99,7 @@ def observed_by(monkeypatch, loop, params, readings) -> list[np.ndarray]:
     return observations
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
     """Late and noisy readings of the same ticks, on stairs of a shape of their own."""
@@ -134,6 +135,7 @@ def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
     assert np.abs(np.stack(flat)[:, : len(SCAN_POINTS)]).max() < 0.6, "no more than noise"
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_policy_that_sees_the_stairs_walks_in_a_simulator_as_in_its_environment(
     trained, tmp_path

@@ -311,6 +311,7 @@ def always(sensors):
     return sensors.position[2] > -1.0
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_path, monkeypatch):
     environment = Environment(
@@ -337,6 +338,7 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
         assert table["success"].to_pylist() == [bool(share)] * 2
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(
     tmp_path, monkeypatch, training_result

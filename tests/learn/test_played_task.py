@@ -43,6 +43,7 @@ def way(recording) -> float:
     return float(np.linalg.norm(recording.qpos[-1, :2] - recording.qpos[0, :2]))
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     world_values = {
@@ -128,6 +129,7 @@ def at_work(tmp_path_factory, training):
     return out
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.usefixtures("drawing")
 def test_a_video_shows_the_policy_of_each_checkpoint(at_work):

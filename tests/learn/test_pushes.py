@@ -53,6 +53,7 @@ def test_there_is_one_push_in_each_interval_at_a_random_moment_in_a_random_direc
     assert abs(np.corrcoef(begin[::2], begin[1::2])[0, 1]) < 0.15, "of one interval and the next"
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_push_moves_the_robot_as_the_same_push_does_in_a_drive():
     environment = Environment(SETUP, worlds=2, task=STILL, threads=1)
@@ -85,6 +86,7 @@ def test_a_push_moves_the_robot_as_the_same_push_does_in_a_drive():
         np.testing.assert_allclose(block.qpos[world], np.ravel(pushed), atol=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_pushed_world_does_not_depend_on_the_others_nor_on_the_number_of_threads():
     """Bit for bit, over the beginning of a second episode, with forces and intervals of its own."""
@@ -108,6 +110,7 @@ def test_a_pushed_world_does_not_depend_on_the_others_nor_on_the_number_of_threa
     assert (small_batch != walked(small, seed=4)).any()
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_push_is_the_same_on_mjx():
     by = {}
@@ -131,6 +134,7 @@ def test_a_push_is_the_same_on_mjx():
     np.testing.assert_allclose(by["mjx"][:, :2], by["c"][:, :2], atol=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_an_evaluation_pushes_policy_and_controller_alike_unless_it_says_otherwise():
     environment = Training.from_dict(TRAINING).environment("c")

@@ -85,6 +85,7 @@ def test_the_gaits_of_the_page_differ_in_the_spine_alone(howto):
     )
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_gait_of_the_page_climbs_the_spiral_stair(howto):
     """On steps of 10 mm, on drawn bodies that the table does not have: the free spine passes 96 to 100 % there."""

@@ -302,6 +302,7 @@ def test_an_evaluation_has_physics_of_its_own():
     assert Training.from_dict(training.resolved()).evaluated()[0][0] == setup
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_walk_beside_its_path_is_no_success(evaluated):
     """The corridor of a scene counts there and nowhere else; the walks themselves are the same."""
@@ -538,6 +539,7 @@ def test_a_page_shows_the_first_walk_of_the_evaluation(policy):
             assert recording.metadata["metrics"][name] == first[name]
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_path):
     """In Python, for a walk and for a sweep; nothing is said in its own, or of a file that does not know.
@@ -581,6 +583,7 @@ def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_p
         assert args == sweep or report["metrics"]["servo_work"] > 0.2
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_policys_evaluation_is_made_again_from_its_file(tmp_path):
     """In another process, to the last bit, in the physics that the summary names; whatever is loaded first."""
@@ -724,6 +727,7 @@ def test_a_mixture_is_its_parts_side_by_side():
     assert privileged["drawn.contact.friction"].astype(bool).tolist() == [True, True, False]
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_parts_that_do_not_wait_for_each_other_step_as_together():
     """What a policy collects in a mixture, against its steps of all worlds at once; episodes end in between."""

@@ -638,6 +638,7 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
     assert all(path.read_text() == "mine" for path in (*existing.values(), tmp_path / "f.npz"))
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 def test_a_drive_outlives_every_signal(number, tmp_path):

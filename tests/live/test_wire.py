@@ -198,6 +198,7 @@ def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_loss(driving) -> None:
     """6 s, against the plain walk; then with 20 ms (10 to 30) and 1 % lost, both ways, within the 5 % allowed."""

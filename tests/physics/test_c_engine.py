@@ -161,6 +161,7 @@ def single_run(on_threads, walks) -> Callable[[str, int, str], RunResult]:
     )
 
 
+@pytest.mark.long
 @pytest.mark.release
 @settings(max_examples=20, deadline=None)
 @given(
@@ -182,6 +183,7 @@ def test_what_shares_its_batch_changes_no_bit_of_a_run(
             )
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(
     ("profile", "scene"), [("exact", "flat"), ("as_published", "rough")], ids=str

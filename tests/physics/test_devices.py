@@ -104,6 +104,7 @@ def four_devices(tmp_path_factory) -> dict[str, Any]:
     return json.loads(process.stdout)
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_four_devices_give_what_one_gives(four_devices):
     """Five worlds on four devices: the loop's state and the recording have five, with the numbers of one device."""

@@ -92,6 +92,7 @@ def test_auto_takes_the_c_engine_on_a_cpu():
         assert resolve_engine("auto") == "c"
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_mjx_makes_each_tick_of_a_walk_as_c_does(walks, simulator):
     """From each state of MJX's walks C goes on for a tick with the same servo targets, and comes to MJX's next state.
@@ -135,6 +136,7 @@ def test_mjx_and_c_measure_the_same_gait(walks):
             )
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator, compilations):
     """Masses with the constants MuJoCo derives from them, lengths, friction, springs, dampers and servos, by world.

@@ -87,6 +87,7 @@ def test_nothing_named_gives_no_fields():
     )
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("tail", ["rigid", pytest.param("articulated", marks=pytest.mark.release)])
 def test_defaults_are_the_values_of_the_compiled_model(tail):
@@ -379,6 +380,7 @@ BUILT = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(("routing", "tail"), [("type2", "articulated"), ("type3", "rigid")])
 def test_a_built_robot_is_the_same_in_a_batch_and_assembled(routing, tail):

@@ -195,6 +195,7 @@ def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(
     assert content(tmp_path / "again") == figures
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_directory_of_experiments_is_drawn_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

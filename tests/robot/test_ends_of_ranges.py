@@ -141,6 +141,7 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
         assert energy < metrics["servo_work"][i] / 0.8 + fallen * weight, world
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_each_parameter_alone():
     """Of a row of numbers that differ in their place alone the first one; combinations have all of them."""
@@ -187,6 +188,7 @@ def combined(choices: dict[str, str], count: int, seed: int) -> None:
     check(setup, worlds, 1.0)
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(
     "choices",

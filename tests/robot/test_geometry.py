@@ -188,6 +188,7 @@ def test_a_world_of_a_batch_is_the_robot_assembled_with_its_geometry(tail, names
         np.testing.assert_allclose(varied, expected, rtol=1e-9, atol=atol, err_msg=name)
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_constants_and_their_derivatives_are_those_of_assembled_models():
     """What MuJoCo derives from places, and slopes of all fields, against models compiled a little on either side."""

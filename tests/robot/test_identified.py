@@ -44,6 +44,7 @@ def test_every_body_is_within_the_bounds_and_the_tolerance(script):
     np.testing.assert_array_equal(ensemble.values["damping.knee"], ensemble.values["damping.ankle"])
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_robot_instances_that_were_identified_have_the_objective_of_their_walks(script):
     """Real walks of the first instance, as near as another compiler lets them. The expected objective is the shipped

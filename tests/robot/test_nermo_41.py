@@ -198,6 +198,7 @@ def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of
     assert angle(0.5, -1.0) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(
     ("mode", "lower", "upper"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)]

@@ -66,6 +66,7 @@ def six_walks(**fixed: float) -> dict[str, np.ndarray]:
 # --- the same gait
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(
     ("spine", "turn_rate"),

@@ -813,6 +813,7 @@ def _jacobian(on_line: bool) -> Any:
     return jax.jit(jax.jacrev(lambda *point: run(*point)[0], argnums=(0, 1, 2)))
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("on_line", [True, False])
 @pytest.mark.parametrize("name", DEGENERATE)

@@ -53,6 +53,7 @@ def test_entries_count_that_something_returned_depends_on(function: Any, expecte
     assert np.flatnonzero(read_entries(program, 6)).tolist() == list(expected)
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(
     "names", [("position",), ("velocity", "touch"), ("orientation",), (), tuple(PLACES)]

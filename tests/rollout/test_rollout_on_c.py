@@ -53,6 +53,7 @@ def speed_of(walk: Rollout):
     return speed
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_the_derivative_is_that_of_mjx_in_float64() -> None:
     """Of how far the robot has come after 250, 1,000 and 3,000 steps; `data/walk_mjx64.py` made the numbers."""
@@ -385,6 +386,7 @@ print(float(slope(0.2)) == float(found[0]))
 """
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_it_works_where_the_user_started_jax_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """With asynchronous dispatch, as in a notebook, and as few threads as there can be: no deadlock."""

@@ -65,6 +65,7 @@ def servo_jump(kp: float, kv: float, timestep: float, **damping: float) -> float
     return jump(compile_model(robot, values), standing(robot))
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_at_the_ends_of_every_range_of_the_body_no_servo_chatters() -> None:
     """With all else at its default and the longest steps, the robot stands: finite, and no torque alternates.

@@ -12,6 +12,7 @@ FREQUENCIES = np.array([0.5, 0.67, 0.8])
 LONG = Run(cycles=6, warmup_cycles=2)
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize("gait", ["trot", "walking_trot", "lateral_walk"])
 def test_every_gait_walks_without_falling(simulator, gait):

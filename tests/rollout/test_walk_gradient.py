@@ -121,6 +121,7 @@ def test_reverse_mode_can_be_lowered_for_gpus_and_tpus(walk):
     assert walk.reverse[-1] == set(HELD)
 
 
+@pytest.mark.long
 def test_the_speed_is_that_of_the_c_engine(walk):
     assert walk.ahead[0] == pytest.approx(walk.in_c[0], rel=1e-6)
 

@@ -86,6 +86,7 @@ def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
     return {name: float(np.mean([line[name] for line in outcomes])) for name in outcomes[0]}
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.parametrize(
     ("landscape", "noise", "budget"),
@@ -118,6 +119,7 @@ def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landsca
     assert shares_found["chosen bias"] >= 0.4, "the winner's curse"
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_a_second_stage_narrows_a_clear_optimum():
     """A peak: three points instead of seven or more, none of them lost."""

@@ -169,6 +169,7 @@ class Measuring(FakeSimulator):
         return result
 
 
+@pytest.mark.long
 @pytest.mark.release
 def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     """Over thirty chunks, memory grows by less than five of their tables would take."""

@@ -338,6 +338,7 @@ def test_figures_put_structures_side_by_side(tmp_path):
     ]
 
 
+@pytest.mark.long
 @pytest.mark.release
 @pytest.mark.usefixtures("shared_simulators")
 def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp_path):
