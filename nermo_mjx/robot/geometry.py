@@ -108,9 +108,13 @@ class SpineLengths:
 
 
 @parameter_tree
-class TailLength:
-    """The tail, which is stretched as a whole; its segments stay as wide as they are."""
+class Tail:
+    """The tail, which is moved and stretched as a whole; its segments stay as wide as they are."""
 
+    y: Any = quantity(
+        TAIL_GEOMETRY.position[0], "m", 0.04, 0.075, "first joint behind the last one of the spine"
+    )
+    z: Any = quantity(TAIL_GEOMETRY.position[1], "m", -0.032, -0.012, "the same, up")
     length: Any = quantity(
         TAIL_GEOMETRY.length, "m", 0.05, 0.2, "first joint to the centre of the tip, backward"
     )
@@ -126,7 +130,7 @@ class Geometry:
     hip: Hip = group(Hip)
     foot: Foot = group(Foot)
     spine: SpineLengths = group(SpineLengths)
-    tail: TailLength = group(TailLength)
+    tail: Tail = group(Tail)
 
 
 def geometry_of(params: Any) -> Geometry:

@@ -150,6 +150,12 @@ class SpineGeometry:
     max_joint_angle: float = 0.1
     max_servo_angle: float = 0.4
 
+    @property
+    def last_hinge(self) -> tuple[float, float]:
+        """Axis of the last lateral joint from the spine end, backward and up in the hip's frame [m]."""
+        _, length, pitch, _ = self.dh[-2]
+        return -length * math.cos(pitch), length * math.sin(pitch)
+
 
 def _row(alpha_deg: float, a: float, theta_deg: float) -> tuple[float, float, float, float]:
     return math.radians(alpha_deg), a, math.radians(theta_deg), 0.0
@@ -193,45 +199,35 @@ BODY_GEOMETRY: Final = BodyGeometry()
 
 @dataclasses.dataclass(frozen=True)
 class TailGeometry:
-    """The tail, as it hangs in the author's model (his tail_assets/tail.xml): each joint lower than the one before.
+    """The tail, as it hangs in the author's model (tail_assets/tail.xml of that model): each joint is lower than the one
+    before.
 
     Attributes:
-        mount: from the spine end, in the hip's frame [m].
-        first_joint: from the mount, (y, z) [m].
-        spacing: of the joints, backward [m].
-        drops: how much lower each joint lies than the one before it [m].
-        tip: centre of the last segment's end from its joint, backward and down [m].
-        eyelet: distance of the first joint's tendons from the middle [m].
-        taper: how much narrower each segment is than the one before it [m].
-        tip_radius: of the sphere that touches the ground first [m].
-        tie: where the left tendon is tied to the servo's pulley, which is like the spine's, (x, y) from its centre [m].
-        side: a point on the side on which it passes the pulley, likewise [m].
+        position: First joint from the last joint of the spine, backward and up in the hip's frame [m]. At this position
+            the tail touches the ground at the same points of the torso's frame as in the author's model, whose spine
+            joints differ by up to 2 mm from Table 5.3.
+        first_joint: First joint from the mount, backward and up [m].
+        spacing: Distance of neighbouring joints, backward [m].
+        drops: How much lower each joint lies than the one before it [m].
+        rise: How much higher the segments end than the next joint [m].
+        tip: Centre of the last segment's end behind the last joint [m].
+        eyelet: Distance of the first joint's tendons from the middle [m].
+        taper: How much narrower each segment is than the one before it [m].
+        tip_radius: Radius of the sphere that touches the ground first [m].
+        tie: Point where the left tendon is tied to the servo's pulley, which is like the spine's, (x, y) from its centre
+            [m].
+        side: Point on the side on which this tendon passes the pulley, likewise [m].
     """
 
-    mount: tuple[float, float, float] = (0.0, 0.0455, -0.0154)
+    position: tuple[float, float] = (0.0563967, -0.0223281)
     first_joint: tuple[float, float] = (0.0114, -0.0038)
     spacing: float = 0.0080
     drops: tuple[float, ...] = (
-        0.0027,
-        0.0026,
-        0.0024,
-        0.0022,
-        0.0021,
-        0.0019,
-        0.0018,
-        0.0017,
-        0.0015,
-        0.0013,
-        0.0012,
-        0.0010,
-        0.0009,
-        0.0007,
-        0.0006,
-        0.0005,
-        0.0002,
-        0.0002,
+        *(0.00275, 0.00255, 0.00245, 0.00225, 0.0021, 0.00195, 0.0018, 0.00165, 0.0015),
+        *(0.00135, 0.0012, 0.00105, 0.0009, 0.00075, 0.0006, 0.00045, 0.0003, 0.0003),
     )
-    tip: tuple[float, float] = (0.0053, 0.0001)
+    rise: float = 0.0010
+    tip: float = 0.00525
     eyelet: float = 0.0055
     taper: float = 0.0001
     tip_radius: float = 0.0037
@@ -241,7 +237,7 @@ class TailGeometry:
     @property
     def length(self) -> float:
         """From the first joint backward to the centre of the tip [m]."""
-        return len(self.drops) * self.spacing + self.tip[0]
+        return len(self.drops) * self.spacing + self.tip
 
 
 TAIL_GEOMETRY: Final = TailGeometry()

@@ -134,7 +134,9 @@ _GROUND_SEGMENTS: Final = (16, 17, 18)
 def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     """Place the base, and append the segments; the whole chain is stretched to its length."""
     stretch = float(geometry.tail.length) / TAIL_GEOMETRY.length
-    ends = [(TAIL_GEOMETRY.spacing, drop) for drop in TAIL_GEOMETRY.drops] + [TAIL_GEOMETRY.tip]
+    ends = [(TAIL_GEOMETRY.spacing, drop) for drop in TAIL_GEOMETRY.drops]
+    ends.append((TAIL_GEOMETRY.tip, 0.0))
+    rise = np.array([0.0, 0.0, TAIL_GEOMETRY.rise])
     # The pulley and the first eyelets are in a frame that points along the first segment.
     turn(
         spec.frame("base"),
@@ -170,9 +172,9 @@ def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
             geom, site = ("tip", "touch") if last else (f"ground_{i}", f"touch_{i}")
             radius = TAIL_GEOMETRY.tip_radius if last else width
             parent.add_geom(
-                spec.find_default("ground"), name=geom, pos=end, size=[radius, 0.0, 0.0]
+                spec.find_default("ground"), name=geom, pos=end + rise, size=[radius, 0.0, 0.0]
             )
-            parent.add_site(spec.find_default("touch"), name=site, pos=end)
+            parent.add_site(spec.find_default("touch"), name=site, pos=end + rise)
         position = end
     spec.delete(spec.mesh("segment"))
     _limit_to_straight(spec)
@@ -192,7 +194,9 @@ def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: flo
         userface=bead.userface,
         scale=1e-3 * np.array([across, long, across]),
     )
-    geom = segment.add_geom(spec.find_default("visual"), meshname=name)
+    geom = segment.add_geom(
+        spec.find_default("visual"), meshname=name, pos=[0.0, 0.0, TAIL_GEOMETRY.rise]
+    )
     turn(geom, math.atan2(end[2], end[1]), 0.0, 0.0)
     half = 0.001 * end / end[1]
     cord = segment.add_geom(spec.find_default("cord"), size=[0.36 * width, 0.0, 0.0])
@@ -252,7 +256,8 @@ def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 
 def _hip(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     spec.frame("spine_servo").pos = np.array(SPINE_GEOMETRY.pulley_position)
-    spec.frame("tail_mount").pos = np.array(TAIL_GEOMETRY.mount)
+    first_joint = np.add(SPINE_GEOMETRY.last_hinge, (float(geometry.tail.y), float(geometry.tail.z)))
+    spec.frame("tail_mount").pos = np.append(0.0, first_joint - TAIL_GEOMETRY.first_joint)
     _limbs(spec, "rear", geometry)
 
 
