@@ -383,6 +383,8 @@ PUBLISHED_BODY: Final = {
     "geometry.foot.radius": 0.002,
     "build.tendon_impedance": 0.95,
 }
+#: Former name, in scripts.
+AS_PUBLISHED_BODY: Final = PUBLISHED_BODY
 SteeringName = Literal["leg", "spine", "mix"]
 #: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {

@@ -60,13 +60,13 @@ class RigidPart:
 
 
 #: Parts in front of the spine. Torso: frame of the spine base; includes electronics and the servos of the front legs.
-TORSO: Final = RigidPart(0.14750, (0.0, -0.02873, -0.02647), (0.026, 0.036, 0.016))
+TORSO: Final = RigidPart(0.14750, (0.0, -0.02873, -0.02647), (0.0164, 0.0499, 0.0240))
 HEAD: Final = RigidPart(0.01200, (0.0, -0.0180, 0.0150), (0.013, 0.022, 0.011))
 
 #: Parts behind the spine. Hip: frame of the spine end; includes the servos of spine, tail and rear legs, and the
 #: tail's base.
-HIP: Final = RigidPart(0.07750, (0.0, 0.00966, -0.00849), (0.030, 0.014, 0.012), site="end")
-TAIL_SEGMENT: Final = RigidPart(0.00050, (0.0, 0.0040, 0.0), (0.0045, 0.0040, 0.0045))
+HIP: Final = RigidPart(0.07940, (0.0, 0.01053, -0.01096), (0.0269, 0.0210, 0.0156), site="end")
+TAIL_SEGMENT: Final = RigidPart(0.00040, (0.0, 0.0040, 0.0), (0.0045, 0.0040, 0.0045))
 TAIL_PULLEY: Final = RigidPart(0.00050, (0.0, 0.0, 0.0), (0.004, 0.004, 0.001))
 
 #: Skeleton of the spine: the first two vertebrae are counted to the front, the third to the rear.
