@@ -12,6 +12,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from nermo_mjx.control.head_and_tail import Head, Tail
+from nermo_mjx.robot.assembly import RobotConfig
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import (
     FRONT_LEG,
@@ -20,6 +21,7 @@ from nermo_mjx.robot.parameters import (
     LIMBS,
     REAR_LEG,
     ProfileChoice,
+    ProfileRate,
 )
 from nermo_mjx.robot.quantity import choice, flat, group, of_type, parameter_tree, quantity
 
@@ -342,24 +344,22 @@ PUBLISHED_PROFILE: Final = {
     "pilot.change_gain": 200.0,
     "pilot.guidance": 0.0,
 }
-#: His body, from his model of the same days (in MuJoCo 3.17), whose physics no later commit of that year changes:
-#: torque limits of legs (0.4 N m) and spine (0.157), damping, the masses in front and behind as compiled, and MuJoCo's
-#: default friction of the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque
-#: limits keep stable, and turn as far as he commands, behind up to 117 degrees. Here they have 60 with 0.05 N m s/rad,
-#: with which his own model is 3 % faster (docs/published_set_up.md). Contact of the soles is his, with an impedance
-#: that starts at zero (`Contact`).
-#: His feet are not where his kinematics has them (erratum 25), and his controller does not know. His tendons are
-#: limited to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275, 60.275 and
-#: 74.003. These limits have MuJoCo's default softness: in the neutral stance tendons behind yield by 0.903 mm under
-#: 10.1 N, and those in front, whose reference pose makes them stiffer, by 0.036 mm under 8.2 N; in the spine the taut
-#: one yields by 0.107 mm under 16.9 N, at 0.4 rad of the servo. His rear legs are mounted 10 degrees up on a hip that
-#: is pitched by 14.9 degrees down, with axes 0.45 mm further forward and 0.55 mm lower than in Table A.5.
-PUBLISHED_BODY: Final = {
-    "servo.kp": 60.0,
-    "servo.kv": 0.05,
+#: The author's model of the same days (in MuJoCo 3.17), whose physics no later commit of that year changes: gains and
+#: torque limits of the servos, damping, the masses in front and behind as compiled, the contact of the soles, and
+#: MuJoCo's default friction of the tail. Constants that are no parameters are `robot.parameters.AUTHOR_...`.
+#: The feet of that model are not where the author's kinematics has them (erratum 25), and his controller does not know
+#: it. Tendons are limited to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275,
+#: 60.275 and 74.003. These limits have MuJoCo's default softness, which is relative to a tendon's inertia in the model's
+#: zero pose. That pose differs from the one here: a softness is 25, the square of the ratio of the time constants,
+#: times the ratio of these inverse inertias, 0.040 in front, 0.723 behind and 1.002 in the spine. The rear legs are
+#: mounted 10 degrees up on a hip that is pitched by 14.9 degrees down, with axes 0.45 mm further forward and 0.55 mm
+#: lower than in Table A.5.
+AUTHOR_BODY: Final = {
+    "servo.kp": 300.0,
+    "servo.kv": 0.0,
     "servo.torque_limit": 0.4,
     "servo.spine_torque": 0.3925,
-    "servo.speed": 100.0,
+    "servo.speed": 1000.0,
     "servo.knee_range": 0.55,
     "damping.knee": 0.005,
     "damping.ankle": 0.005,
@@ -370,19 +370,46 @@ PUBLISHED_BODY: Final = {
     "contact.time_constant": 0.008,
     "contact.damping_ratio": 2.0,
     "contact.impedance": 0.95,
-    "contact.width": 0.0005,
+    "contact.width": 0.001,
     "build.front_slack": 0.000725,
     "build.rear_slack": -0.000275,
     "build.spine_slack": 0.000047,
-    "build.front_softness": 2.0,
-    "build.rear_softness": 90.0,
-    "build.spine_softness": 39.0,
+    "build.front_softness": 1.0,
+    "build.rear_softness": 18.07,
+    "build.spine_softness": 25.05,
+    "build.tendon_impedance": 0.9,
     "build.rear_tilt": math.radians(-4.9),
     "geometry.hip.y": 0.00825,
     "geometry.hip.z": -0.01045,
     "geometry.foot.radius": 0.002,
-    "build.tendon_impedance": 0.95,
 }
+#: Values with which a simplification replaces those of the author's model.
+SIMPLIFIED_VALUES: Final = {
+    "servos": {"servo.kp": 60.0, "servo.kv": 0.05, "servo.speed": 100.0},
+    "contact": {"contact.width": 0.0005},
+}
+
+
+def author_body(simplifications: str = RobotConfig.simplifications) -> dict[str, float]:
+    """Named parameter values of the robot model `author`, with some of `SIMPLIFICATIONS`.
+
+    >>> author_body()["servo.kp"], author_body("servos+contact")["servo.kp"]
+    (300.0, 60.0)
+
+    Args:
+        simplifications: names joined by +, as in `RobotConfig`.
+    """
+    values = dict(AUTHOR_BODY)
+    for name in simplifications.split("+"):
+        values |= SIMPLIFIED_VALUES.get(name, {})
+    return values
+
+
+#: The body of the profile `as_published`.
+PUBLISHED_BODY: Final = author_body()
+#: Rate of the controller and the pilot in a profile, in simulated time [Hz]: the author's 100 Hz are those of a clock
+#: that runs 2.5 times as fast.
+CONTROL_RATES: Final = {"as_published": PUBLISHED_RATE_HZ / PUBLISHED_CLOCK_RATIO}
 #: Former name, in scripts.
 AS_PUBLISHED_BODY: Final = PUBLISHED_BODY
 SteeringName = Literal["leg", "spine", "mix"]
@@ -407,10 +434,21 @@ def robot_choices(profile: str) -> dict[str, ProfileChoice]:
     """Choices of a `RobotConfig` in a profile, unless they are given.
 
     >>> robot_choices("as_published")
-    {'tail': 'articulated', 'feet': 'capsules'}
+    {'robot': 'author', 'tail': 'articulated', 'feet': 'capsules'}
     """
-    choices = ("articulated", "capsules") if profile == "as_published" else ("rigid", "spheres")
-    return dict(zip(("tail", "feet"), map(ProfileChoice, choices), strict=True))
+    choices = ("nermo_lite", "rigid", "spheres")
+    if profile == "as_published":
+        choices = ("author", "articulated", "capsules")
+    return dict(zip(("robot", "tail", "feet"), map(ProfileChoice, choices), strict=True))
+
+
+def control_rate_of(profile: str) -> ProfileRate:
+    """Rate of the controller in a profile, unless one is given, in simulated time [Hz].
+
+    >>> control_rate_of("exact"), control_rate_of("as_published")
+    (100.0, 250.0)
+    """
+    return ProfileRate(CONTROL_RATES.get(profile, PUBLISHED_RATE_HZ))
 
 
 #: Measured over expected curvature (`turning.path_curvature`), by type of steering. Measured without a path, at
@@ -465,7 +503,7 @@ def body_values(profile: str) -> dict[str, float]:
     """Named parameter values of the body in a profile; nothing in `exact`.
 
     >>> body_values("exact"), body_values("as_published")["servo.kp"]
-    ({}, 60.0)
+    ({}, 300.0)
     """
     return dict({"exact": {}, "as_published": PUBLISHED_BODY, "as_built": BUILT_BODY}[profile])
 

@@ -26,7 +26,13 @@ from nermo_mjx.physics.servo_play import (
     without_play,
 )
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot
-from nermo_mjx.robot.equipment import chain_of, contact_kinds, is_spine_joint, pair_of
+from nermo_mjx.robot.equipment import (
+    chain_of,
+    contact_kinds,
+    is_spine_joint,
+    pair_of,
+    servo_shares,
+)
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.masses import is_front, mass_values
 from nermo_mjx.robot.model_parameters import Build, Contact, gravity_vector, is_shaped
@@ -135,6 +141,10 @@ class Variation:
         self._spine_servo = np.array(
             [model.actuator(i).name == "spine_servo" for i in range(model.nu)]
         )
+        config = robot.config
+        self._gain_shares, self._torque_shares = servo_shares(
+            robot.servos, config.robot, "servos" in config.simplified
+        ).T
         self._servo_dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
         left = np.array(["left" in names[i] for i in range(model.njnt)])
         knees = np.concatenate([self._springs["front_knee"], self._springs["rear_knee"]])
@@ -164,15 +174,16 @@ class Variation:
         """
         p, model = parameters, self.model
         # With explicit dtypes: JAX caches the dtype that it chose for a NumPy array, even across precisions.
-        gain = jnp.asarray(model.actuator_gainprm, float).at[:, 0].set(p.servo.kp)
+        kp = p.servo.kp * self._gain_shares
+        gain = jnp.asarray(model.actuator_gainprm, float).at[:, 0].set(kp)
         bias = (
             jnp.asarray(model.actuator_biasprm, float)
             .at[:, 1]
-            .set(-p.servo.kp)
+            .set(-kp)
             .at[:, 2]
             .set(-p.servo.kv)
         )
-        share = jnp.where(self._spine_servo, p.servo.spine_torque, 1.0)
+        share = jnp.where(self._spine_servo, p.servo.spine_torque, self._torque_shares)
         force = (p.servo.stall_torque * share)[:, None] * jnp.array([-1.0, 1.0])
 
         mass = jnp.asarray(model.body_mass, float)
@@ -435,6 +446,8 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
             set_heights(model, robot.model, field[0])
         else:
             operator.attrgetter(name)(model)[...] = field[0]
+    knees = [servo.endswith("_knee") for servo in robot.servos]
+    model.actuator_ctrlrange[knees] += float(parameters.servo.knee_range) * np.array([-1.0, 1.0])
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 

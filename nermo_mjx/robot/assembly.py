@@ -32,7 +32,9 @@ from nermo_mjx.robot.model_parameters import ModelParameters, gravity_vector
 from nermo_mjx.robot.parameters import (
     LEGS,
     LIMBS,
+    NOSLIP_ITERATIONS,
     PRESETS,
+    SIMPLIFICATIONS,
     PhysicsPreset,
     PresetName,
     PresetTimestep,
@@ -44,13 +46,14 @@ from nermo_mjx.robot.quantity import (
     ParameterError,
     allowed_names,
     choice,
+    of_type,
     replace_quantities,
     static,
     with_attributes,
 )
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
 
-RobotName = Literal["nermo_lite", "nermo_41"]
+RobotName = Literal["nermo_lite", "nermo_41", "author"]
 TailName = Literal["rigid", "articulated"]
 ConeName = Literal["elliptic", "pyramidal"]
 FeetName = Literal["spheres", "capsules"]
@@ -66,7 +69,9 @@ class RobotConfig:
     """Which robot to build; every name is resolved before anything compiles."""
 
     robot: RobotName = static(
-        "nermo_lite", "`nermo_41` has vertical spine joints, and a head that tilts"
+        ProfileChoice("nermo_lite"),
+        "`nermo_41` has vertical spine joints, and a head that tilts; `author` is Nermo-Lite as in the author's model, "
+        "which as_published takes in place of nermo_lite",
     )
     scene: Scene = static(
         "flat",
@@ -95,6 +100,11 @@ class RobotConfig:
     hinges: int = static(
         1, f"of each compliant joint of legs and spine, from 1 to {MAX_HINGES}; see `flexure`"
     )
+    simplifications: str = static(
+        "contact+noslip",
+        "of the robot author, none or several joined by +: servos with less gain and with damping, contact whose force "
+        "begins at zero, and noslip, without iterations against slip (the engine mjx needs it)",
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", resolve_scene(self.scene))
@@ -108,6 +118,17 @@ class RobotConfig:
             raise ParameterError(
                 f"hinges is {self.hinges!r}: allowed is a whole number from 1 to {MAX_HINGES}."
             )
+        for name in self.simplified:
+            choice("simplifications", name, ("none", *SIMPLIFICATIONS))
+        if self.robot != "author" and self.simplifications != RobotConfig.simplifications:
+            raise ParameterError(
+                f"simplifications is {self.simplifications!r} with robot {str(self.robot)!r}: it goes with robot 'author'."
+            )
+
+    @property
+    def simplified(self) -> frozenset[str]:
+        """The names that `simplifications` joins."""
+        return frozenset(of_type("simplifications", self.simplifications, str, "a name").split("+"))
 
     @property
     def preset(self) -> PhysicsPreset:
@@ -157,6 +178,7 @@ def assemble(
         parameters,
         config.preset.trunk_contacts,
         config.feet == "capsules",
+        config.robot != "author" or "contact" in config.simplified,
     )
     return spec
 
@@ -312,5 +334,7 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     place_hinges(spec, config.hinges)
     set_masses(spec, config.robot, parameters)
     set_joints(spec, parameters, config.hinges)
-    set_tendons(spec, parameters)
-    add_servos(spec, config.routing, parameters)
+    set_tendons(spec, parameters, config.robot)
+    if config.robot == "author" and "noslip" not in config.simplified:
+        option.noslip_iterations, option.noslip_tolerance = NOSLIP_ITERATIONS, 1e-8
+    add_servos(spec, config.routing, parameters, config.robot, "servos" in config.simplified)

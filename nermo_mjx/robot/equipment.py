@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, Final
 
 import mujoco
@@ -15,7 +16,20 @@ import numpy as np
 
 from nermo_mjx.robot.masses import ROBOT_MASSES, is_front, part_of
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import LEGS, LIMBS, SERVOS, SPINE_GEOMETRY, servo_range
+from nermo_mjx.robot.parameters import (
+    AUTHOR_CONTACT_MIDPOINT,
+    AUTHOR_CONTACT_ONSET,
+    AUTHOR_GAIN_SHARES,
+    AUTHOR_TAIL_SOFTNESS,
+    AUTHOR_TENDON_SOLIMP,
+    AUTHOR_TORQUE_SHARES,
+    LEGS,
+    LIMBS,
+    SERVOS,
+    SPINE_GEOMETRY,
+    servo_kind,
+    servo_range,
+)
 from nermo_mjx.robot.parts import load_part
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.scene import SceneGeoms
@@ -227,18 +241,21 @@ def pair_of(tendon: str) -> str | None:
     return part if part in ("front", "rear", "spine") else None
 
 
-def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters, robot: str) -> None:
     """Make every tendon's length limit as stiff as the time step permits, and add slack and softness of the built
     robot."""
+    is_author = robot == "author"
     time_constant = max(TENDON_TIME_CONSTANT, 2.0 * spec.option.timestep)
     for tendon in spec.tendons:
         tendon.solref_limit = np.array([time_constant, 1.0])
-        tendon.solimp_limit = np.array(TENDON_SOLIMP)
+        tendon.solimp_limit = np.array(AUTHOR_TENDON_SOLIMP if is_author else TENDON_SOLIMP)
         pair = pair_of(tendon.name)
-        if pair in LEGS:
+        if pair in LEGS and not is_author:
             tendon.solimp_limit = np.array(
                 [float(parameters.build.tendon_impedance), *LEG_TENDON_ONSET]
             )
+        if pair is None and is_author:
+            tendon.solref_limit = np.array([time_constant * np.sqrt(AUTHOR_TAIL_SOFTNESS), 1.0])
         if pair is not None:
             softness = float(getattr(parameters.build, f"{pair}_softness"))
             tendon.solref_limit = np.array([time_constant * np.sqrt(softness), 1.0])
@@ -247,7 +264,27 @@ def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
             )
 
 
-def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -> None:
+def servo_shares(servos: Sequence[str], robot: str, is_simplified: bool) -> np.ndarray:
+    """Shares of `servo.kp` and of `servo.torque_limit` that servos have, (n, 2), without `servo.spine_torque`.
+
+    Args:
+        servos: names, as in `SERVOS`.
+        robot: that they belong to.
+        is_simplified: whether the servos of the robot `author` have one gain.
+    """
+    gains = AUTHOR_GAIN_SHARES if robot == "author" and not is_simplified else {}
+    torques = AUTHOR_TORQUE_SHARES if robot == "author" else {}
+    kinds = map(servo_kind, servos)
+    return np.array([(gains.get(kind, 1.0), torques.get(kind, 1.0)) for kind in kinds])
+
+
+def add_servos(
+    spec: mujoco.MjSpec,
+    routing: str,
+    parameters: ModelParameters,
+    robot: str = "nermo_lite",
+    is_simplified: bool = True,
+) -> None:
     """Proportional servos with a damped loop; the torque limit holds for both together."""
     servo = parameters.servo
     joints = {joint.name for joint in spec.joints}
@@ -257,11 +294,12 @@ def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -
             actuator = spec.add_actuator(
                 name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT
             )
-            actuator.set_to_position(kp=float(servo.kp), kv=float(servo.kv))
-            actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name, routing))
-            limit = float(servo.stall_torque) * (
-                float(servo.spine_torque) if name == "spine" else 1.0
-            )
+            gain_share, torque_share = servo_shares([name], robot, is_simplified)[0]
+            actuator.set_to_position(kp=float(servo.kp) * gain_share, kv=float(servo.kv))
+            actuator.ctrllimited = True
+            actuator.ctrlrange = np.array(servo_range(name, routing, robot))
+            limit = float(servo.stall_torque) * torque_share
+            limit *= float(servo.spine_torque) if name == "spine" else 1.0
             actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])
 
 
@@ -332,6 +370,7 @@ def add_contacts(
     parameters: ModelParameters,
     trunk_contacts: bool,
     capsules: bool,
+    begins_at_zero: bool = True,
 ) -> None:
     """Declare the few contact pairs that matter; there are no other collisions.
 
@@ -339,11 +378,15 @@ def add_contacts(
         scene: its geoms that can touch the robot.
         trunk_contacts: whether the spheres of `TRUNK_GEOMS` touch the ground, too. They always touch obstacles.
         capsules: whether soles are capsules instead of spheres, and the ankles of the front legs touch the ground, too.
+        begins_at_zero: whether the force of a sole begins at zero, or with the impedance of the author's model.
     """
     contact = parameters.contact
     time_constant = max(float(contact.time_constant), 2.0 * spec.option.timestep)
     solref = np.array([time_constant, float(contact.damping_ratio)])
-    solimp = np.array([0.0, float(contact.impedance), float(contact.width), 0.5, 2.0])
+    onset, midpoint = (
+        (0.0, 0.5) if begins_at_zero else (AUTHOR_CONTACT_ONSET, AUTHOR_CONTACT_MIDPOINT)
+    )
+    solimp = np.array([onset, float(contact.impedance), float(contact.width), midpoint, 2.0])
     soft = {f"{limb}_sole": contact.friction for limb in LIMBS}
     for limb in LIMBS if capsules else ():
         sole = spec.geom(f"{limb}_sole")

@@ -3,9 +3,12 @@
 The thesis gives 225 g and 60 g, but a total of 270 g; with them the centre of mass lies on the crossing of the two
 stability diagonals, which contradicts the published balance results (erratum 9). Its Table A.5 has centres of mass that
 belong to a third split, 153.7 to 43.5 g (erratum 19). Shares and centres must come from one source: here that is the
-author's compiled model, scaled to 270 g and divided at the same place as this one, with two moving vertebrae in the
-front: 62.8 % at (0, -34.34, -24.72) mm from the spine base, the rest at (0, 20.62, -11.69) mm from the spine end, the
-head 12 g.
+author's compiled model, scaled to 270 g and divided at the same joint as this one, with two moving vertebrae in the
+front: 62.8 % at (0, -34.34, -24.72) mm from the spine base, the rest at (0, 18.83, -13.36) mm from the spine end, the
+head 12 g. Both centres are measured in the torso's frame from the point between the shoulders, because the author's
+last spine joint does not lie where Table 5.3 has it. In the same stance, the whole robot has the author's centre of
+mass within 0.1 mm (except for one servo that the author did not mirror, by 1 mm), and the moments of inertia within
+0.3 %.
 
 The choice rests on the balance test as a whole (docs/model.md has the table): with the compiled model all eight
 published outcomes are reproduced and the centre of mass stands 56.9 mm high (published 57); with Table A.5 and its own
@@ -140,10 +143,18 @@ RIGID_PARTS_41: Final[dict[str, RigidPart]] = RIGID_PARTS | {
     "spine_link": RigidPart(VERTEBRA.mass / 2, (0.0035, 0.0, 0.0), (0.0025, 0.005, 0.007)),
     "spine_vertical_pulley": SPINE_PULLEY,
 }
-ROBOT_PARTS: Final = {"nermo_lite": RIGID_PARTS, "nermo_41": RIGID_PARTS_41}
+ROBOT_PARTS: Final = {
+    "nermo_lite": RIGID_PARTS,
+    "nermo_41": RIGID_PARTS_41,
+    "author": RIGID_PARTS,
+}
 _REAR_MASS: Final = 0.1005
-#: Masses in front of and behind the spine [kg].
-ROBOT_MASSES: Final = {"nermo_lite": (0.1695, _REAR_MASS), "nermo_41": (0.1745, _REAR_MASS)}
+#: Masses of all parts in front of and behind the spine [kg].
+ROBOT_MASSES: Final = {
+    "nermo_lite": (0.1695, _REAR_MASS),
+    "nermo_41": (0.1745, _REAR_MASS),
+    "author": (0.1695, _REAR_MASS),
+}
 
 #: Bodies counted to the front mass; every other moving body is counted to the rear.
 FRONT_PARTS: Final = (

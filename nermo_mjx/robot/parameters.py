@@ -310,6 +310,10 @@ class ProfileChoice(str):
     """A choice that was not given: it is that of the profile and changes with the profile."""
 
 
+class ProfileRate(float):
+    """A control rate [Hz] that was not given: it is that of the profile and changes with the profile."""
+
+
 class PresetTimestep(float):
     """A time step [s] that was not given: it is that of the preset and changes with the preset."""
 
@@ -368,6 +372,44 @@ KNEE_RANGE: Final = {
 }
 
 
+# ---
+# The robot model `author`: Nermo-Lite as in the author's MuJoCo model (a-rohr/mouse_controller at 736e7ec). Its values
+# of parameters are `control.parameters.author_body`; its other constants follow.
+
+
+#: Replacements in the model `author`, for speed or for a smooth objective, which `simplifications` names: servos with
+#: less gain, and damping; soles whose contact force begins at zero; and no additional iterations against slip, which
+#: MJX does not have.
+SIMPLIFICATIONS: Final = ("servos", "contact", "noslip")
+#: Ranges of the author's servos [rad]; knees have the ranges above, which `servo.knee_range` extends.
+AUTHOR_SERVO_RANGE: Final = {"front_hip": (-3.0, 3.0)} | dict.fromkeys(
+    ("rear_hip", "spine", "neck", "tail"), (-1.57, 1.57)
+)
+#: Gains and torque limits of the author's servos as a share of `servo.kp` and `servo.torque_limit`; others have 1. The
+#: share of the spine's torque limit is `servo.spine_torque`.
+AUTHOR_GAIN_SHARES: Final = {"rear_hip": 2 / 3, "rear_knee": 2 / 3, "neck": 1 / 3}
+AUTHOR_TORQUE_SHARES: Final = {"neck": 0.3925, "tail": 1.5}
+#: Eyelets of the author's spine: in front of and behind each joint [m], and beside its axis [m].
+AUTHOR_EYELETS: Final = ((0.0034, 0.0035), (0.0030, 0.0035), (0.0030, 0.0035), (0.0025, 0.0020))
+AUTHOR_EYELET_OFFSET: Final = 0.0065
+#: MuJoCo's default impedance of tendon limits, which all tendons of the author have, and the softness of the tail's
+#: (`Build`). In the author's contact, the impedance at the first touch and its course.
+AUTHOR_TENDON_SOLIMP: Final = (0.9, 0.95, 0.001, 0.5, 2.0)
+AUTHOR_TAIL_SOFTNESS: Final = 21.0
+AUTHOR_CONTACT_ONSET: Final = 0.9
+AUTHOR_CONTACT_MIDPOINT: Final = 0.1
+NOSLIP_ITERATIONS: Final = 5
+
+
+def servo_kind(servo: str) -> str:
+    """A servo without its side, as the tables of servos name it.
+
+    >>> servo_kind("front_left_hip"), servo_kind("spine")
+    ('front_hip', 'spine')
+    """
+    return servo.replace("left_", "").replace("right_", "")
+
+
 def servos_by_count(count: int) -> tuple[str, ...]:
     """Names of the servos of a robot with this number of them, which is all that a recording knows.
 
@@ -377,11 +419,14 @@ def servos_by_count(count: int) -> tuple[str, ...]:
     return tuple(servo for servo in SERVOS if servo not in _MISSING_SERVOS.get(count, ()))[:count]
 
 
-def servo_range(servo: str, routing: str = "type3") -> tuple[float, float]:
-    """The range of one of `SERVOS` [rad]; commands outside it saturate."""
-    kind = servo.replace("left_", "").replace("right_", "")
+def servo_range(
+    servo: str, routing: str = "type3", robot: str = "nermo_lite"
+) -> tuple[float, float]:
+    """The range of one of `SERVOS` of a robot [rad]; commands outside it saturate."""
+    kind = servo_kind(servo)
     ranges = SERVO_RANGE | KNEE_RANGE.get(routing, {})
-    return ranges["hip" if kind.endswith("hip") else kind]
+    ranges |= AUTHOR_SERVO_RANGE if robot == "author" else {}
+    return ranges[kind if kind in ranges else kind.split("_")[1]]
 
 
 @jax.tree_util.register_dataclass

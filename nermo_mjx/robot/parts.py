@@ -20,6 +20,8 @@ from jaxtyping import Float, Int
 from nermo_mjx.robot.geometry import Geometry, dh_table, lead_height, leg_geometry, tendon_limit
 from nermo_mjx.robot.meshes.shapes import Shape
 from nermo_mjx.robot.parameters import (
+    AUTHOR_EYELET_OFFSET,
+    AUTHOR_EYELETS,
     BODY_GEOMETRY,
     EYE_GEOMETRY,
     IDLER_RADIUS,
@@ -225,6 +227,8 @@ def load_part(name: str, geometry: Geometry, robot: str = "nermo_lite") -> mujoc
     spec = load_file(f"{name}_41" if robot == "nermo_41" and name in ("spine", "head") else name)
     if name in _PART_FUNCTIONS:
         _PART_FUNCTIONS[name](spec, geometry)
+    if name == "spine" and robot == "author":
+        _place_author_eyelets(spec)
     return spec
 
 
@@ -349,6 +353,17 @@ def _spine(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     if spec.body("vertical_pulley") is not None:
         place_vertical_spine(spec, ratio)
         spec.geom("vertical_pulley").size = spec.geom("pulley").size
+    _limit_to_straight(spec)
+
+
+def _place_author_eyelets(spec: mujoco.MjSpec) -> None:
+    """Move the eyelets of the spine's tendons to where the author's model has them."""
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        for joint, (ahead, behind) in enumerate(AUTHOR_EYELETS):
+            for number, along in ((2 * joint, -ahead), (2 * joint + 1, behind)):
+                spec.site(f"{side}_{number}").pos = np.array(
+                    [along, -sign * AUTHOR_EYELET_OFFSET, 0.0]
+                )
     _limit_to_straight(spec)
 
 

@@ -337,6 +337,7 @@ def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
             routing=config.routing,
             feet=config.feet,
             hinges=config.hinges,
+            simplifications=config.simplifications,
         )
     )
     front, rear = (jnp.asarray(com, float) for com in (published.front_com, published.rear_com))
@@ -386,8 +387,12 @@ def load_robot(
     timestep: float | None = None,
     hinges: int = 1,
     feet: FeetName = "spheres",
+    simplifications: str = RobotConfig.simplifications,
 ) -> Robot:
     """Assemble a robot in a scene. The same arguments compile once; each call returns a robot with models of its own.
+
+    Its parameters have the values of Nermo-Lite or Nermo 4.1. For those of the robot model `author`, give
+    `control.parameters.author_body` to `compile_model`; `Setup(robot="author")` does this.
 
     >>> load_robot(tail="articulated").n_servos
     11
@@ -399,16 +404,20 @@ def load_robot(
     Raises:
         ParameterError: unknown name, unusable scene, time step out of range, or other arguments beside a `RobotConfig`.
     """
-    others = (scene, tail, routing, cone, physics, timestep, hinges, feet)
+    others = (scene, tail, routing, cone, physics, timestep, hinges, feet, simplifications)
     if isinstance(robot, RobotConfig):
-        if others != ("flat", "rigid", "type3", "elliptic", "reference", None, 1, "spheres"):
+        if others != load_robot.__defaults__[1:]:
             raise ParameterError(
                 "robot is a RobotConfig beside other arguments: change its fields with dataclasses.replace."
             )
         return Robot(robot, _compile(robot))
     options = {} if timestep is None else {"timestep": timestep}
     config = RobotConfig(
-        robot, scene, tail, routing, cone, physics, hinges=hinges, feet=feet, **options
+        *(robot, scene, tail, routing, cone, physics),
+        hinges=hinges,
+        feet=feet,
+        simplifications=simplifications,
+        **options,
     )
     return Robot(config, _compile(config))
 

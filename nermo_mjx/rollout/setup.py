@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -17,7 +18,9 @@ from nermo_mjx.control.parameters import (
     ControlParameters,
     ProfileName,
     SteeringName,
+    author_body,
     body_values,
+    control_rate_of,
     published_values,
     robot_choices,
     steering_of,
@@ -49,7 +52,7 @@ from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters, gravity_values
-from nermo_mjx.robot.parameters import GaitName, ProfileChoice
+from nermo_mjx.robot.parameters import GaitName, PresetTimestep, ProfileChoice, ProfileRate
 from nermo_mjx.robot.quantity import (
     Quantity,
     check_quantities,
@@ -239,7 +242,7 @@ def check_terrain(scene: str, values: Mapping[str, Any]) -> None:
 #: Choices that only the published controller has.
 PUBLISHED: Final = (
     *("gait", "spine", "steering", "profile", "pilot", "waypoints", "command"),
-    *("trajectory", "head", "tail_motion"),
+    *("trajectory", "head", "tail_motion", "control_rate"),
 )
 #: Choices that only set defaults of parameters.
 PRESETTINGS: Final = ("gait", "steering", "profile")
@@ -277,6 +280,10 @@ class Setup(RobotConfig):
         "exact",
         "as_published is the published simulation with its body, as_built has the body of the built robot",
     )
+    control_rate: float = static(
+        control_rate_of("exact"),
+        "ticks of the controller per simulated second [Hz]; in as_published by default 250, which are 100 Hz of its clock",
+    )
     pilot: PilotName = static("straight", "what steers the robot")
     waypoints: tuple[tuple[float, float], ...] | None = static(
         None, "for the pilot waypoints, (x, y) of each [m], see `control.path.course_through`"
@@ -308,11 +315,21 @@ class Setup(RobotConfig):
         of_type(
             "metrics", self.metrics, (tuple, list, str, OwnMetric), "a metric, or a list of such"
         )
+        of_type("control_rate", self.control_rate, (float, int), "a number of hertz")
+        # In `as_published`, Nermo-Lite is the author's model of it.
+        is_published_lite = self.profile == "as_published" and self.robot == "nermo_lite"
         for name, choice in robot_choices(self.profile).items():
-            if isinstance(getattr(self, name), ProfileChoice):
+            is_default = isinstance(getattr(self, name), ProfileChoice)
+            if is_default or (name == "robot" and is_published_lite):
                 object.__setattr__(self, name, choice)
+        if isinstance(self.control_rate, ProfileRate) and self.controller is None:
+            object.__setattr__(self, "control_rate", control_rate_of(self.profile))
         object.__setattr__(self, "gait", GAIT_CODES.get(str(self.gait), self.gait))
         super().__post_init__()
+        if isinstance(self.timestep, PresetTimestep) and self.controller is None:
+            # The longest step of which the control period is a multiple, up to that of the preset.
+            steps = math.ceil(self._unbalanced.dt / self.preset.timestep - 1e-9)
+            object.__setattr__(self, "timestep", PresetTimestep(self._unbalanced.dt / steps))
         if isinstance(self.steering, ProfileChoice) and self._applies("steering"):
             object.__setattr__(self, "steering", steering_of(self.profile))
         object.__setattr__(self, "schedule", tuple(self.schedule))
@@ -374,6 +391,7 @@ class Setup(RobotConfig):
         fields |= {
             name: str(value) for name, value in fields.items() if isinstance(value, ProfileChoice)
         }
+        fields |= {"control_rate": float(self.control_rate)} if "control_rate" in fields else {}
         plain = (str, int, float, tuple, type(None))
         changed = {
             name: value if isinstance(value, plain) else type(value).__name__
@@ -447,6 +465,8 @@ class Setup(RobotConfig):
             head="+".join(head) or "none",
             tail_motion="+".join(tail) or "none",
             routing=self.routing,
+            control_rate=self.control_rate,
+            pilot_rate=self.control_rate / (1 if self.profile == "as_published" else 2),
         )
 
     def _applies(self, name: str) -> bool:
@@ -478,13 +498,16 @@ class Setup(RobotConfig):
                 world, schedule=schedule_of(self._start, self.schedule, declarations)
             )
         if not isinstance(controller, Controller):
-            return world
+            return replace_quantities(world, self.body)
         values = published_values(self.gait, steering=self.steering, profile=self.profile)
         return replace_quantities(world, values | self.body)
 
     @property
     def body(self) -> dict[str, float]:
-        """Parameters of the body that the profile sets, which is to be simulated as if they were named."""
+        """Parameters of the body that the profile or the robot model `author` sets, which are simulated as if they were
+        named."""
+        if self.robot == "author":
+            return author_body(self.simplifications)
         return body_values(self.profile) if isinstance(self._unbalanced, Controller) else {}
 
     @functools.cached_property
@@ -649,6 +672,9 @@ def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
 def without_presettings(setup: Setup) -> Setup:
     """The setup with the first choices of `PRESETTINGS`: setups for which it is equal run the same programs."""
     preset_choices: Any = {name: str(getattr(setup, name)) for name in robot_choices(setup.profile)}
+    preset_choices["timestep"] = float(setup.timestep)
+    if setup.controller is None:
+        preset_choices["control_rate"] = float(setup.control_rate)
     return dataclasses.replace(
         setup, **preset_choices, **{name: getattr(Setup, name) for name in PRESETTINGS}
     )
