@@ -396,4 +396,14 @@ gait = grouped(
     choice_option(
         "--profile", choices.PROFILE, "For design; the published simulation; the robot as built."
     ),
+    number(
+        "--control-rate",
+        "Ticks of the controller a second. Default: 100; in as_published 250.",
+        metavar="HZ",
+    ),
+    text(
+        "--simplifications",
+        "NAMES",
+        "Of the robot author: none, or servos, contact and noslip, joined by +.",
+    ),
 )

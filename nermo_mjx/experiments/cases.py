@@ -244,12 +244,12 @@ class Settings:
             ParameterError: the controller cannot act upon such a one.
         """
         if self.controller is None:
-            return Setup(scene=scene, **self.robot, **choices)
+            return Setup(scene=scene, profile=self.profiles[0], **choices)
         return Setup(scene=scene, **self.robot, controller=self.controller.acts.upon(**choices))
 
     @property
     def robot(self) -> dict[str, Any]:
-        """Choices of the robot that the first profile makes; see `in_each_robot`."""
+        """Robot that the first profile has; see `in_each_robot`."""
         return {name: str(option) for name, option in robot_choices(self.profiles[0]).items()}
 
     def but(self, **changes: Any) -> Settings:

@@ -177,11 +177,7 @@ class Variation:
         kp = p.servo.kp * self._gain_shares
         gain = jnp.asarray(model.actuator_gainprm, float).at[:, 0].set(kp)
         bias = (
-            jnp.asarray(model.actuator_biasprm, float)
-            .at[:, 1]
-            .set(-kp)
-            .at[:, 2]
-            .set(-p.servo.kv)
+            jnp.asarray(model.actuator_biasprm, float).at[:, 1].set(-kp).at[:, 2].set(-p.servo.kv)
         )
         share = jnp.where(self._spine_servo, p.servo.spine_torque, self._torque_shares)
         force = (p.servo.stall_torque * share)[:, None] * jnp.array([-1.0, 1.0])

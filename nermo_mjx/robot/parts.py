@@ -260,7 +260,9 @@ def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 
 def _hip(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     spec.frame("spine_servo").pos = np.array(SPINE_GEOMETRY.pulley_position)
-    first_joint = np.add(SPINE_GEOMETRY.last_hinge, (float(geometry.tail.y), float(geometry.tail.z)))
+    first_joint = np.add(
+        SPINE_GEOMETRY.last_hinge, (float(geometry.tail.y), float(geometry.tail.z))
+    )
     spec.frame("tail_mount").pos = np.append(0.0, first_joint - TAIL_GEOMETRY.first_joint)
     _limbs(spec, "rear", geometry)
 

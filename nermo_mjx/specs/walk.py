@@ -29,7 +29,7 @@ from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE_TRAJECTORY
 from nermo_mjx.robot import GAITS, identified
 from nermo_mjx.robot.equipment import MAX_HINGES
-from nermo_mjx.robot.parameters import ProfileChoice
+from nermo_mjx.robot.parameters import ProfileChoice, ProfileRate
 from nermo_mjx.robot.quantity import ParameterError, Quantity, allowed_names
 from nermo_mjx.robot.scene import resolve_scene, scenes
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
@@ -137,8 +137,8 @@ def _in_a_file(name: str) -> tuple[Any, Any]:
     field = Setup.__dataclass_fields__[name]
     declaration = field.metadata["doc"]
     allowed = [*(allowed_names(Setup) | {"spine": SPINES}).get(name, ())]
-    if name in ("timestep", "controller"):
-        return float if name == "timestep" else str, optional(declaration)
+    if name in ("timestep", "control_rate", "controller"):
+        return str if name == "controller" else float, optional(declaration)
     if isinstance(field.default, ProfileChoice):  # changes with the profile, which no JSON has
         extra: Any = {"enum": allowed, "default": str(field.default)}
         return str, Field(
@@ -366,8 +366,8 @@ class WalkSpec:
         data: dict[str, Any] = {
             name: fields[name] for name in SETUP_FIELDS if name in fields and name != "controller"
         }
-        for name in ("steering", *robot_choices(self.setup.profile)):
-            if isinstance(getattr(self.setup, name), ProfileChoice):
+        for name in ("steering", "control_rate", *robot_choices(self.setup.profile)):
+            if isinstance(getattr(self.setup, name), ProfileChoice | ProfileRate):
                 data.pop(name, None)  # it follows the profile, which may vary
         data |= {"controller": written_controller(self.setup, folder)} if is_custom else {}
         data["timestep"] = float(self.setup.timestep)
