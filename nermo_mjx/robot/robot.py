@@ -406,7 +406,8 @@ def load_robot(
     """
     others = (scene, tail, routing, cone, physics, timestep, hinges, feet, simplifications)
     if isinstance(robot, RobotConfig):
-        if others != load_robot.__defaults__[1:]:
+        defaults = ("flat", "rigid", "type3", "elliptic", "reference", None, 1, "spheres")
+        if others != (*defaults, RobotConfig.simplifications):
             raise ParameterError(
                 "robot is a RobotConfig beside other arguments: change its fields with dataclasses.replace."
             )
