@@ -318,6 +318,9 @@ scene = text(
 physics = choice_option(
     "--physics", choices.PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %."
 )
+profile = choice_option(
+    "--profile", choices.PROFILE, "For design; the published simulation; the robot as built."
+)
 #: What decides the model.
 body = grouped(robot, scene, tail, physics)
 camera = text(
@@ -393,9 +396,7 @@ gait = grouped(
         "--head", choices.HEAD, "gaze: the neck keeps the image still while the torso sways."
     ),
     choice_option("--tail-motion", choices.TAIL_MOTION, "Motion of the articulated tail."),
-    choice_option(
-        "--profile", choices.PROFILE, "For design; the published simulation; the robot as built."
-    ),
+    profile,
     number(
         "--control-rate",
         "Ticks of the controller a second. Default: 100; in as_published 250.",

@@ -492,7 +492,8 @@ REPLAY_NEEDS = {
     "engine": "a directory or --commands LOG",
     **dict.fromkeys(("sweep", "controller"), "a recorded drive"),
     **dict.fromkeys(
-        ("channels", "model", "robot", "scene", "tail", "physics", "assignments"), "--commands LOG"
+        ("channels", "model", "robot", "scene", "tail", "physics", "profile", "assignments"),
+        "--commands LOG",
     ),
 }
 
@@ -513,6 +514,7 @@ REPLAY_NEEDS = {
     type=options.FileKind(".xml"),
 )
 @options.body
+@options.profile
 @options.set_any
 @number("--row", "Row of the table, from 0; not with a FILE.", int, metavar="N")
 @options.choice_option("--engine", ENGINES, "By default the directory's own.", default=None)
@@ -661,7 +663,16 @@ def _replay_log(
 
     def show() -> None:
         title = f"{file}, {log.duration:.4g} s: measured minus simulated, engine {replay.metadata['engine']}"
-        print_differences(title, differences, missing_names)
+        if differences or missing_names:
+            print_differences(title, differences, missing_names)
+        else:
+            metrics = replay.metadata["metrics"]
+            angles = [math.degrees(metrics[f"{axis}_std"]) for axis in ("roll", "pitch", "yaw")]
+            print_table(
+                f"{file}, {log.duration:.4g} s, engine {replay.metadata['engine']}: mean speed and standard deviations",
+                "speed [mm/s]>, roll [deg]>, pitch [deg]>, yaw [deg]>",
+                [[f"{1e3 * metrics['speed']:.1f}", *(f"{angle:.2f}" for angle in angles)]],
+            )
         print_ending(replay.metadata["metrics"])
 
     return Output(

@@ -21,7 +21,7 @@ from nermo_mjx.hardware.signals import (
 )
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import LOG_PREFIX, Recording
-from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
+from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, ServoAngles
 from nermo_mjx.robot.parameters import READINGS
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -114,8 +114,8 @@ def replay_log(
 
     Args:
         log: see `read_log`.
-        setup: of the body and its scene, without choices of a controller.
-        values: of the body's parameters, by name.
+        setup: Robot, scene and profile; the profile sets the values of the body. Choices of a controller have no effect.
+        values: Values of the body's parameters, by name, which take precedence over those of the profile.
         engine, progress: see `Simulator`.
 
     Raises:
@@ -128,8 +128,15 @@ def replay_log(
         np.concatenate([np.repeat(table[:1], settling_ticks, axis=0), table]), servos, dt
     )
     run = Run(duration=len(commands.table) * dt, warmup=settling_ticks * dt)
-    simulator = Simulator(dataclasses.replace(setup, controller=commands), engine)
-    recording = simulator.run(values or {}, run, record=True, progress=progress).recording()
+    # The robot as it is resolved, because another controller has no profile.
+    robot_fields: dict[str, Any] = {
+        field.name: getattr(setup, field.name) for field in dataclasses.fields(RobotConfig)
+    }
+    robot_fields |= {name: str(robot_fields[name]) for name in ("robot", "tail", "feet")}
+    simulator = Simulator(Setup(**robot_fields, controller=commands, metrics=setup.metrics), engine)
+    recording = simulator.run(
+        setup.body | dict(values or {}), run, record=True, progress=progress
+    ).recording()
     recording = recording.between((settling_ticks + 1) * dt, recording.time[-1])
     return dataclasses.replace(recording, time=recording.time - settling_ticks * dt)
 

@@ -149,11 +149,12 @@ ROBOT_PARTS: Final = {
     "author": RIGID_PARTS,
 }
 _REAR_MASS: Final = 0.1005
+_LITE_MASSES: Final = (0.1695, _REAR_MASS)
 #: Masses of all parts in front of and behind the spine [kg].
 ROBOT_MASSES: Final = {
-    "nermo_lite": (0.1695, _REAR_MASS),
+    "nermo_lite": _LITE_MASSES,
     "nermo_41": (0.1745, _REAR_MASS),
-    "author": (0.1695, _REAR_MASS),
+    "author": _LITE_MASSES,
 }
 
 #: Bodies counted to the front mass; every other moving body is counted to the rear.

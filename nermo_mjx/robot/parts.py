@@ -421,7 +421,7 @@ TENDON_GUIDE: Final = (0.0, -0.0200, 0.0070)
 #: Axis of the head's tilt from the foot of the neck's axis [m].
 TILT_AXIS: Final = (0.0, -0.0106, 0.0144)
 #: How much further forward the head sits than Nermo-Lite's [m]. Its nose is then 53 mm in front of the tilt axis, as in
-#: the author's model, and 405 mm in front of the tip of the tail, as published.
+#: the author's model, and 403.6 mm in front of the tip of the tail; the published length is 405 mm.
 HEAD_FORWARD: Final = 0.0160
 
 

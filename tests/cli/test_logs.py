@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from command import call, json_of
 from fakes.measured import write_log
@@ -15,6 +16,7 @@ from fakes.measured import write_log
 from nermo_mjx.hardware import read_log
 from nermo_mjx.recording import Recording
 
+DATA = Path(__file__).parents[1] / "data"
 FAULTS = {"delay": 0.02, "quantum": np.radians(0.5), "lost": 0.02, "noise": 0.004}
 
 
@@ -266,3 +268,35 @@ def test_a_drive_without_a_robot_prints_and_logs(tmp_path) -> None:
     )
     assert again.exit_code == 2
     assert "exists; name another file" in again.stderr
+
+
+@pytest.mark.release
+def test_a_log_of_commands_alone_gives_speed_and_angles_in_a_profile(tmp_path) -> None:
+    """The author's commands of a trot at 0.8 Hz with the spine.
+
+    Without its first cycles, this walk of the author's model has 101.8 mm/s of the controller's clock, and roll 4.58,
+    pitch 1.07 and yaw 6.93 degrees.
+    """
+    cycles = pd.read_csv(DATA / "author_walk_cycles.csv", comment="#")
+    walk = cycles[
+        (cycles["gait"] == "trot") & (cycles["frequency"] == 0.8) & (cycles["spine"] == 1)
+    ]
+    servos = [*walk.columns[5:13], "spine"]
+    commands = np.tile(walk.iloc[:, 5:].to_numpy(), (8, 1))
+    table = pd.DataFrame(commands, columns=[f"cmd_{servo}" for servo in servos])
+    table.insert(0, "time", 0.004 * np.arange(len(table)))
+    table.to_csv(tmp_path / "author.csv", index=False)
+    channels = ["time: {column: time, unit: s}", "channels:"]
+    channels += [
+        f"  cmd_{servo}: {{quantity: command, of: {servo}, unit: rad}}" for servo in servos
+    ]
+    (tmp_path / "author.yaml").write_text("\n".join(channels) + "\n")
+    arguments = ("replay", "--commands", tmp_path / "author.csv", "--profile", "as_published")
+    metrics = json_of(*arguments)["metrics"]
+    assert 400 * metrics["speed"] == pytest.approx(101.8, rel=0.06)
+    for axis, angle in {"roll": 4.58, "pitch": 1.07, "yaw": 6.93}.items():
+        assert np.degrees(metrics[f"{axis}_std"]) == pytest.approx(angle, rel=0.12), axis
+    shown = call(*arguments).stdout
+    assert re.search(r"speed \[mm/s\] +roll \[deg\] +pitch \[deg\] +yaw \[deg\]", shown)
+    default = json_of(*arguments[:3])["metrics"]
+    assert default["speed"] != pytest.approx(metrics["speed"], rel=0.05)

@@ -282,9 +282,9 @@ def test_the_published_simulation_walks_as_published(published):
     assert 82.0 < speed[2, 0] < 91.0
     assert 1.12 < gain[2] < 1.28
     assert 1.02 < gain[0] < 1.12
-    # 3.6 and 4.8 were set. It rolls by 12 to 17 % more than the author's model, with its 3.22 and 4.45: not explained.
-    assert 2.5 < roll[1, 0] < 3.9
-    assert 3.5 < roll[1, 1] < 5.2
+    # The author's model: 3.22 and 4.45.
+    assert 2.5 < roll[1, 0] < 3.6
+    assert 3.5 < roll[1, 1] < 4.8
     assert 0.55 < pitch[1, 0] < 0.95
     assert 0.8 < pitch[1, 1] < 1.45
 
@@ -326,10 +326,9 @@ def grid(simulator):
     ("measure", "spines", "correlation", "deviation", "fraction"),
     [
         ("speed_mm_s", (0, 1), 0.985, 0.035, 0.9),
-        # The level of the roll is 15 % too high (docs/published_set_up.md): 8 % and 40 % were asked for.
-        ("roll_std_deg", (0, 1), 0.6, 0.17, 0.0),
-        ("pitch_std_deg", (0, 1), 0.5, 0.15, 0.4),
-        ("yaw_std_deg", (1,), 0.6, 0.15, 0.4),
+        ("roll_std_deg", (0, 1), 0.9, 0.04, 0.9),
+        ("pitch_std_deg", (0, 1), 0.9, 0.08, 0.7),
+        ("yaw_std_deg", (1,), 0.6, 0.05, 0.9),
     ],
 )
 def test_walks_agree_with_the_authors_model_where_nobody_published(
@@ -337,8 +336,11 @@ def test_walks_agree_with_the_authors_model_where_nobody_published(
 ):
     """A median of ratios alone hides that walks are ordered wrongly, so that agreement is threefold: r within each
     setting of the spine, the median deviation, and the share of the walks within 10 %. Yaw without the spine is below a
-    degree in both."""
+    degree in both. Walks at 1 Hz are not compared: there, the author's model differs from itself by up to 44 % in speed
+    between initial states. Below, it repeats to 0.9 % in speed, 0.7 % in roll and 1.6 % in pitch."""
     rows, ours = grid
+    is_repeatable = rows["frequency"] < 1.0
+    rows, ours = rows[is_repeatable], ours[is_repeatable]
     for spine in spines:
         selection = rows["spine"] == spine
         assert (

@@ -101,11 +101,19 @@ def test_the_tail_touches_the_ground_where_the_authors_does():
     model, _ = author_model()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    shoulders = np.mean([data.body(f"front_{side}_upper").xpos for side in ("left", "right")], axis=0)
+    shoulders = np.mean(
+        [data.body(f"front_{side}_upper").xpos for side in ("left", "right")], axis=0
+    )
     torso = data.body("torso").xmat.reshape(3, 3)
     for geom, place in TAIL_PLACES.items():
         offset = 1e3 * (torso.T @ (data.geom(geom).xpos - shoulders))[1:]
         np.testing.assert_allclose(offset, place, atol=0.2, err_msg=geom)
+
+
+def pair_of_sole(model: mujoco.MjModel):
+    """The contact pair of the ground and the front left sole."""
+    pairs = map(model.pair, range(model.npair))
+    return next(pair for pair in pairs if pair.name.endswith("front_left_sole"))
 
 
 def test_the_model_has_the_constants_of_the_authors_files():
@@ -125,21 +133,21 @@ def test_the_model_has_the_constants_of_the_authors_files():
         assert actuator.biasprm[2] == 0.0
         assert actuator.forcerange[1] == pytest.approx(torque)
         assert limit is None or actuator.ctrlrange[1] == pytest.approx(limit)
-    sole = model.pair("ground_front_left_sole")
+    sole = pair_of_sole(model)
     np.testing.assert_allclose(sole.solimp, (0.9, 0.95, 0.001, 0.1, 2.0))
     np.testing.assert_allclose(sole.solref, (0.008, 2.0))
     assert model.opt.noslip_iterations == 5
     assert model.body_subtreemass[1] == pytest.approx(0.3379, abs=1e-4)
     simple, _ = author_model("servos+contact+noslip")
     assert simple.opt.noslip_iterations == 0
-    assert simple.pair("ground_front_left_sole").solimp[0] == 0.0
+    assert pair_of_sole(simple).solimp[0] == 0.0
     assert {float(gain) for gain in simple.actuator_gainprm[:, 0]} == {60.0}
 
 
 def test_only_the_robot_author_is_simplified():
     with pytest.raises(ParameterError, match=r"simplifications is 'none' with robot 'nermo_lite'"):
         Setup(simplifications="none")
-    with pytest.raises(ParameterError, match=r"simplifications is 'slip': did you mean|simplif"):
+    with pytest.raises(ParameterError, match="simplifications"):
         Setup(robot="author", simplifications="slip")
     with pytest.raises(ParameterError, match="simplifications is 3"):
         Setup(robot="author", simplifications=3)
@@ -158,13 +166,11 @@ def test_in_as_published_nermo_lite_is_the_author_model():
 def test_a_written_model_has_servos_that_reach_the_recorded_commands(simulator):
     """The range of the knees, which `servo.knee_range` extends, is that of the MJCF; the walk reaches 118 degrees."""
     simulation = simulator(profile="as_published", pilot="open_loop")
-    result = simulation.run(
-        {"frequency": 0.67}, Run(cycles=2.0, warmup_cycles=0.5), record=(0,)
-    )
-    recording = result.recordings[0]
+    run = Run(cycles=2.0, warmup_cycles=0.5)
+    recording = simulation.run({"frequency": 0.67}, run, record=True).recording()
     model = compile_model(simulation.robot, simulation.setup.body)
     commands = np.asarray(recording.ctrl).reshape(-1, model.nu)
     low, high = model.actuator_ctrlrange.T
-    assert (commands >= low - 1e-9).all()
-    assert (commands <= high + 1e-9).all()
+    assert (commands >= low - 1e-6).all()
+    assert (commands <= high + 1e-6).all()
     assert np.degrees(np.abs(commands).max()) > 100.0

@@ -186,61 +186,66 @@ def test_rigid_tail_has_the_mass_and_centre_of_the_articulated_one():
 
 
 def test_centres_of_mass_are_those_of_the_compiled_model():
-    """Front from the spine base, rear from the spine end, and the whole, as in the author's model (erratum 19).
+    """Front from the spine base, rear from the spine end, and the whole, as in the author's compiled model (erratum 19).
 
-    His whole stands at (0, 4.6, -26.2) mm from the spine base; his spine ends 1.9 mm further forward than Table 5.3's.
+    In the stance of Table A.7, the author's rear is at (131.92, 3.66) mm behind and above the shoulders, where the spine
+    end of Table 5.3 is at (113.17, 16.99); his whole is at (66.12, 6.20). His rear legs are mounted up to 0.55 mm apart.
     """
     masses = load_robot().mass_model
     np.testing.assert_allclose(masses.front_com, (0.0, -0.03434, -0.02472), atol=1e-4)
-    np.testing.assert_allclose(masses.rear_com, (0.0, 0.02062, -0.01169), atol=1e-4)
+    np.testing.assert_allclose(masses.rear_com, (0.0, 0.01875, -0.01333), atol=1.5e-4)
     data = at_rest(load_robot().model)
     common = data.subtree_com[0] - data.body("torso").xpos
     np.testing.assert_allclose(common, body.centre_of_mass(masses, 0.0, ROBOT), atol=1e-6)
-    np.testing.assert_allclose(common, (0.0, 0.0046, -0.0262), atol=1.5e-3)
+    np.testing.assert_allclose(common, (0.0, 0.0046, -0.0262), atol=2e-4)
 
 
 # --- the tail
 
 
-#: The author's tail below the spine end, joint by joint (his tail_assets/tail.xml, in a level frame) [m].
-TAIL_BELOW = [
-    0.0192,
-    0.0219,
-    0.0245,
-    0.0269,
-    0.0291,
-    0.0312,
-    0.0331,
-    0.0349,
-    0.0366,
-    0.0381,
-    0.0394,
-    0.0406,
-    0.0416,
-    0.0425,
-    0.0432,
-    0.0438,
-    0.0443,
-    0.0445,
-    0.0447,
-]
+#: Joints of the author's tail (tail_assets/tail.xml at 736e7ec, compiled), backward and up from the point between the
+#: shoulders, in the torso's frame [mm]. The tip is at (317.54, -29.52).
+TAIL_JOINTS = (
+    (168.25, -4.88),
+    (176.25, -7.62),
+    (184.26, -10.15),
+    (192.26, -12.59),
+    (200.27, -14.82),
+    (208.27, -16.91),
+    (216.27, -18.85),
+    (224.28, -20.63),
+    (232.28, -22.27),
+    (240.28, -23.75),
+    (248.28, -25.09),
+    (256.29, -26.28),
+    (264.29, -27.31),
+    (272.29, -28.2),
+    (280.29, -28.93),
+    (288.29, -29.52),
+    (296.29, -29.96),
+    (304.29, -30.24),
+    (312.29, -30.53),
+)
 
 
 @pytest.mark.parametrize("tail", TAILS)
 def test_the_tail_hangs_as_the_authors(tail):
-    """First joint 56.9 mm behind the spine end, 8 mm a joint, down to a tip at (0, 206.2, -44.8) mm; axes vertical."""
+    """All joints and the tip within 0.05 mm in the torso's frame; axes vertical."""
     model = load_robot(tail=tail).model
     data = at_rest(model)
-    end = data.site("spine_end").xpos
-    assert data.geom("tail_tip").xpos - end == pytest.approx([0.0, 0.2062, -0.0448], abs=5e-4)
+    torso = data.body("torso").xmat.reshape(3, 3)
+    shoulders = np.mean(
+        [data.body(f"front_{side}_upper").xpos for side in ("left", "right")], axis=0
+    )
+    tip = 1e3 * (data.geom("tail_tip").xpos - shoulders) @ torso
+    assert tip == pytest.approx([0.0, 317.54, -29.52], abs=0.05)
     assert model.geom("tail_tip").size[0] == 0.0037
     if tail == "articulated":
-        for i, below in enumerate(TAIL_BELOW):
-            offset = data.joint(f"tail_joint_{i + 1}").xanchor - end
-            assert offset == pytest.approx([0.0, 0.0569 + 0.008 * i, -below], abs=5e-4)
-            assert data.joint(f"tail_joint_{i + 1}").xaxis == pytest.approx(
-                [0.0, 0.0, -1.0], abs=5e-3
-            )
+        for number, place in enumerate(TAIL_JOINTS, 1):
+            joint = data.joint(f"tail_joint_{number}")
+            offset = 1e3 * (joint.xanchor - shoulders) @ torso
+            assert offset == pytest.approx([0.0, *place], abs=0.05)
+            assert joint.xaxis == pytest.approx([0.0, 0.0, -1.0], abs=5e-3)
 
 
 @pytest.mark.parametrize("tail", TAILS)
