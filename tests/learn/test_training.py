@@ -771,6 +771,7 @@ def test_a_policy_follows_another_path(policy, tmp_path):
         Setup(controller=str(path), pilot="open_loop")
 
 
+@pytest.mark.extra
 def test_onnx_acts_as_the_policy_does(policy):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
