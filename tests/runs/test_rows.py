@@ -311,8 +311,8 @@ def test_shards_add_at_the_same_time(tmp_path):
         process.communicate(timeout=60)
     with RunDirectory(tmp_path, "sweep") as directory:
         warned = []
-        assert sorted(opened(directory, warn=warned.append, series=True).row_numbers.tolist()) == list(
-            range(300)
-        )
+        assert sorted(
+            opened(directory, warn=warned.append, series=True).row_numbers.tolist()
+        ) == list(range(300))
         assert warned == []
     assert len(list(tmp_path.glob("series/*"))) == len(list(tmp_path.glob("results/*"))) == 300
