@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 from scipy import stats
 
-from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, set_scales
+from nermo_mjx.plotting.charts import FigurePage, draw_horizontal_grid, set_scales
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST_COLOUR, GRID, INK, LINE_COLOUR, MUTED_INK, SERIES
@@ -1092,7 +1092,7 @@ def _by_groups(
         ax.set_title(", ".join([*([titled(metric)] if len(metrics) > 1 else []), *words]))
         set_scales(ax, across)
         ax.axhline(0, color=MUTED_INK, lw=0.8, zorder=1)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         if len(metrics) > 1 or number % columns == 0:
             ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")
         ax.set_xlabel(across.label)
