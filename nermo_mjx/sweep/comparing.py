@@ -33,9 +33,9 @@ from nermo_mjx.sweep.counting import (
     OF_ALL_RUNS,
     counts,
     losses,
+    losses_text,
     matched,
     same_values,
-    told,
     two_stage,
 )
 from nermo_mjx.sweep.spec import not_varied
@@ -765,7 +765,7 @@ def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]
                 round(share * runs),
             )
             why |= {NO_NUMBER: lost_text - failed} if lost_text > failed else {}
-            arm_names.append(f"{lost_text:,} of {runs:,} runs of {side.name}{told(why)}")
+            arm_names.append(f"{lost_text:,} of {runs:,} runs of {side.name}{losses_text(why)}")
             table.append((lost_text, runs - lost_text))
         if base[0] != other_arm[0]:
             yield (
