@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from nermo_mjx import Recording, Run, Setup, Simulator
-from nermo_mjx.plotting.charts import FigurePage, horizontal_grid
+from nermo_mjx.plotting.charts import FigurePage, draw_horizontal_grid
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import SERIES
 
@@ -94,7 +94,7 @@ def drawn(work: np.ndarray, limited: np.ndarray) -> Figure:
     right.set_xticks(range(len(GROUPS)), [name.replace("_", "\n") for name in GROUPS])
     right.set(ylabel="share of time [%]", title="At the torque limit")
     for ax in (left, right):
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
     handles = [
         Patch(color=colour, label=name) for name, colour in zip(PARTS[:4], SERIES, strict=False)
     ]

@@ -186,12 +186,12 @@ jax.block_until_ready(session.loop_state)
 stages["first_tick_s"] = lap()
 if engine == "c":
     from nermo_mjx.learn import Training
-    from nermo_mjx.learn.experience import RESET
+    from nermo_mjx.learn.experience import RESET_KEY
     training = Training.from_dict({"worlds": 256, "steps": 1})
     environment = training.environment(engine)
     learned = training.algorithm.begin(environment, training.seed)
-    iterate = training.algorithm.iteration(environment)
-    jax.block_until_ready(iterate(learned, environment.reset(learned.random(RESET)))[0])
+    iterate = training.algorithm.make_iteration(environment)
+    jax.block_until_ready(iterate(learned, environment.reset(learned.random_key(RESET_KEY)))[0])
     stages["training_s"] = lap()
 print(json.dumps(stages))
 """

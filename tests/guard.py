@@ -16,6 +16,7 @@ import contextlib
 import ctypes
 import gc
 import os
+import re
 import resource
 import sys
 from collections.abc import Generator, Iterator
@@ -39,6 +40,8 @@ MOST_BYTES: Final = 3 * GIB
 #: The beginning of the name of a shared simulator: each is a shared setup, and of the fixtures those that create more
 #: programs than `MOST_PROGRAMS`.
 SIMULATOR: Final = "simulator "
+#: The reason why a test is skipped without a package of `[test-all]`: from `importorskip` or from `tiers.needs`.
+WITHOUT_EXTRA: Final = re.compile(r"could not import '|\[test-all\]")
 COMPILED: Final = "/jax/core/compile/backend_compile_duration"
 #: Most entries of a list at the end of a run.
 ENTRIES: Final = 20
@@ -174,6 +177,16 @@ def pytest_runtest_teardown(
     if ENFORCED and wrong:
         pytest.fail("\n".join(wrong), pytrace=False)
     return result
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
+    """In CI, a test that is skipped without a package has the mark `extra`, by which `.ci/run release` selects it."""
+    report = yield
+    is_unmarked = by_default(item) and not item.get_closest_marker("extra")
+    if ENFORCED and report.skipped and is_unmarked and WITHOUT_EXTRA.search(str(report.longrepr)):
+        report.outcome, report.longrepr = "failed", f"Mark it `extra`. {report.longrepr[2]}"
+    return report
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

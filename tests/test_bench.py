@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import json
 import os
@@ -16,7 +17,7 @@ import mujoco
 import pytest
 from command import call, json_of
 
-from nermo_mjx.bench import BENCHMARKS, apart, run_bench
+from nermo_mjx.bench import BENCHMARKS, STARTUP_PROGRAM, apart, run_bench
 from nermo_mjx.cli.choices import BENCH_CASES
 
 STUDIES = Path(__file__).parents[1] / "docs" / "benchmarks"
@@ -166,3 +167,14 @@ def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path: Path) -> No
 def test_the_page_of_this_repository_is_that_of_its_results(tmp_path: Path) -> None:
     engines.draw_page(STUDIES / "results.jsonl", tmp_path)
     assert (tmp_path / "results.md").read_text() == (STUDIES / "results.md").read_text()
+
+
+def test_the_startup_program_imports_names_that_exist():
+    """The program is a string, which neither mypy nor the other tests read."""
+    statements = [
+        node for node in ast.walk(ast.parse(STARTUP_PROGRAM)) if isinstance(node, ast.ImportFrom)
+    ]
+    assert statements
+    for statement in statements:
+        module = importlib.import_module(statement.module)
+        assert [name.name for name in statement.names if not hasattr(module, name.name)] == []

@@ -290,7 +290,7 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
     for part, line in {
         "commands": 'eval "${job/python3/$python}"',
         "readme": "commands python3",
-        "release": "pytest -m 'release and not long'",
+        "release": "pytest -m '(release or extra) and not long'",
         "wheel": ".ci/wheel",
         "other-pythons": 'commands "$python"',
         "style": "ruff format --check",
@@ -298,6 +298,7 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
         assert line in parts[part]
     assert 'eval "${tests/python3/$python}"' in parts["commands"]
     assert ".ci/size" in parts["style"]
+    assert ".ci/names" in parts["style"]
     for name in ("run", "wheel"):
         subprocess.run(["bash", "-n", str(ROOT / ".ci" / name)], check=True)
     assert Sweep.from_file(ROOT / "sweeps" / "quickstart.yaml").variants == 240

@@ -98,6 +98,35 @@ def test_the_programs_of_a_file_count_in_any_order() -> None:
     assert message == guard.too_many({"test_c": 0, "test_b[1]": 3} | counts | {"test_b[1]": 3})
 
 
+@pytest.mark.parametrize(
+    ("marks", "reason", "outcome"),
+    [
+        ((), "Skipped: could not import 'duckdb'", "failed"),
+        ((), "Skipped: without ribs: pip install '.[test-all]'", "failed"),
+        (("extra",), "Skipped: could not import 'duckdb'", "skipped"),
+        (("release",), "Skipped: could not import 'duckdb'", "skipped"),
+        ((), "Skipped: no /dev/full", "skipped"),
+    ],
+)
+def test_a_default_test_that_is_skipped_without_an_extra_has_its_mark(
+    marks: tuple[str, ...], reason: str, outcome: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Item:
+        def get_closest_marker(self, name: str) -> bool:
+            return name in marks
+
+    class Report:
+        skipped, outcome, longrepr = True, "skipped", ("test_a.py", 1, reason)
+
+    monkeypatch.setattr(guard, "ENFORCED", True)
+    item: Any = Item()
+    generator, report = guard.pytest_runtest_makereport(item), Report()
+    next(generator)
+    with pytest.raises(StopIteration):
+        generator.send(report)
+    assert report.outcome == outcome
+
+
 def test_too_many_setups_fail_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     class Session:
         exitstatus = 0

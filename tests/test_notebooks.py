@@ -27,6 +27,8 @@ from nbclient import NotebookClient  # noqa: E402
 from nbformat.v4 import new_code_cell, new_notebook, new_output  # noqa: E402
 from PIL import Image  # noqa: E402
 
+pytestmark = pytest.mark.extra
+
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 sys.path.append(str(ROOT / "docs"))

@@ -147,6 +147,7 @@ def test_pre_commit_runs_the_two_commands_of_the_ci() -> None:
     assert floor <= set(PROJECT["optional-dependencies"]["dev"])
 
 
+@pytest.mark.extra
 def test_the_site_leads_to_files_of_the_repository_once_its_address_is_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -42,7 +42,7 @@ from nermo_mjx.bench import apart, peak_bytes, startup
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.plotting.charts import horizontal_grid, page
+from nermo_mjx.plotting.charts import blank_page, draw_horizontal_grid
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import BEST_COLOUR, INK, LINE_COLOUR, MUTED_INK
 from nermo_mjx.rollout.setup import Setup
@@ -431,7 +431,7 @@ def _figures(
 
 
 def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
-    figure = page(
+    figure = blank_page(
         "Throughput and memory over the batch",
         7.0,
         3.2,
@@ -461,7 +461,7 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
             max(step for step in _STEPS if step <= low),
             min(step for step in _STEPS if step >= high),
         )
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
     speed.legend()
     return figure
 
@@ -476,7 +476,7 @@ def _curve(
 
 
 def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
-    figure = page(
+    figure = blank_page(
         "From Python to a program", 7.0, 1.8 + 0.45 * len(walks), f"{machine}. Cold cache."
     )
     ax = figure.subplots()
@@ -494,7 +494,7 @@ def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
-    figure = page("What a gradient costs over the length of a walk", 7.0, 3.2, f"{machine}.")
+    figure = blank_page("What a gradient costs over the length of a walk", 7.0, 3.2, f"{machine}.")
     ratio, memory = figure.subplots(1, 2)
     for mode, colour in (("forward", LINE_COLOUR), ("reverse", BEST_COLOUR)):
         of_mode = [line for line in lines if line["mode"] == mode]
@@ -509,7 +509,7 @@ def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
         xlabel="length of the walk [gait cycles]", ylabel="memory of a world [MB]", ylim=(0, None)
     )
     for ax in (ratio, memory):
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
     ratio.legend()
     return figure
 

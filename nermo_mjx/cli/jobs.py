@@ -1,4 +1,8 @@
-"""The commands that run a job into a directory, from sweep to identify; the same command again resumes it."""
+"""The commands that run a job into a directory: sweep, merge, search, tune, train, experiment and identify.
+
+If a job was interrupted, the same command resumes it. Each command reads its file, runs the job, and returns an
+`Output` with the content for `--json` and a function that prints the result.
+"""
 
 from __future__ import annotations
 
@@ -35,13 +39,13 @@ if TYPE_CHECKING:
     from nermo_mjx.sweep import SweepResult
 
 
-#: Arguments and options that several jobs have.
+#: Arguments and options of several jobs.
 _spec = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 _seed = number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
 _dry_run = flag("--dry-run", "Estimate the cost on this machine; write nothing.")
 _on_workers = options.grouped(options.workers, options.accept_new_code)
 _on_engine = options.grouped(options.engine, _on_workers)
-_tensorboard = "Log each {} to TensorBoard, in DIR."
+_TENSORBOARD_HELP = "Log each {} to TensorBoard, in DIR."
 
 
 @contextlib.contextmanager
@@ -52,15 +56,17 @@ def _working(
     compiles: Callable[[str], bool] | None = None,
     details: Callable[[Progress], str] = lambda _: "",
 ) -> Iterator[dict[str, Any]]:
-    """While the present command's job works.
+    """Show the progress of the job of the current command, and start its workers.
 
     Args:
-        unit: what it counts.
-        job_options: the options that its function takes, and those that say where it works.
-        compiles, details: see `Stages`.
+        unit: Unit of the count of the progress, such as "runs".
+        job_options: Options of the command: the keyword arguments of the function of the job, and also `workers` and
+            `ray_address`.
+        compiles: Whether a stage of the job, by its name, compiles; see `Stages`.
+        details: Additional text about the progress; see `Stages`.
 
     Yields:
-        What its function takes: the options, what is told of its progress, and the workers.
+        Keyword arguments of the function of the job: the options, `watch`, and `workers` if it uses Ray.
     """
     from nermo_mjx.robot.quantity import require
     from nermo_mjx.runs.job import Watch
@@ -80,17 +86,18 @@ def _working(
         yield job_options | {"watch": Watch(stages.show, stages.say)}
 
 
-def _fields(how: dict[str, Any], *names: str) -> dict[str, Any]:
-    """Options that stand for fields of the file, taken out of the others, as far as they are given."""
-    return {name: value for name in names if (value := how.pop(name)) is not None}
+def _overriding_fields(job_options: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Remove options that override fields of the file from the others; returns the ones that the user gave."""
+    return {name: value for name in names if (value := job_options.pop(name)) is not None}
 
 
 def _content(result: Any, *names: str) -> dict[str, Any]:
+    """Attributes of a result by name, for `--json`."""
     return {name: getattr(result, name) for name in names}
 
 
 def _shard(text: str) -> tuple[int, int]:
-    """I and N of I/N."""
+    """The value of `--shard` as two numbers, I and N of I/N."""
     part, slash, parts = text.partition("/")
     if not (slash and part.isdecimal() and parts.isdecimal() and int(part) < int(parts)):
         raise click.BadParameter(f"{text!r} is not I/N with I from 0 to N - 1, such as 0/4.")
@@ -125,7 +132,7 @@ def _shard(text: str) -> tuple[int, int]:
     multiple=True,
     type=options.PATH,
 )
-@flag("--tensorboard", _tensorboard.format("chunk"))
+@flag("--tensorboard", _TENSORBOARD_HELP.format("chunk"))
 @flag("--dry-run", "Estimate the cost in time, disk and memory; write nothing.")
 @flag("--list-parameters", "List what vary, set and randomize can name.")
 @_on_engine
@@ -172,37 +179,37 @@ def sweep_command(
     sweep = (
         Sweep.from_rows(rows, spec, body) if rows is not None else Sweep.from_file(str(spec), body)
     )
-    sweep = dataclasses.replace(sweep, **_fields(job_options, "seed"))
+    sweep = dataclasses.replace(sweep, **_overriding_fields(job_options, "seed"))
     sweep = sweep if optimum is None else sweep.seeking(optimum)
     if dry_run or out is None:
-        cost = sweep_forecast(
+        forecast = sweep_forecast(
             sweep,
             out,
             **{name: job_options[name] for name in ("engine", "chunk", "shard", "extend", "use")},
         )
-        return Output(cost.content, lambda: _print_forecast(cost))
-    for name, places in {} if is_given("quiet") else sweep.partly_read().items():
-        progress_text = f"{len(places)} of {len(sweep.structures)} structures"
-        say(f"{name} is varied in {progress_text}: the others do not read it.")
-    with _working("runs", job_options) as watch_options:
-        result = run_sweep(sweep, out, **watch_options)
+        return Output(forecast.content, lambda: _print_forecast(forecast))
+    for name, reading_structures in {} if is_given("quiet") else sweep.partly_read().items():
+        fraction = f"{len(reading_structures)} of {len(sweep.structures)} structures"
+        say(f"{name} is varied in {fraction}: the others do not read it.")
+    with _working("runs", job_options) as arguments:
+        result = run_sweep(sweep, out, **arguments)
     return Output(_sweep_content(out, result), lambda: _print_sweep(result))
 
 
 def _print_forecast(forecast: Forecast) -> None:
-    click.echo("\n".join([_forecast_in_short(forecast), forecast.rate_from, *forecast.notes]))
+    click.echo("\n".join([_forecast_summary(forecast), forecast.rate_from, *forecast.notes]))
 
 
-def _forecast_in_short(forecast: Forecast) -> str:
-    """What it is made of, and the time it takes."""
+def _forecast_summary(forecast: Forecast) -> str:
+    """A line about the parts of a job, and the time and disk space that it would take."""
     counts = ", ".join(
         f"{count:,} {name.replace('_', ' ')}" for name, count in forecast.counts.items()
     )
     method = f"method {forecast.method}: " if forecast.method else ""
-    is_known = math.isfinite(forecast.wall_seconds)
+    has_wall_time = math.isfinite(forecast.wall_seconds)
     time = (
         f"about {duration(forecast.wall_seconds)} here"
-        if is_known
+        if has_wall_time
         else "for a time that is not known"
     )
     disk = "" if forecast.disk_bytes is None else f", {forecast.disk_bytes / 1e6:.3g} MB on disk"
@@ -218,18 +225,20 @@ def _forecast_in_short(forecast: Forecast) -> str:
 
 
 def _sweep_content(out: Path, result: SweepResult) -> dict[str, Any]:
+    """The result of a sweep for `--json`."""
     names = ("complete", "chunks_run", "plots", "recordings", "rows_done", "missing", "summary")
     return {"out": out} | _content(result, *names)
 
 
 def _with_unit(name: str, unit: str, value: float) -> str:
+    """A value of a parameter or metric in its display unit, which `in_unit` chooses, for example `12.3 mm/s`."""
     (number,), unit = in_unit(name, unit, value)
     return "–" if math.isnan(number) else f"{number + 0.0:.4g} {unit}".rstrip()
 
 
 # Long because it prints the parts of one report in their order.
 def _print_sweep(result: SweepResult) -> None:
-    """A directory's contents in readable form."""
+    """Print the contents of a sweep's directory: counts, the optimum, the best variants, and the files."""
     summary = result.summary
     if not result.complete:
         click.echo(
@@ -239,7 +248,7 @@ def _print_sweep(result: SweepResult) -> None:
     counts = ", ".join(f"{count:,} {status}" for status, count in summary["status"].items())
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     from nermo_mjx.runs.rows import part_files
-    from nermo_mjx.sweep.counting import told
+    from nermo_mjx.sweep.counting import losses_text
     from nermo_mjx.sweep.optimum import optimum_in
     from nermo_mjx.sweep.optimum_tables import optimum_cells
     from nermo_mjx.sweep.replay import recording_file
@@ -249,13 +258,14 @@ def _print_sweep(result: SweepResult) -> None:
     click.echo(
         f"{summary['rows']:,} runs, {profile} ({counts}) in {duration(summary['wall_seconds'])}, {effort}"
     )
-    if sought := optimum_in(result.out):
-        print_table(f"{sought.title}; {profile}", *optimum_cells(sought))
-        for sentence in sought.how():
+    if optimum := optimum_in(result.out):
+        print_table(f"{optimum.title}; {profile}", *optimum_cells(optimum))
+        for sentence in optimum.how():
             click.echo(sentence)
-        films = [recording_file(result.out, row) for row in sought.shown_rows()]
-        if films and {*films} <= {*result.recordings}:
-            film = f"{' '.join(map(str, films))} --camera top --out {result.out / 'optimum.webp'}"
+        recordings = [recording_file(result.out, row) for row in optimum.shown_rows()]
+        if recordings and {*recordings} <= {*result.recordings}:
+            files = " ".join(map(str, recordings))
+            film = f"{files} --camera top --out {result.out / 'optimum.webp'}"
             click.echo(f"The best points beside their bases, from above: nermo-mjx render {film}")
     schema, rows = Results(part_files(result.out)).schema, []
 
@@ -267,7 +277,7 @@ def _print_sweep(result: SweepResult) -> None:
         *((LEADING, objective) for objective in summary["best_of_each"]),
     ]:
         if best is not None:
-            location = [
+            parameter_texts = [
                 f"{key} {value if isinstance(value, str) else _with_unit(key, unit(key), value)}"
                 for key, value in best["parameters"].items()
             ]
@@ -275,7 +285,7 @@ def _print_sweep(result: SweepResult) -> None:
                 name, unit(name), best["mean"], best["high"] or math.nan
             )
             half = f" ± {high - mean:.2g}" if math.isfinite(high) else ""
-            lost_text = f"{best['lost']:.0%}".replace("%", " %") + told(best["why"])
+            lost_text = f"{best['lost']:.0%}".replace("%", " %") + losses_text(best["why"])
             rows.append(
                 [
                     name,
@@ -283,14 +293,14 @@ def _print_sweep(result: SweepResult) -> None:
                     f"{mean:.4g}{half}",
                     unit_shown,
                     lost_text,
-                    ", ".join(location),
+                    ", ".join(parameter_texts),
                 ]
             )
     if rows:
         print_table(
             "Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows
         )
-    places = {
+    findings = {
         name: f"{name}.parquet"
         for name in ("comparison", "sensitivity", "optimum")
         if name in summary
@@ -299,7 +309,7 @@ def _print_sweep(result: SweepResult) -> None:
         result.out,
         table="results",
         summary="summary.json",
-        **places,
+        **findings,
         plots=result.plots and "plots",
     )
     if result.recordings:
@@ -309,6 +319,7 @@ def _print_sweep(result: SweepResult) -> None:
 
 
 def _list_parameters(spec: Path | None) -> Output:
+    """The parameters and structures that a sweep file can name; those of its own controller if there is a file."""
     from nermo_mjx.robot.quantity import gathered
     from nermo_mjx.rollout import Setup, all_parameters
     from nermo_mjx.sweep import Sweep
@@ -359,16 +370,16 @@ def merge_command(sources: tuple[Path, ...], out: Path, **job_options: Any) -> O
     Examples:
       nermo-mjx merge runs/slow runs/fast --out runs/both
     """
-    with _working("runs", job_options, compiles=lambda _: False) as watch_options:
+    with _working("runs", job_options, compiles=lambda _: False) as arguments:
         from nermo_mjx.sweep import merge_sweeps
 
-        result = merge_sweeps(sources, out, **watch_options)
+        result = merge_sweeps(sources, out, **arguments)
 
     def show() -> None:
         _print_sweep(result)
         if not result.complete:
-            taken = " ".join(f"--use {source}" for source in sources)
-            click.echo(f"To run the rest: nermo-mjx sweep {out / 'sweep.yaml'} --out {out} {taken}")
+            use = " ".join(f"--use {source}" for source in sources)
+            click.echo(f"To run the rest: nermo-mjx sweep {out / 'sweep.yaml'} --out {out} {use}")
 
     return Output(_sweep_content(out, result), show)
 
@@ -412,26 +423,29 @@ def search_command(
     if seed is not None:
         search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
     if dry_run:
-        cost = search_forecast(search, job_options["engine"])
-        return Output({"cost": cost.content}, lambda: _print_forecast(cost))
+        forecast = search_forecast(search, job_options["engine"])
+        return Output({"cost": forecast.content}, lambda: _print_forecast(forecast))
     with _working(
-        "evaluations", job_options, details=functools.partial(_search_so_far, search)
-    ) as watch_options:
-        result = run_search(search, out, **watch_options)
+        "evaluations", job_options, details=functools.partial(_search_details, search)
+    ) as arguments:
+        result = run_search(search, out, **arguments)
     content = _content(result, "out", "best", "evaluations_run", "recordings", "plots")
     return Output(content, lambda: _print_search(result))
 
 
-def _search_so_far(search: Search, done: Progress) -> str:
-    """What a search has found: cells of an atlas, or its objective, where it is one metric with its unit."""
-    if "cells" in done.numbers:
-        return f"{done.numbers['cells']:,.0f} cells"
-    if (cost := done.best) is None:
+def _search_details(search: Search, progress: Progress) -> str:
+    """The result of a search so far, beside its progress: filled cells of an atlas, or the best objective.
+
+    If the objective is a single metric that is maximized or minimized, the text contains this metric with its unit.
+    """
+    if "cells" in progress.numbers:
+        return f"{progress.numbers['cells']:,.0f} cells"
+    if (objective := progress.best) is None:
         return ""
     term = search.aim.objective.terms[0]
     if len(search.aim.objective.terms) > 1 or term.aim == "hold":
-        return f"best {cost:.4g}"
-    value = cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
+        return f"best {objective:.4g}"
+    value = objective * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
     return f"best {term.metric} {_with_unit(term.metric, search.sweep.metrics[term.metric].unit, value)}"
 
 
@@ -442,8 +456,8 @@ def _print_search(result: SearchResult) -> None:
     for (kind, name), unit in units.items():
         (number,), unit_shown = in_unit(name, unit, best[kind][name])
         rows.append([name, f"{number + 0.0:.4g}", unit_shown])
-    middle = "In the middle of the front" if search.aim.pareto else "Best"
-    print_table(f"{middle}: row {best['row']}, profile {search.setup.profile}", ", best>, ", rows)
+    title = "In the middle of the front" if search.aim.pareto else "Best"
+    print_table(f"{title}: row {best['row']}, profile {search.setup.profile}", ", best>, ", rows)
     effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
     click.echo(f"{effort}; {best['failed']:,} fell" if best["failed"] else effort)
     if "front" in best:
@@ -454,12 +468,12 @@ def _print_search(result: SearchResult) -> None:
         click.echo(
             f"{best['filled']:,} of {best['cells']:,} cells filled, QD score {best['qd_score']:.4g}"
         )
-    files = {
+    optional_files = {
         "atlas": search.aim.measures and "atlas.parquet",
         "records": result.recordings and "recordings",
     }
-    places = {"table": "results", "best": "best.json", "sweep": "best.yaml"} | files
-    print_places(result.out, **places, plots=result.plots and "plots")
+    files = {"table": "results", "best": "best.json", "sweep": "best.yaml"} | optional_files
+    print_places(result.out, **files, plots=result.plots and "plots")
 
 
 @command("tune")
@@ -501,41 +515,50 @@ def tune_command(
     from nermo_mjx.optimize.tuning_run import tuning_forecasts
 
     tuning = Tuning.from_file(spec, body)
-    tuning = dataclasses.replace(tuning, **_fields(job_options, "iterations", "starts", "seed"))
-    # A resumed tuning keeps the method with which it started.
-    begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
-    costs = tuning_forecasts(tuning) if dry_run or begins else []
+    tuning = dataclasses.replace(
+        tuning, **_overriding_fields(job_options, "iterations", "starts", "seed")
+    )
+    # A resumed tuning keeps its method, so that only a new one prints the cost of each method.
+    shows_costs = not (
+        is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists()
+    )
+    # The first forecast is that of the method of the file.
+    forecasts = tuning_forecasts(tuning) if dry_run or shows_costs else []
     sentences = [
-        f"{'instead of it, ' if i else ''}{_forecast_in_short(cost)}"
-        for i, cost in enumerate(costs)
+        f"{'instead of it, ' if i else ''}{_forecast_summary(forecast)}"
+        for i, forecast in enumerate(forecasts)
     ]
     if dry_run:
-        content = {"costs": [cost.content for cost in costs]}
+        content = {"costs": [forecast.content for forecast in forecasts]}
         return Output(content, lambda: click.echo("\n".join(sentences)))
     for sentence in sentences:
         say(sentence)
-    details = functools.partial(_tuning_so_far, tuning)
+    details = functools.partial(_tuning_details, tuning)
     with _working(
         "evaluations",
         job_options,
         compiles=lambda stage: stage in ("tune", "landscape"),
         details=details,
-    ) as watch_options:
-        result = run_tuning(tuning, out, **watch_options)
+    ) as arguments:
+        result = run_tuning(tuning, out, **arguments)
         for note in result.notes:
-            watch_options["watch"].warn(note)
+            arguments["watch"].warn(note)
     content = _content(result, "out", "iterations_run", "start", "best", "plots", "notes")
     return Output(content, lambda: _print_tuning(result))
 
 
-def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
-    """The best objective so far, and the first metrics of this iteration's best point; more would not fit on a line."""
-    if done.best is None:
+def _tuning_details(tuning: Tuning, progress: Progress) -> str:
+    """The best objective so far, and the first three metrics of the best point of the last iteration.
+
+    More metrics would not fit on a line.
+    """
+    if progress.best is None:
         return ""
-    parts = [f"best {done.best:.4g}"]
+    parts = [f"best {progress.best:.4g}"]
     for name in tuning.objective.metrics[:3]:
-        if name in done.numbers:
-            (number,), unit = in_unit(name, tuning.objective_metrics[name].unit, done.numbers[name])
+        if name in progress.numbers:
+            unit = tuning.objective_metrics[name].unit
+            (number,), unit = in_unit(name, unit, progress.numbers[name])
             parts.append(f"{name} {number:.4g} {unit}".rstrip())
     return ", ".join(parts)
 
@@ -543,13 +566,16 @@ def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
 def _print_tuning(result: TuningResult) -> None:
     best, tuning = result.best, result.tuning
     verified = best.get("verified")
-    engines = [f"{point}, {verified['engine']}" for point in ("start", "best")] if verified else []
+    # Starting point and best point are walked again on a second engine.
+    verified_headings = (
+        [f"{point}, {verified['engine']}" for point in ("start", "best")] if verified else []
+    )
     headings: list[Any] = [
         "",
         "start>",
         "best>",
         "change>",
-        *((engine, "right") for engine in engines),
+        *((heading, "right") for heading in verified_headings),
         "",
     ]
     start_text = f" of start {best['start']}" if tuning.starts > 1 else ""
@@ -558,31 +584,39 @@ def _print_tuning(result: TuningResult) -> None:
     )
     wall = result.history.column("wall_seconds")[-1].as_py()
     effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
-    if verified:  # what the columns of the engine c mean
-        completed = [
+    if verified:  # a line that explains the columns of the second engine
+        completed_counts = [
             (verified[point] or {"walks_ok": 0})["walks_ok"] for point in ("start", "best")
         ]
-        fell = sum(verified["walks"] - engine for engine in completed)
-        fallen = f", of which {fell} were not completed" if fell else ""
-        secant_note = (
+        failed_count = sum(verified["walks"] - count for count in completed_counts)
+        failures = f", of which {failed_count} were not completed" if failed_count else ""
+        walks = (
             "1 walk"
             if verified["walks"] == 1
             else f"means of {verified['walks']} walks from unseen starts"
         )
-        ends = verified["best"] if verified["walks"] > 1 else None
-        spread = f"; the best gave {ends['lowest']:.4g} to {ends['highest']:.4g}" if ends else ""
-        click.echo(f"Engine {verified['engine']}: {secant_note}{fallen}{spread}.")
+        extremes = verified["best"] if verified["walks"] > 1 else None
+        range_text = (
+            f"; the best gave {extremes['lowest']:.4g} to {extremes['highest']:.4g}"
+            if extremes
+            else ""
+        )
+        click.echo(f"Engine {verified['engine']}: {walks}{failures}{range_text}.")
     click.echo(f"{best['iterations']} iterations in the profile {tuning.setup.profile} ({effort})")
     if best["stopped"]:
         click.echo(best["stopped"])
     if not result.start["ok"]:
         click.echo("From the given start, the robot did not complete the walk.")
-    places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
-    print_places(result.out, **places, plots=result.plots and "plots")
+    files = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
+    print_places(result.out, **files, plots=result.plots and "plots")
 
 
 def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
-    """Every parameter, every metric of the objective, and the objective itself: before, after, change, and verified."""
+    """Rows of the table of a tuning: each parameter, each metric of the objective, and the objective itself.
+
+    The columns are the starting point, the best point, the change, and both points on the second engine, if there is
+    one.
+    """
     best, tuning = result.best, result.tuning
     points = [
         result.start,
@@ -595,7 +629,7 @@ def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
     for name, kind in (kinds | {"objective": ""}).items():
         values = [(point.get(kind, {}) if kind else point).get(name) for point in points]
         numbers = [math.nan if value is None else value for value in values]
-        numbers.insert(2, _shortest(tuning, name, numbers[1] - numbers[0]))
+        numbers.insert(2, _shortest_change(tuning, name, numbers[1] - numbers[0]))
         unit = "lower is better"
         if kind:
             declaration = tuning.parameters.get(name) or tuning.objective_metrics[name]
@@ -613,8 +647,8 @@ def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
         yield [name, *texts, unit]
 
 
-def _shortest(tuning: Tuning, name: str, change: float) -> float:
-    """A change of a parameter; for a periodic one, the shorter way around."""
+def _shortest_change(tuning: Tuning, name: str, change: float) -> float:
+    """A change of a parameter; for a periodic parameter such as a phase, the equivalent change within half a period."""
     if name not in tuning.names or not tuning.bounds.periodic[index := tuning.names.index(name)]:
         return change
     period = float(tuning.bounds.high[index] - tuning.bounds.low[index])
@@ -629,7 +663,7 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
 @options.best_body
 @_seed
 @flag("--onnx", "Also write policy.onnx; needs the extra onnx.")
-@flag("--tensorboard", _tensorboard.format("iteration"))
+@flag("--tensorboard", _TENSORBOARD_HELP.format("iteration"))
 @flag("--video", "Render a walk of the policy at each checkpoint, in DIR/videos.")
 @_dry_run
 @options.engine
@@ -652,7 +686,7 @@ def train_command(
     from nermo_mjx.learn.spec import Training, changed
 
     training = changed(
-        Training.from_file(spec, body), **_fields(job_options, "steps", "worlds", "seed")
+        Training.from_file(spec, body), **_overriding_fields(job_options, "steps", "worlds", "seed")
     )
     if onnx:
         from nermo_mjx.robot.quantity import require
@@ -661,32 +695,32 @@ def train_command(
     if dry_run:
         from nermo_mjx.learn.run import training_forecast
 
-        cost = training_forecast(training, job_options["engine"])
-        return Output({"cost": cost.content}, lambda: _print_forecast(cost))
+        forecast = training_forecast(training, job_options["engine"])
+        return Output({"cost": forecast.content}, lambda: _print_forecast(forecast))
 
-    def details(done: Progress) -> str:
-        """The results of the last episodes."""
-        numbers = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
+    def details(progress: Progress) -> str:
+        """Return and reward of the last episodes."""
+        numbers = {name: progress.numbers.get(name, math.nan) for name in ("return", "reward")}
         return ", ".join(
             f"{name} {value:.3g}" for name, value in numbers.items() if math.isfinite(value)
         )
 
-    with _working("steps", job_options, details=details) as watch_options:
+    with _working("steps", job_options, details=details) as arguments:
         from nermo_mjx.learn.run import run_training
 
-        exported, result = None, run_training(training, out, **watch_options)
+        onnx_file, result = None, run_training(training, out, **arguments)
         if onnx and result.policy is not None:
             from nermo_mjx.learn.policy import export, load_policy
             from nermo_mjx.runs.files import replace_file
 
-            exported = result.policy.with_suffix(".onnx")
-            replace_file(exported, export(load_policy(result.policy)))
+            onnx_file = result.policy.with_suffix(".onnx")
+            replace_file(onnx_file, export(load_policy(result.policy)))
     content = {"out": result.out} | result.summary | _content(result, "iterations_run", "policy")
-    content |= {"onnx": exported, "plots": result.plots}
-    return Output(content, lambda: _print_training(result, exported))
+    content |= {"onnx": onnx_file, "plots": result.plots}
+    return Output(content, lambda: _print_training(result, onnx_file))
 
 
-def _print_training(result: TrainingResult, exported: Path | None) -> None:
+def _print_training(result: TrainingResult, onnx_file: Path | None) -> None:
     summary, rows = result.summary, []
     for scene, statistics in summary["scenes"].items():
         for walker, name in (("policy", "policy"), ("alone", "controller alone")):
@@ -729,8 +763,8 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
         click.echo(
             f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks"
         )
-    places = {"policy": result.policy, "onnx": exported, "history": "history.parquet"}
-    print_places(result.out, **places, plots=result.plots and "plots")
+    files = {"policy": result.policy, "onnx": onnx_file, "history": "history.parquet"}
+    print_places(result.out, **files, plots=result.plots and "plots")
 
 
 @command("experiment")
@@ -781,17 +815,18 @@ def experiment_command(
       nermo-mjx experiment all --bodies 64 --out runs/published
       nermo-mjx experiment maze --controller policy.npz --out runs/learned
     """
-    with _working("", job_options, compiles=lambda stage: "," not in stage) as watch_options:
+    # The stage of identified bodies, such as "maze, 64 bodies", does not report compilation.
+    with _working("", job_options, compiles=lambda stage: "," not in stage) as arguments:
         from nermo_mjx.experiments.run import run_experiments
         from nermo_mjx.robot.quantity import quantities
         from nermo_mjx.rollout.setup import WorldParameters
 
-        # Their ranges are checked with the other settings.
+        # `run_experiments` checks the ranges of these values.
         values = assigned(assignments, dict(quantities(WorldParameters)))
         profiles = PROFILE if profile == "all" else (profile,)
         names = EXPERIMENTS if name == "all" else [name]
         result = run_experiments(
-            names, out, profiles=profiles, values=values, video=not no_video, **watch_options
+            names, out, profiles=profiles, values=values, video=not no_video, **arguments
         )
     run = {
         experiment_result.name: {"kept": experiment_result.kept}
@@ -806,16 +841,18 @@ def _print_experiments(result: ExperimentsResult) -> None:
     from nermo_mjx.experiments.report import LINE_HEADINGS, cells
     from nermo_mjx.experiments.run import EXPERIMENTS as CATALOGUE
 
-    content, widest = (
-        result.report,
-        72,
-    )  # the longest text of a cell; the names of figures are shorter
+    content = result.report
+    # Longer cells are cut off; the names of published figures are shorter.
+    max_cell_width = 72
     for experiment_result in result.results:
         lines = [
             cells(line) for line in content["lines"] if line["experiment"] == experiment_result.name
         ]
         rows = [
-            [text if len(text) <= widest else f"{text[: widest - 1]}…" for text in line]
+            [
+                text if len(text) <= max_cell_width else f"{text[: max_cell_width - 1]}…"
+                for text in line
+            ]
             for line in lines
         ]
         print_table(CATALOGUE[experiment_result.name].title, LINE_HEADINGS, rows)
@@ -824,9 +861,9 @@ def _print_experiments(result: ExperimentsResult) -> None:
             content["experiments"][experiment_result.name],
             content["summary"]["by_experiment"][experiment_result.name],
         )
-        took = f"{metadata['worlds']} runs in {duration(metadata['wall_seconds'])}, engine {metadata['engine']}"
+        effort = f"{metadata['worlds']} runs in {duration(metadata['wall_seconds'])}, engine {metadata['engine']}"
         click.echo(
-            f"{experiment_result.name}: {_counted(summary)} ({took}{', kept' if experiment_result.kept else ''})"
+            f"{experiment_result.name}: {_counted(summary)} ({effort}{', kept' if experiment_result.kept else ''})"
         )
     kinds = content["summary"]["by_kind"]
     click.echo(
@@ -845,6 +882,7 @@ def _print_experiments(result: ExperimentsResult) -> None:
 
 
 def _counted(summary: dict[str, Any]) -> str:
+    """How many of the published figures hold in the simulation, for example `12 of 15 figures hold`."""
     compared = summary["hold"] + summary["do_not_hold"]
     missing = (
         f", {summary['not_measured']} not judged or measured" if summary["not_measured"] else ""
@@ -936,7 +974,7 @@ def identify_command(
         except ValueError:
             raise WrongUse(f"--range {bound}: expected NAME=LOW:HIGH, such as kp=1:3.") from None
         ranges[name] = (low, high)
-    logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
+    logs, check_logs = ([read_log(file, channels) for file in files] for files in (log, check))
     with ProgressBar("identify") as bar:
         result = run_identification(
             logs,
@@ -944,7 +982,7 @@ def identify_command(
             model=robot if model is None else model,
             free=free.split(",") if free else FREE,
             ranges=ranges,
-            judges=judges,
+            judges=check_logs,
             seed=seed,
             watch=Watch(lambda progress: bar.share(progress.fraction), say),
         )

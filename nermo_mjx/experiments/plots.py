@@ -24,7 +24,7 @@ from matplotlib.ticker import FuncFormatter, MultipleLocator
 from nermo_mjx.experiments import walks
 from nermo_mjx.experiments.cases import PROFILES, SIMULATED, CaseRuns, clock, texts
 from nermo_mjx.experiments.published import AGREES, Line
-from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, light
+from nermo_mjx.plotting.charts import FigurePage, draw_horizontal_grid, lighten
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import (
@@ -110,7 +110,7 @@ def profiles(outcome: CaseRuns) -> list[str]:
 
 def tone(colour: str, profile: str) -> str:
     """The colour in a profile."""
-    return light(colour) if profile == "exact" else colour
+    return lighten(colour) if profile == "exact" else colour
 
 
 def plain(name: str) -> str:
@@ -311,7 +311,7 @@ class Panel:
         ax.tick_params(axis="x", length=0)
         ax.set_xlim(-0.55, len(self.groups) - 0.45)
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         return everything
 
 
@@ -642,7 +642,7 @@ def _speed_over_stride(outcome: CaseRuns, reported: Mapping[Any, float]) -> Figu
         mark_published(ax, 1.0, value)
     ax.set(xlabel="normalised stride [1]", ylabel=axis_label(outcome, "speed", "speed"))
     ax.margins(y=0.07)
-    horizontal_grid(ax)
+    draw_horizontal_grid(ax)
     handles = [
         *spine_strokes(marker="o", ms=5),
         *profile_swatches(names),
@@ -688,7 +688,7 @@ def _orientation(outcome: CaseRuns, lines: Lines) -> Figure | None:
     for ax, name in zip(page.axes[:, 0], ANGLES, strict=True):
         ax.set(ylabel=f"{name} [deg]", xlim=(0, 2), xticks=np.arange(0, 2.1, 0.5))
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         ax.axvline(1, color=MISSING_COLOUR, lw=0.8, zorder=0)
     page.axes[-1, 0].set_xlabel("gait cycles [1]")
     return page.finish(
@@ -1040,7 +1040,7 @@ def _over_time(
                 shade_phases(ax, run.metadata["phases"], named=not sbc or (limb, False) not in runs)
         ax.set_title(f"{plain(limb)} leg", pad=16)
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         if sensor == "com_margin":
             low = min(ax.get_ylim()[0], -2.0)
             ax.axhspan(low, 0, color=FAIL, alpha=0.45, lw=0, zorder=-4)
@@ -1211,7 +1211,7 @@ def _sway(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
         for ax, name in zip(pair, ("roll", "pitch"), strict=True):
             ax.set_ylabel(f"{name} [deg]")
             ax.margins(x=0, y=0.08)
-            horizontal_grid(ax)
+            draw_horizontal_grid(ax)
         pair[0].set_title(plain(profile))
     page.axes[-1, 0].set_xlabel("time [s]")
     begins = f"each run from {_FROM:.0%} of its time on".replace("%", " %")

@@ -473,7 +473,7 @@ class _Call:
         rows.write_record()
         work = Work(rows, run_directory.out, rows.size, watch=self.watch, directory=run_directory)
         if self.again or not len(work.unfinished):  # replaced, or without their recordings
-            for part in (*work.runs.parts, *work.runs.others):
+            for part in (*work.runs.parts, *work.runs.other_parts):
                 _set_aside(part.path)
             work.runs.survey()
         return work

@@ -21,7 +21,7 @@ from nermo_mjx.identify.determinacy import percent
 from nermo_mjx.identify.estimation import ENDS
 from nermo_mjx.identify.identification import Identification
 from nermo_mjx.identify.proposal import TIMES, USEFUL, next_experiment
-from nermo_mjx.plotting.charts import page as blank_page
+from nermo_mjx.plotting.charts import blank_page
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import BAND_COLOUR, BEST_COLOUR, INK, LINE_COLOUR, MUTED_INK
 from nermo_mjx.recording import Recording

@@ -1,16 +1,19 @@
-"""The one leg model: forward and inverse kinematics of front and rear legs, for the three tendon routings.
+"""Forward and inverse kinematics of front and rear legs, for all routings of the knee tendon.
 
-With u(a) = (sin a, -cos a), in (y, z) from the hip or shoulder axis O, equations (5.1) and (5.20) are one form:
+A foot is a point (y, z) from the hip or shoulder axis O: y is backward, z is up. The servo angles are q1 of the hip and
+q2 of the knee. The knee angle theta_1 depends on both, because a tendon connects the knee with its servo. s = +1 or -1
+is the direction in which the knee bends (`Leg.knee_direction`). With u(a) = (sin a, -cos a), equations (5.1) and (5.20)
+of the thesis have one form:
 
     knee A = l1 u(q1)             b = q1 + s theta_1
     B      = A + l2 u(b)          (tendon attachment)
     foot H = A + l3 u(b) + l4 u(b - theta_3)
 
-Shin, ankle and foot are one rigid link of length L, so O-A-H is a planar two-link arm and its inverse is a cosine rule.
-(The publication integrates joint velocities instead, which drifts.) The elbow is always on the knee's own side, s.
+Shin, ankle and foot are one rigid link of length L, so that O-A-H is a planar two-link arm, whose inverse is a cosine
+rule with the knee on the side s. (The thesis integrates joint velocities instead, which drifts.)
 
 Every function broadcasts over leading axes: leaves of `Leg`, angles and (..., 2) points. Values and first derivatives
-are finite for every finite input: outside the workspace the result is the nearest pose, flagged as not reachable.
+are finite for every finite input: outside the workspace the result is the nearest pose, with `reachable` false.
 """
 
 from __future__ import annotations
@@ -39,15 +42,15 @@ from nermo_mjx.robot.parameters import IDLER_RADIUS, SERVOS, LegGeometry, servo_
 from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
 
 # ---
-# Roots of monotonic scalar equations: safeguarded Newton iteration with an implicit derivative.
+# Roots of monotonic scalar equations: Newton iteration inside of a bracket, with an implicit derivative.
 
 
-#: Maximum number of steps: ten reach rounding everywhere in the workspace, in double precision; the rest is a margin.
+#: Maximum number of steps. Ten steps reach double precision everywhere in the workspace; the others are a margin.
 MAX_STEPS: Final = 14
 
 
 class _Search(NamedTuple):
-    """Number of steps, the bracket's ends, the current estimate of the root, and where it has converged."""
+    """State of the iteration: number of steps, ends of the bracket, estimates of the roots, and which have converged."""
 
     steps: Array
     low: Array
@@ -66,13 +69,13 @@ def bracketed_root(
     """The x in [low, high] with residual(x) = 0, element by element.
 
     Args:
-        residual: elementwise and monotonic (rising or falling) in x, of opposite signs (or zero) at the ends; it
-            broadcasts over leading axes of x. It may close over traced arrays; derivatives flow to them by the
-            implicit function theorem.
-        low, high: ends of the bracket, of any shapes that broadcast with the residual's. The root's derivative does not
-            depend on them. An end that is a root takes no step.
-        slope_floor: lower limit of the residual's slope; keeps the derivative finite where it is flat.
-        start: a guess in [low, high]; without one, the middle. A good one only saves steps.
+        residual: Elementwise function that is monotonic (rising or falling) in x, with opposite signs (or zero) at the
+            ends; it broadcasts over leading axes of x. It may close over traced arrays: the implicit function theorem
+            provides the derivatives with respect to them.
+        low, high: Ends of the bracket; their shapes broadcast with the shape of the residual. The derivative of the root
+            does not depend on them. If an end is the root, no step is needed.
+        slope_floor: Lower limit of the absolute slope of the residual, which keeps the derivative finite if it is flat.
+        start: Initial estimate in [low, high], by default the middle. A good estimate only saves steps.
     """
     low, high = jnp.broadcast_arrays(low, high)
     value = jax.eval_shape(residual, low)
@@ -88,6 +91,7 @@ def bracketed_root(
     )
     slack, small = 8 * jnp.finfo(dtype).eps, 0.1 * float(jnp.finfo(dtype).eps) ** 0.5
 
+    # A quotient whose divisor has at least the absolute value `slope_floor`.
     def divide(value: Array, slope: Array) -> Array:
         return value / jnp.where(
             jnp.abs(slope) < slope_floor, jnp.where(slope < 0, -slope_floor, slope_floor), slope
@@ -107,18 +111,19 @@ def bracketed_root(
             a, b = jnp.where(above <= 0, x, a), jnp.where(above >= 0, x, b)
             newton = x - divide(value, slope)
             inside = (newton >= a - slack) & (newton <= b + slack)
-            # A step out of the bracket goes to its end, where saturated roots lie, or to its middle, alternately.
+            # A step that leaves the bracket goes alternately to the nearer end, where saturated roots are, and to the
+            # middle.
             safe = jnp.where(i % 2 == 0, jnp.clip(newton, a, b), 0.5 * (a + b))
             following = jnp.where(inside, jnp.clip(newton, a, b), safe)
-            # Newton's error after a step goes like the square of the step. Converged elements are left unchanged, so
-            # that no element depends on the others.
+            # The error after a Newton step is proportional to the square of the step. Converged elements no longer
+            # change, so that no element depends on the other elements.
             near = inside & (jnp.abs(following - x) <= small * jnp.maximum(jnp.abs(x), 1e-3))
             return _Search(i + 1, a, b, jnp.where(best, x, following), best | near)
 
         at_end = (at_low == 0) | (at_high == 0)
         start = jnp.where(at_low == 0, low, jnp.where(at_high == 0, high, start))
         first = _Search(jnp.int32(0), low, high, start, at_end)
-        # Gives the same root. On an accelerator a loop of unknown length waits for the host in each step.
+        # Both loops find the same root. On an accelerator, a loop of unknown length waits for the host in each step.
         return jax.lax.platform_dependent(
             first,
             cpu=lambda search: jax.lax.while_loop(goes_on, step, search).root,
@@ -137,11 +142,12 @@ def bracketed_root(
 
 
 # ---
-# The routings of the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
+# The routings of the knee tendon from the pulley of the servo to the shin, and the knee angles that each can hold.
 #
-# All obey one law, l_t = l_t0 + r_p (theta_2 + k q2). `pull` is the length less the wrap, l_t - r_p theta_2, which
-# depends on hip and knee angle alone (`robot.geometry`); the servo angle is then (pull - l_t0) / (k r_p). As there,
-# lengths are worked out in a frame whose y is multiplied by the knee direction s.
+# For each routing, the length of the tendon is l_t = l_t0 + r_p (theta_2 + k q2): l_t0 is the length at q2 = 0, r_p the
+# radius of the pulley, theta_2 the angle around which the tendon is wrapped, and k the direction of the servo.
+# `robot.geometry.pull` returns l_t - r_p theta_2, which depends on the hip angle and the knee angle only, so that the
+# servo angle is (pull - l_t0) / (k r_p). As in that file, y is multiplied by the knee direction s.
 
 
 #: Margin to the singular ends of the knee's range, where the foot or the tendon no longer determines the knee [rad].
@@ -149,13 +155,14 @@ KNEE_MARGIN_RAD: Final = 0.05
 
 
 def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Array]:
-    """Lowest and highest knee angle theta_1 [rad] at hip angle q1, and whether the routing works there.
+    """Lowest and highest knee angle theta_1 [rad] at hip angle q1, and whether the routing works at this hip angle.
 
-    Two conditions bound it, each with a margin of `KNEE_MARGIN_RAD`. The foot must determine the knee (`arm_range`),
-    and the tendon must flex it: the tendon's lever on the knee vanishes where B lies on the line from A to the hip axis
-    (type 3, at 0 and pi), to the guide point (type 2) or along the tangent to the pulley (type 1). Between these two
-    dead centres `pull` is monotonic. With type 3 the range is 0.05 to 2.93 rad in front and 0.54 to 3.09 rad behind.
-    Type 1 works while the pulley is farther from the knee than B, which fails only with the leg turned upward.
+    Two conditions limit the range, each with a margin of `KNEE_MARGIN_RAD`. First, the foot must determine the knee
+    angle (`arm_range`). Second, the tendon must flex the knee: its lever arm vanishes at two dead centres, where B is on
+    the line from A to the hip axis (type 3, at 0 and pi), to the guide point (type 2), or on the tangent from A to the
+    pulley (type 1). Between the dead centres, `pull` is monotonic. With type 3, the range is 0.05 to 2.93 rad for front
+    legs and 0.54 to 3.09 rad for rear legs. Type 1 works while the pulley is farther from the knee than B, which is
+    false only if the leg is turned upward.
     """
     low, high = arm_range(leg)
     limit, works = _dead_centre(leg, q1, routing)
@@ -165,10 +172,10 @@ def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Arr
 
 
 def arm_range(leg: Leg) -> tuple[Array, Array]:
-    """Lowest and highest knee angle [rad] at which the foot's distance from O determines the knee, independent of the
-    tendon.
+    """Lowest and highest knee angle [rad] at which the distance of the foot from O determines the knee angle.
 
-    From knee and arm O-A-H both stretched to both folded; they differ because the ankle turns H by gamma off the shin.
+    The tendon is not considered. The knee and the arm O-A-H are stretched at different knee angles, and folded at
+    different knee angles, because H is not on the line of the shin. The range excludes all four angles.
     """
     bend = leg.knee_direction * shank(leg)[1]
     low = jnp.maximum(bend, 0.0) + KNEE_MARGIN_RAD
@@ -176,7 +183,10 @@ def arm_range(leg: Leg) -> tuple[Array, Array]:
 
 
 def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
-    """Folded knee angle at which the tendon's line passes through the knee; it is pi for type 3."""
+    """The dead centre with a folded knee, where the line of the tendon passes through the knee; whether the routing works.
+
+    It is pi for type 3. The other dead centre is the knee angle that is smaller by pi.
+    """
     check_routing(routing)
     if routing == "type3":
         return jnp.full(jnp.shape(leg.l1), math.pi), jnp.asarray(True)
@@ -204,20 +214,22 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     ) ** 2 + leg.pulley_radius**2
 
 
-#: Tolerance beyond the range within which a foot or tendon counts as reached: float32 rounding [m].
+#: Tolerance for rounding in float32: a foot or a tendon that is outside of its range by less is reachable [m].
 REACH_TOLERANCE: Final = 1e-6
-#: Angles saturate here, so that sums of them stay finite [rad].
+#: Largest absolute value of an angle; larger ones are clipped, so that sums of angles are finite [rad].
 _LARGEST_ANGLE_RAD: Final = 1e6
-#: Feet farther out than this are moved in along their direction; closer to O than `_SMALLEST_REACH` they have none [m].
+#: A foot that is farther from O than `_LARGEST_REACH` is moved toward O. A foot that is closer than `_SMALLEST_REACH` has
+#: no direction from O [m].
 _LARGEST_REACH, _SMALLEST_REACH = 1.0, 1e-6
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Leg:
-    """A leg's numbers as array leaves, named and explained in `LegGeometry`; leaves of one leg have shape ().
+    """Lengths and positions of a leg as array leaves; `robot.parameters.LegGeometry` explains each of them.
 
-    The leaves may be batched or differentiated like any other array; `guide` has a trailing axis (y, z).
+    The leaves of one leg have shape (). They may have leading batch axes, and may be differentiated. `guide` has a
+    trailing axis (y, z).
     """
 
     l1: Float[Array | np.ndarray, "*batch"]
@@ -243,7 +255,7 @@ class LegPoints(NamedTuple):
 
 
 class LegPose(NamedTuple):
-    """Result of forward kinematics: foot (y, z) [m], knee angle theta_1 [rad], whether the tendon allows it."""
+    """Result of forward kinematics: foot (y, z) [m], knee angle theta_1 [rad], and whether the tendon can be taut."""
 
     foot: Planar
     knee_angle: Scalars
@@ -251,8 +263,8 @@ class LegPose(NamedTuple):
 
 
 class LegSolution(NamedTuple):
-    """How to reach a foot: servo (q1, q2) and knee angle [rad], the reachable foot nearest to it [m], and whether that
-    is the requested foot."""
+    """Result of inverse kinematics: servo angles (q1, q2) and knee angle [rad], the foot that they reach [m], and whether
+    this is the requested foot."""
 
     servo: Planar
     knee_angle: Scalars
@@ -261,7 +273,7 @@ class LegSolution(NamedTuple):
 
 
 def leg_of(geometry: LegGeometry) -> Leg:
-    """The leg with these numbers, leaves of shape () (numpy float64, so that either precision can use them)."""
+    """The `Leg` of one `LegGeometry`, with leaves of shape () in NumPy's float64, which suit either precision of JAX."""
     return Leg(
         **{
             field.name: np.asarray(getattr(geometry, field.name), float)
@@ -271,9 +283,9 @@ def leg_of(geometry: LegGeometry) -> Leg:
 
 
 def four_legs(geometry: Geometry) -> Leg:
-    """A robot's legs in limb order FL, FR, RL, RR: leaves of shape (..., 4), `guide` of shape (4, 2).
+    """The legs of a robot in the order FL, FR, RL, RR: leaves of shape (..., 4), `guide` of shape (4, 2).
 
-    Leaves of the geometry may have leading batch axes; leaves that it does not affect have shape (4,).
+    Leaves of the geometry may have leading batch axes. Leaves of the legs that do not depend on them have shape (4,).
     """
     traced = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(geometry))
     xp: Any = jnp if traced else np
@@ -314,7 +326,7 @@ def points(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, ankle: ArrayLike = 0.
 
 
 def knee_servo(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Scalars:
-    """Knee servo angle q2 [rad] whose taut tendon holds the knee at theta_1: l_t = l_t0 + r_p (theta_2 + k q2)."""
+    """Knee servo angle q2 [rad] with which a taut tendon holds the knee at theta_1; see the law of the routings above."""
     leg = _arrays(leg)
     length = pull(leg, _angle(q1), _angle(knee_angle), routing)
     return (length - leg.tendon_length) / (leg.servo_direction * leg.pulley_radius)
@@ -323,7 +335,8 @@ def knee_servo(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> 
 def forward_kinematics(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
     """Foot of the leg at servo angles (q1, q2) [rad], shape (..., 2), with a taut tendon.
 
-    A tendon longer or shorter than `knee_range` allows leaves the knee at the end of its range, not reachable.
+    If the tendon is longer or shorter than in `knee_range`, the knee is at the end of its range, and `reachable` is
+    false.
     """
     leg, servo = _arrays(leg), jnp.asarray(servo)
     q1, q2 = _angle(servo[..., 0]), servo[..., 1]
@@ -349,13 +362,14 @@ def forward_kinematics(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
 def inverse_kinematics(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     """Servo angles that put the foot at (y, z) from O [m], shape (..., 2): closed form for every routing.
 
-    The workspace is a ring around O, and a foot outside it is moved in along its radius (a foot at O itself hangs
-    straight down). With types 1 and 2, a knee angle that the tendon cannot hold at that hip angle, near its dead
-    centres (`knee_range`), becomes the nearest one that it can hold.
+    The workspace is a ring around O. A foot outside of the ring is moved to it along its radius (a foot at O is moved
+    straight down). With types 1 and 2, the tendon cannot hold every knee angle near its dead centres (`knee_range`);
+    such an angle becomes the nearest one that the tendon can hold.
     """
     check_routing(routing)
     leg, foot = _arrays(leg), jnp.asarray(foot)
-    # The result does not depend on the distance of a foot that is out of reach, so its scale has no derivative.
+    # Far outside of the workspace, the result depends on the direction of the foot only, so that the scale is constant
+    # for the derivative.
     size = jnp.max(jnp.abs(foot), axis=-1, keepdims=True)
     y, z = jnp.moveaxis(
         foot / jax.lax.stop_gradient(jnp.maximum(size / _LARGEST_REACH, 1.0)), -1, 0
@@ -369,7 +383,7 @@ def inverse_kinematics(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     arm_low, arm_high = (end - leg.knee_direction * bend for end in (low, high))
     arm = jnp.arccos(jnp.clip(cosine, jnp.cos(arm_high), jnp.cos(arm_low)))
     knee_angle = arm + leg.knee_direction * bend
-    # Seen from O, the foot lies at q1 + atan2(across, along).
+    # At q1 = 0 the foot would be in the direction atan2(across, along) from O. The hip angle adds the rest.
     along, across = leg.l1 + link * jnp.cos(arm), leg.knee_direction * link * jnp.sin(arm)
     q1 = jnp.arctan2(y * along + z * across, y * across - z * along)
 
@@ -383,9 +397,9 @@ def inverse_kinematics(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
 
 
 def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
-    """Least and greatest distance of the foot from O [m] at which it is in the workspace of each of the `four_legs`.
+    """Smallest and largest distance of the foot from O [m] in the workspace, for each of the `four_legs`.
 
-    With type 3, where the knee angle depends on the knee servo alone, the servo's range is included.
+    With type 3, the range of the knee servo limits the distance, too, because the knee angle depends on this servo only.
     """
     leg = _arrays(four_legs(geometry))
     low, high = arm_range(leg)
@@ -408,14 +422,17 @@ def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
 
 
 def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2 2"]:
-    """d(y, z) / d(q1, q2) [m/rad] of the foot at servo angles of shape (..., 2); zero where the pose is saturated."""
+    """Jacobian d(y, z) / d(q1, q2) of the foot [m/rad] at servo angles (..., 2); zero if the pose is at a limit."""
     servo = jnp.asarray(servo)
     nothing = jnp.zeros(2, jnp.result_type(float, servo.dtype))
     return jax.jacfwd(lambda change: forward_kinematics(leg, servo + change, routing).foot)(nothing)
 
 
 def _arrays(leg: Leg) -> Leg:
-    """The leg with numpy leaves in the current precision: JAX caches numpy constants across a change of it."""
+    """The leg with JAX leaves in the current precision of JAX.
+
+    JAX would cache NumPy constants in one precision, and use them after the precision has changed.
+    """
     dtype = jnp.result_type(float)
     return jax.tree.map(
         lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf, dtype), leg
@@ -423,6 +440,7 @@ def _arrays(leg: Leg) -> Leg:
 
 
 def _angle(angle: ArrayLike) -> Array:
+    """The angle, clipped to finite values."""
     return jnp.clip(jnp.asarray(angle), -_LARGEST_ANGLE_RAD, _LARGEST_ANGLE_RAD)
 
 

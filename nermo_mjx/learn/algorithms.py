@@ -1,4 +1,9 @@
-"""Proximal policy optimization (Schulman et al., 2017), with the clipped objective and a critic that may see more."""
+"""Proximal policy optimization (PPO; Schulman et al., 2017) with the clipped objective.
+
+The names are those of the paper, so that `PPO._update` can be read next to it: the advantage, the return, the probability
+ratio, the policy loss and the value loss. The actor and the critic are separate networks, because the critic also receives
+privileged inputs. Both are functions of arrays: `PPO` contains options only, and the state is a `LearningState`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 from pydantic import Field
 
 from nermo_mjx.learn.experience import (
@@ -18,35 +23,29 @@ from nermo_mjx.learn.experience import (
     SHUFFLE_KEY,
     EnvironmentLike,
     Experience,
-    Learned,
-    advantages,
+    LearningState,
     apply,
-    beginning,
-    collector,
-    stepped,
+    apply_gradient,
+    estimate_advantages,
+    make_collector,
+    make_learning_state,
 )
 from nermo_mjx.specs.model import Spec
 from nermo_mjx.specs.values import Positive, Share, Whole
 
-#: One iteration: (learned, state of the worlds) to the same after it, what happened, and numbers about it.
-Iteration = Callable[[Learned, Any], tuple[Learned, Any, Experience, dict[str, Any]]]
+#: One iteration: from the learning state and the state of the worlds to both afterwards, the experience, and statistics.
+Iteration = Callable[[LearningState, Any], tuple[LearningState, Any, Experience, dict[str, Any]]]
 _Hidden = Annotated[tuple[Annotated[int, Whole(1, 4096)], ...], Field(strict=False)]
 
-#: Bounds of a learning rate that follows the policy's change, and the factor of a change of it.
+#: Bounds of an adaptive learning rate, and the factor of one adaptation.
 _SMALLEST_RATE, _LARGEST_RATE, _RATE_FACTOR = 1e-5, 1e-2, 1.5
-
-
-def _value_loss(
-    critic: Any, observations: Float[Array, "n k"], target: Float[Array, " n"]
-) -> Array:
-    return 0.5 * ((apply(critic, observations)[:, 0] - target) ** 2).mean()
 
 
 @dataclasses.dataclass(frozen=True)
 class PPO(Spec):
-    """Proximal policy optimization, on MuJoCo C.
+    """Proximal policy optimization.
 
-    An iteration is `horizon` steps of all worlds, and `epochs` passes over them.
+    An iteration simulates `horizon` steps in all worlds, and learns in `epochs` passes over these steps.
     """
 
     what = "an option of 'ppo'"
@@ -73,52 +72,56 @@ class PPO(Spec):
     hidden: _Hidden = (64, 64)
     """units of each hidden layer, for both actor and critic"""
 
-    def begin(self, environment: EnvironmentLike, seed: int) -> Learned:
-        """The state of learning before the first step."""
-        return beginning(environment, seed, self.hidden, self.std, self.rate)
+    def begin(self, environment: EnvironmentLike, seed: int) -> LearningState:
+        """Initialize the learning state."""
+        return make_learning_state(environment, seed, self.hidden, self.std, self.rate)
 
-    def iteration(self, environment: EnvironmentLike) -> Iteration:
-        """A function that does one iteration, see `Iteration`."""
-        collect = collector(environment, self.horizon)
-        update = jax.jit(functools.partial(self._updated, environment.observation_size))
-        key = jax.jit(lambda learned: learned.random(ACTION_KEY))
+    def make_iteration(self, environment: EnvironmentLike) -> Iteration:
+        """Make the function that performs one iteration, see `Iteration`."""
+        collect = make_collector(environment, self.horizon)
+        update = jax.jit(functools.partial(self._update, environment.observation_size))
+        action_key = jax.jit(lambda learned: learned.random_key(ACTION_KEY))
 
         def iterate(
-            learned: Learned, state: Any
-        ) -> tuple[Learned, Any, Experience, dict[str, Any]]:
+            learned: LearningState, state: Any
+        ) -> tuple[LearningState, Any, Experience, dict[str, Any]]:
             began = time.process_time()
-            state, experience = collect(learned.actor, learned.statistics, state, key(learned))
-            spent = time.process_time() - began
-            learned, numbers = update(learned, experience._replace(terms={}))
-            return (
-                learned,
-                state,
-                experience,
-                numbers if environment.pure else numbers | {"environment_cpu": spent},
+            state, experience = collect(
+                learned.actor, learned.statistics, state, action_key(learned)
             )
+            cpu = {} if environment.pure else {"environment_cpu": time.process_time() - began}
+            learned, statistics = update(learned, experience._replace(terms={}))
+            return learned, state, experience, statistics | cpu
 
         return iterate
 
-    def _adapted(self, rate: Array, kl: Array) -> Array:
-        """The learning rate, lowered where the policy changes twice as much as desired, raised at half as much."""
+    def _adapt_rate(self, rate: Array, kl: Array) -> Array:
+        """Lower the learning rate if the policy changes more than twice as much as desired, raise it below half as much."""
         if self.kl is None:
             return rate
-        slower, faster = kl > 2.0 * self.kl, kl < 0.5 * self.kl
-        rate = jnp.where(slower, rate / _RATE_FACTOR, jnp.where(faster, rate * _RATE_FACTOR, rate))
+        is_too_fast, is_too_slow = kl > 2.0 * self.kl, kl < 0.5 * self.kl
+        rate = jnp.where(
+            is_too_fast, rate / _RATE_FACTOR, jnp.where(is_too_slow, rate * _RATE_FACTOR, rate)
+        )
         return jnp.clip(rate, _SMALLEST_RATE, _LARGEST_RATE)
 
     # Long because one update of the algorithm can be read next to the paper.
-    def _updated(
-        self, observed: int, learned: Learned, experience: Experience
-    ) -> tuple[Learned, dict[str, Array]]:
-        statistics = learned.statistics.begun(experience.seen)
-        observations, next_observations = (
-            statistics.normalized(values) for values in (experience.seen, experience.then)
+    def _update(
+        self, observation_size: int, learned: LearningState, experience: Experience
+    ) -> tuple[LearningState, dict[str, Array]]:
+        """Learn from the experience of one iteration: the next state, and statistics.
+
+        The actor receives the first `observation_size` columns of the critic's input.
+        """
+        statistics = learned.statistics.initialize(experience.critic_input)
+        inputs, next_inputs = (
+            statistics.normalize(values)
+            for values in (experience.critic_input, experience.next_critic_input)
         )
         value, next_value = (
-            apply(learned.critic, values)[..., 0] for values in (observations, next_observations)
+            apply(learned.critic, values)[..., 0] for values in (inputs, next_inputs)
         )
-        gain = advantages(
+        advantages = estimate_advantages(
             experience.reward,
             value,
             next_value,
@@ -127,55 +130,71 @@ class PPO(Spec):
             self.discount,
             self.trace,
         )
-        old = learned.actor.log_density(observations[..., :observed], experience.action)
-        rows = jax.tree.map(
+        returns = value + advantages
+        log_density = learned.actor.log_density(inputs[..., :observation_size], experience.action)
+        batch = jax.tree.map(
             lambda values: values.reshape(-1, *values.shape[2:]),
-            (observations, experience.action, old, gain, value + gain),
+            (inputs, experience.action, log_density, advantages, returns),
         )
-        count = len(rows[0])
+        count = len(batch[0])
 
-        def step(carry: tuple[Any, ...], part: Array) -> tuple[tuple[Any, ...], dict[str, Array]]:
-            actor, critic, (of_actor, of_critic) = carry
-            observations, action, old_log_density, advantage, target = jax.tree.map(
-                lambda values: values[part], rows
+        def step(carry: tuple[Any, ...], rows: Array) -> tuple[tuple[Any, ...], dict[str, Array]]:
+            actor, critic, (actor_optimizer, critic_optimizer) = carry
+            inputs, action, old_log_density, advantage, target = jax.tree.map(
+                lambda values: values[rows], batch
             )
 
             def policy_loss(actor: Any) -> tuple[Array, Array]:
-                change = actor.log_density(observations[:, :observed], action) - old_log_density
+                new_log_density = actor.log_density(inputs[:, :observation_size], action)
+                log_ratio = new_log_density - old_log_density
                 scaled = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-                ratio = jnp.exp(change)
+                ratio = jnp.exp(log_ratio)
                 clipped = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)
                 loss = (
                     -jnp.minimum(ratio * scaled, clipped * scaled).mean()
                     - self.entropy * actor.entropy()
                 )
-                return loss, (ratio - 1.0 - change).mean()
+                return loss, (ratio - 1.0 - log_ratio).mean()
 
-            slope, kl = jax.grad(policy_loss, has_aux=True)(actor)
-            miss, of_value = jax.value_and_grad(_value_loss)(critic, observations, target)
-            actor, of_actor = stepped(actor, slope, of_actor, learned.rate)
-            critic, of_critic = stepped(critic, of_value, of_critic, self.rate)
-            return (actor, critic, (of_actor, of_critic)), {"kl": kl, "value_loss": miss}
+            def value_loss(critic: Any) -> Array:
+                return 0.5 * ((apply(critic, inputs)[:, 0] - target) ** 2).mean()
 
-        previous = (learned.actor, learned.critic, learned.optimizers)
-        # Which steps (epochs * minibatches, n) each minibatch contains.
-        keys = jax.random.split(learned.random(SHUFFLE_KEY), self.epochs)
+            policy_gradient, kl = jax.grad(policy_loss, has_aux=True)(actor)
+            loss, value_gradient = jax.value_and_grad(value_loss)(critic)
+            actor, actor_optimizer = apply_gradient(
+                actor, policy_gradient, actor_optimizer, learned.rate
+            )
+            critic, critic_optimizer = apply_gradient(
+                critic, value_gradient, critic_optimizer, self.rate
+            )
+            networks = (actor, critic, (actor_optimizer, critic_optimizer))
+            return networks, {"kl": kl, "value_loss": loss}
+
+        # Rows of each minibatch, (epochs * minibatches, n).
+        keys = jax.random.split(learned.random_key(SHUFFLE_KEY), self.epochs)
         shuffled = jax.vmap(lambda key: jax.random.permutation(key, count))(keys)
         size = count // self.minibatches
-        parts = shuffled[:, : size * self.minibatches].reshape(-1, size)
-        (actor, critic, optimizers), numbers = jax.lax.scan(step, previous, parts)
-        # The change by all steps of an iteration. Within one it grows from zero: a rate that followed it there would
-        # first be raised with every step, and then be too high.
-        kl = numbers["kl"][-self.minibatches :].mean()
-        rate = self._adapted(learned.rate, kl)
-        statistics_of_update = {
+        minibatches = shuffled[:, : size * self.minibatches].reshape(-1, size)
+        (actor, critic, optimizers), losses = jax.lax.scan(
+            step, (learned.actor, learned.critic, learned.optimizers), minibatches
+        )
+        # The change by all steps of an iteration. Within an iteration the change grows from zero. A rate that followed
+        # it there would first be raised with every step, and then be too high.
+        kl = losses["kl"][-self.minibatches :].mean()
+        rate = self._adapt_rate(learned.rate, kl)
+        update_statistics = {
             "kl": kl,
-            "value_loss": numbers["value_loss"].mean(),
-            "explained": 1.0 - jnp.var(gain) / (jnp.var(value + gain) + 1e-12),
+            "value_loss": losses["value_loss"].mean(),
+            "explained": 1.0 - jnp.var(advantages) / (jnp.var(returns) + 1e-12),
             "rate": rate,
             "std": jnp.exp(actor.log_std).mean(),
         }
-        updated = learned.after(
-            experience.seen, count, actor=actor, critic=critic, optimizers=optimizers, rate=rate
+        updated = learned.advance(
+            experience.critic_input,
+            count,
+            actor=actor,
+            critic=critic,
+            optimizers=optimizers,
+            rate=rate,
         )
-        return updated, statistics_of_update
+        return updated, update_statistics

@@ -32,7 +32,7 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.files import FileError, json_of
-from nermo_mjx.learn.experience import Learned
+from nermo_mjx.learn.experience import LearningState
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.runs import OtherCode, RunDirectory, engine_of, stamp
 from nermo_mjx.runs.checkpoints import Checkpoints
@@ -183,7 +183,7 @@ class TrainingDirectory:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def restore(self, beginning: Learned, *, accept: bool) -> tuple[Learned, Curves]:
+    def restore(self, beginning: LearningState, *, accept: bool) -> tuple[LearningState, Curves]:
         """The state of the training, and its history so far.
 
         Args:
@@ -230,7 +230,7 @@ class TrainingDirectory:
         self.training = self.training.with_code_copied(self.out.resolve(), self.held.write)
         write_described(self.held, SPEC_FILE, self.training, Training.from_file, self._warn)
 
-    def keep(self, learned: Learned, curves: Curves) -> None:
+    def keep(self, learned: LearningState, curves: Curves) -> None:
         """Store what was learned, and its history."""
         metadata = {
             "names": list(curves.names),

@@ -463,7 +463,7 @@ class Mixture:
         """Begin an episode in every world; each part draws from a key of its own."""
         key = jax.random.key(key) if isinstance(key, int) else key
         keys = [jax.random.fold_in(key, i) for i in range(len(self.parts))]
-        return self.joined(
+        return self.join(
             [part.reset(part_key, steps) for part, part_key in zip(self.parts, keys, strict=True)]
         )
 
@@ -474,7 +474,7 @@ class Mixture:
             functools.partial(part.step, engine_state, part_action)
             for part, engine_state, part_action in part_inputs
         ]
-        return self.joined([call() for call in calls] if self.pure else self.at_once(calls))
+        return self.join([call() for call in calls] if self.pure else self.at_once(calls))
 
     def split(self, values: Any, axis: int = 0) -> list[Any]:
         """What belongs to each part's worlds, along an axis of all worlds."""
@@ -486,7 +486,7 @@ class Mixture:
         started = {i: self._waiting.submit(calls[i]) for i in order}
         return [started[i].result() for i in range(len(calls))]
 
-    def joined(self, states: Sequence[State]) -> State:
+    def join(self, states: Sequence[State]) -> State:
         """The state of all worlds from those of the parts."""
         numbers = jnp if self.pure else np
         fields = {
@@ -495,14 +495,14 @@ class Mixture:
             if name != "engine"
         }
         for name in ("privileged", "final_privileged"):
-            fields[name] = [self.told(i, values) for i, values in enumerate(fields[name])]
+            fields[name] = [self.widen(i, values) for i, values in enumerate(fields[name])]
         joined_fields = {
             name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *values)
             for name, values in fields.items()
         }
         return State(**joined_fields, engine=tuple(states))
 
-    def told(self, i: int, observation: Any) -> Any:
+    def widen(self, i: int, observation: Any) -> Any:
         """The critic's input (..., p) from that of part i, in the columns of all parts."""
         column = len(self.privileged_names) - len(self.parts) + i
         shape = *observation.shape[:-1], self.privileged_size

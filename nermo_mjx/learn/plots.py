@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from nermo_mjx.learn.directory import EVALUATION_FILE, SPEC_FILE, Curves, read_curves
 from nermo_mjx.learn.evaluation import BASELINE, POLICY, summary_of
 from nermo_mjx.learn.spec import Training
-from nermo_mjx.plotting.charts import horizontal_grid, page
+from nermo_mjx.plotting.charts import blank_page, draw_horizontal_grid
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.style import BAND_COLOUR, LINE_COLOUR, MUTED_INK, SERIES
 from nermo_mjx.robot.scene import scene_name
@@ -63,7 +63,7 @@ def training_figures(out: Path) -> Figures:
 def curves_figure(training: Training, curves: Curves) -> Figure:
     """The course of the training, over control steps."""
     panels = {name: label for name, label in PANELS.items() if name in curves.names}
-    figure = page(
+    figure = blank_page(
         "Training", 7.2, 1.1 + 1.5 * len(panels), f"{_what(training)}; pale: single iterations"
     )
     axes = list(figure.subplots(len(panels), 1, sharex=True))
@@ -76,7 +76,7 @@ def curves_figure(training: Training, curves: Curves) -> Figure:
         else:
             ax.plot(_million(curves), values, color=BAND_COLOUR, lw=0.7)
             ax.plot(_million(curves), _smooth(values), color=LINE_COLOUR)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         ax.set_ylabel(label)
         if name in ("lasted", "explained"):
             ax.set_ylim(-3, 103)
@@ -88,7 +88,9 @@ def rewards_figure(training: Training, curves: Curves) -> Figure:
     """The weighted reward terms per simulated second."""
     weights = {str(name): weight for name, weight in training.task.rewards.items()}
     terms = [name for name in curves.names if name.startswith("term.")]
-    figure = page("Reward by its terms", 7.2, 3.6, f"{_what(training)}; each term times its weight")
+    figure = blank_page(
+        "Reward by its terms", 7.2, 3.6, f"{_what(training)}; each term times its weight"
+    )
     ax = figure.subplots()
     for i, name in enumerate(terms):
         term = name.removeprefix("term.")
@@ -98,7 +100,7 @@ def rewards_figure(training: Training, curves: Curves) -> Figure:
     ax.set_ylabel("reward in a second [1/s]")
     ax.set_xlabel("control steps of all worlds [million]")
     ax.legend(ncols=3, loc="best")
-    horizontal_grid(ax)
+    draw_horizontal_grid(ax)
     return figure
 
 
@@ -107,7 +109,7 @@ def evaluation_figure(training: Training, table: pa.Table) -> Figure:
     summary = summary_of(table)
     count = table.num_rows // (2 * len(summary))
     note = f"{_what(training)}; {count:,} bodies and starts on each scene, none seen in training; whiskers: quartiles"
-    figure = page("Evaluation", 7.2, 3.4, note)
+    figure = blank_page("Evaluation", 7.2, 3.4, note)
     axes = figure.subplots(1, 2)
     for i, (walker, colour) in enumerate(((POLICY, LINE_COLOUR), (BASELINE, MUTED_INK))):
         label = "policy" if walker == POLICY else "controller alone"
@@ -135,7 +137,7 @@ def evaluation_figure(training: Training, table: pa.Table) -> Figure:
     for ax, label in zip(axes, ("walks that succeeded [%]", "speed, median [mm/s]"), strict=True):
         ax.set_xticks(np.arange(len(summary)), list(summary))
         ax.set_ylabel(label)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
     axes[0].set_ylim(0, 103)
     figure.legend(*axes[0].get_legend_handles_labels(), ncols=2, loc="upper right")
     return figure

@@ -33,7 +33,7 @@ from nermo_mjx.control.protocol import (
 from nermo_mjx.files import MAX_ARRAY_BYTES, FileError, arrays_of, check_arrays, read_as, read_bytes
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
-from nermo_mjx.learn.experience import Actor, Learned, Statistics
+from nermo_mjx.learn.experience import Actor, LearningState, Statistics
 from nermo_mjx.learn.observing import FORMER_NAMES, LONGEST_DELAY, Observer, today
 from nermo_mjx.learn.own import code_place, drawn_by, own_readings
 from nermo_mjx.learn.task import POLICY_PARAMETERS, Given, commanded
@@ -138,7 +138,10 @@ class Policy:
 
     @classmethod
     def of(
-        cls, environment: Environment, learned: Learned, metadata: Mapping[str, Any] | None = None
+        cls,
+        environment: Environment,
+        learned: LearningState,
+        metadata: Mapping[str, Any] | None = None,
     ) -> Policy:
         """What was `learned` in an environment; `about` is further content of the file: the `judged` physics and time
         step [s] where they are not the environment's.
@@ -178,7 +181,7 @@ class Policy:
         }
         return cls(
             learned.actor,
-            learned.statistics.first(environment.observation_size),
+            learned.statistics.take(environment.observation_size),
             task.action,
             environment.loop.observer,
             task.decimation,
@@ -358,7 +361,7 @@ def _action(actor: Actor, statistics: Statistics, observation: Array) -> Array:
         lambda leaf: jnp.asarray(leaf, jnp.float32), (actor, statistics)
     )
     return jnp.clip(
-        actor.mean(statistics.normalized(jnp.asarray(observation, jnp.float32))), -1.0, 1.0
+        actor.mean(statistics.normalize(jnp.asarray(observation, jnp.float32))), -1.0, 1.0
     )
 
 

@@ -35,7 +35,7 @@ from nermo_mjx.learn.directory import (
 )
 from nermo_mjx.learn.environment import Environment, Mixture
 from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, recorded, summary_of
-from nermo_mjx.learn.experience import RESET_KEY, EnvironmentLike, EpisodeScores, Learned
+from nermo_mjx.learn.experience import RESET_KEY, EnvironmentLike, EpisodeScores, LearningState
 from nermo_mjx.learn.own import code_place
 from nermo_mjx.learn.policy import Policy, judged_in, load_policy
 from nermo_mjx.learn.spec import Training, Until
@@ -163,7 +163,7 @@ class TrainingResult:
     training: Training
     policy: Path | None
     summary: dict[str, Any]
-    learned: Learned
+    learned: LearningState
     history: Curves
     iterations_run: int
     plots: list[Path]
@@ -275,7 +275,9 @@ def training_engine(engine: str) -> str:
     return name
 
 
-def _ended(training: Training, learned: Learned, curves: Curves, choice: BestPolicy | None) -> bool:
+def _ended(
+    training: Training, learned: LearningState, curves: Curves, choice: BestPolicy | None
+) -> bool:
     """Whether all iterations are done, or a checkpoint was good enough."""
     done = len(curves) >= training.iterations
     return done or (choice is not None and choice.enough(training.until, int(learned.steps)))
@@ -294,18 +296,18 @@ class _Learning:
     choice: BestPolicy | None
     video: bool
 
-    def learn(self, learned: Learned, curves: Curves) -> tuple[Learned, Curves]:
+    def learn(self, learned: LearningState, curves: Curves) -> tuple[LearningState, Curves]:
         """Section by section, to the end."""
         training = self.directory.training
-        iterate, reset = training.algorithm.iteration(self.environment), self.environment.reset
+        iterate, reset = training.algorithm.make_iteration(self.environment), self.environment.reset
         if self.environment.pure:
             reset = jax.jit(reset, compiler_options=compiler_options())
         self._tell(int(learned.steps), {})
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
             so_far = {} if self._robot is None else {"steps": float(learned.steps)}
-            state = reset(learned.random(RESET_KEY), **so_far)
-            scores = EpisodeScores.none(training.worlds)
+            state = reset(learned.random_key(RESET_KEY), **so_far)
+            scores = EpisodeScores.empty(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
@@ -331,7 +333,7 @@ class _Learning:
                 self._film(policy, self.directory.out / VIDEO_FILE.format(int(learned.steps)))
         return learned, curves
 
-    def publish(self, learned: Learned, curves: Curves) -> Policy | None:
+    def publish(self, learned: LearningState, curves: Curves) -> Policy | None:
         """Make the history's and the policy's file; the policy in it."""
         policy = self._chosen(learned)
         with self.interruption.shielded():
@@ -343,7 +345,7 @@ class _Learning:
             self.directory.publish(curves, units, policy if policy is None else policy.content())
         return policy
 
-    def _chosen(self, learned: Learned) -> Policy | None:
+    def _chosen(self, learned: LearningState) -> Policy | None:
         """The best policy so far where the training asks for it, otherwise that of what was learned."""
         policy = self._policy(learned)
         if policy is None or self.choice is None:
@@ -351,7 +353,7 @@ class _Learning:
         best = self.choice.of(policy)  # of an earlier session, maybe, with another evaluation
         return dataclasses.replace(best, about={**best.about, "judged": self._judged})
 
-    def _policy(self, learned: Learned) -> Policy | None:
+    def _policy(self, learned: LearningState) -> Policy | None:
         """What was learned, as a controller; None in an environment that is not of a robot."""
         if (robot := self._robot) is None:
             return None
@@ -407,7 +409,7 @@ def _evaluated(
 
 def _summary(
     training: Training,
-    learned: Learned,
+    learned: LearningState,
     curves: Curves,
     policy: Policy | None,
     table: pa.Table | None,
@@ -453,10 +455,10 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
     note = "its pace is not known before its program is compiled, which takes minutes, once per machine"
     worlds, notes = training.environment(name), []
     if not worlds.pure:
-        iterate = training.algorithm.iteration(worlds)
+        iterate = training.algorithm.make_iteration(worlds)
         compiles = time.perf_counter()
         learned = training.algorithm.begin(worlds, training.seed)
-        learned, state, *_ = iterate(learned, worlds.reset(learned.random(RESET_KEY)))
+        learned, state, *_ = iterate(learned, worlds.reset(learned.random_key(RESET_KEY)))
         float(learned.steps)
         began = time.perf_counter()
         for _ in range(_TIMED_ITERATIONS):

@@ -19,15 +19,15 @@ from nermo_mjx.optimize.search_results import Evaluations, atlas_progress, hyper
 from nermo_mjx.optimize.search_spec import Measure, Search
 from nermo_mjx.plotting.charts import (
     PAGE_WIDTH_INCHES,
-    around,
-    blank,
+    blank_figure,
+    blank_page,
     colour_bar,
     colour_scale,
-    horizontal_grid,
+    draw_horizontal_grid,
+    draw_star,
+    finish_page,
     named_points,
-    page,
     set_scales,
-    star,
     trade_off,
 )
 from nermo_mjx.plotting.files import Figures
@@ -110,7 +110,7 @@ def convergence(evaluations: Evaluations) -> Figure:
     )  # better than all before it
     leading = np.maximum.accumulate(np.where(first, np.arange(len(cost)), 0))
     note = f"{_counted(evaluations)}; line: best so far; star: best, {quantity.shown(values[best])} at {_at(evaluations, best)}"
-    figure = page(f"{_title(quantity)} over the evaluations", PAGE_WIDTH_INCHES, 4.4, note)
+    figure = blank_page(f"{_title(quantity)} over the evaluations", PAGE_WIDTH_INCHES, 4.4, note)
     ax = figure.subplots()
     ax.scatter(
         number[allowed],
@@ -122,7 +122,7 @@ def convergence(evaluations: Evaluations) -> Figure:
     )
     reached = np.isfinite(cost[leading])
     ax.step(number[reached], values[leading][reached], where="post", color=LINE_COLOUR)
-    star(ax, number[best], values[best], 170, zorder=5)
+    draw_star(ax, number[best], values[best], 170, zorder=5)
     if not allowed.all():  # short lines at the bottom where a point fell or broke a constraint
         height = np.full(int((~allowed).sum()), 0.01)
         ax.plot(
@@ -133,7 +133,7 @@ def convergence(evaluations: Evaluations) -> Figure:
     low, high = np.nanquantile(values[allowed], [0.01, 1.0] if higher else [0.0, 0.99])
     room = 0.06 * max(high - low, 1e-9)
     ax.set(ylim=(low - room, high + room), xlim=(0, len(values) + 1))
-    horizontal_grid(ax)
+    draw_horizontal_grid(ax)
     ax.set(xlabel="evaluations [1]", ylabel=quantity.label)
     return figure
 
@@ -171,13 +171,15 @@ def hypervolume(evaluations: Evaluations) -> Figure:
         f"{_counted(evaluations)}; box: from the best of each objective to the worst of the first batch,"
         f" {', '.join(corner)}"
     )
-    figure = page("Hypervolume of the front over the evaluations", PAGE_WIDTH_INCHES, 3.6, note)
+    figure = blank_page(
+        "Hypervolume of the front over the evaluations", PAGE_WIDTH_INCHES, 3.6, note
+    )
     ax = figure.subplots()
     ax.step(_ends(evaluations), 100 * shares, where="post", color=LINE_COLOUR)
     ax.set(
         xlabel="evaluations [1]", ylabel="hypervolume [%]", xlim=(0, len(evaluations.scores) + 1)
     )
-    horizontal_grid(ax)
+    draw_horizontal_grid(ax)
     return figure
 
 
@@ -188,7 +190,9 @@ def coverage(evaluations: Evaluations) -> Figure:
     terms = evaluations.search.aim.objective.terms
     note = f"{_counted(evaluations)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
     note += "what their best is better than the worst of the first batch"
-    figure = page("Filled cells and QD score over the evaluations", PAGE_WIDTH_INCHES, 4.8, note)
+    figure = blank_page(
+        "Filled cells and QD score over the evaluations", PAGE_WIDTH_INCHES, 4.8, note
+    )
     top, bottom = figure.subplots(2, 1, sharex=True)
     top.step(_ends(evaluations), filled, where="post", color=LINE_COLOUR)
     top.set_ylabel("filled cells [1]")
@@ -199,7 +203,7 @@ def coverage(evaluations: Evaluations) -> Figure:
     bottom.set_ylabel(f"QD score [{scale.unit or 1}]")
     for ax in (top, bottom):
         ax.set_ylim(bottom=0)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
     bottom.set(xlabel="evaluations [1]", xlim=(0, len(evaluations.scores) + 1))
     return figure
 
@@ -220,7 +224,7 @@ def atlas(evaluations: Evaluations) -> Figure:
         note += "; each map shows the best over all other measures"
     columns = min(len(pairs), 2)
     rows = -(-len(pairs) // columns)
-    figure = blank(PAGE_WIDTH_INCHES, 1.1 + 4.2 * rows / (1 if columns == 1 else 1.3))
+    figure = blank_figure(PAGE_WIDTH_INCHES, 1.1 + 4.2 * rows / (1 if columns == 1 else 1.3))
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
     scale, extend = colour_scale(quantity.values[points])
     for ax in axes[len(pairs) :]:
@@ -229,7 +233,7 @@ def atlas(evaluations: Evaluations) -> Figure:
         _map(ax, evaluations, points, quantity, scale, pair, best)
     bar = ScalarMappable(scale, COLOUR_MAP)
     colour_bar(figure, axes[: len(pairs)], bar, quantity.label, shrink=0.9, extend=extend)
-    return around(figure, title, note)
+    return finish_page(figure, title, note)
 
 
 def _map(
@@ -262,7 +266,7 @@ def _map(
     ax.pcolormesh(
         edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOUR_MAP
     )
-    star(ax, best_position[0], best_position[1], 190, 1.3, zorder=5)
+    draw_star(ax, best_position[0], best_position[1], 190, 1.3, zorder=5)
     set_scales(ax, *edges)
     ax.set(xlabel=edges[0].label, ylabel=edges[1].label)
 
@@ -272,7 +276,7 @@ def _bars(
 ) -> Figure:
     """The best point over one measure."""
     (measure,) = evaluations.search.aim.measures
-    figure = page(title, PAGE_WIDTH_INCHES, 3.9, note)
+    figure = blank_page(title, PAGE_WIDTH_INCHES, 3.9, note)
     ax = figure.subplots()
     edges = _edges(evaluations, measure)
     cell = cells_of(evaluations.search.aim, evaluations.scores.measures[points])
@@ -292,9 +296,9 @@ def _bars(
         ec="white",
     )
     best_value = _quantity(evaluations, measure.metric, evaluations.scores.measures[best, 0])
-    star(ax, best_value.values, z.values[best], 170, zorder=5)
+    draw_star(ax, best_value.values, z.values[best], 170, zorder=5)
     ax.set(xlabel=edges.label, ylabel=z.label, xlim=(edges.values[0], edges.values[-1]))
-    horizontal_grid(ax)
+    draw_horizontal_grid(ax)
     return figure
 
 

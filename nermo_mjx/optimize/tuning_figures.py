@@ -34,12 +34,12 @@ from nermo_mjx.optimize.tuning_history import read_history
 from nermo_mjx.optimize.tuning_spec import Tuned, Tuning
 from nermo_mjx.plotting.charts import (
     PAGE_WIDTH_INCHES,
+    blank_page,
     colour_bar,
-    hatch,
-    horizontal_grid,
-    page,
+    draw_horizontal_grid,
+    draw_star,
+    hatch_axes,
     set_scales,
-    star,
 )
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
@@ -186,7 +186,7 @@ def objective_figure(traces: Traces) -> Figure:
     best = traces.column("objective")[iteration, start]
     start_note = f" of start {start}" if traces.starts > 1 else ""
     note = f"{_what(traces)}; dashed: best so far; star: best, {best:.4g} in iteration {iteration}{start_note}"
-    figure = page(
+    figure = blank_page(
         "Objective over the iterations (lower is better)",
         PAGE_WIDTH_INCHES,
         2.9 + _PANEL * len(terms),
@@ -225,9 +225,9 @@ def objective_figure(traces: Traces) -> Figure:
             ax.axhline(target, color=MUTED_INK, lw=1.0, ls="--", zorder=1)
         corner(ax, _AIM_TEXTS[term.aim])
         ax.set_ylabel(quantity.label)
-    star(axes[0], iteration, best, lw=0.9, zorder=6)
+    draw_star(axes[0], iteration, best, lw=0.9, zorder=6)
     for ax, metric in zip(axes[1:], terms, strict=True):
-        star(ax, iteration, traces.quantity(metric).values[traces.best], lw=0.9, zorder=6)
+        draw_star(ax, iteration, traces.quantity(metric).values[traces.best], lw=0.9, zorder=6)
     _finish(axes, traces)
     return figure
 
@@ -242,7 +242,7 @@ def parameters_figure(traces: Traces) -> Figure:
     note += f"; {left_out} more parameters are not shown" if left_out else ""
     columns = 1 if len(tuned) <= 3 else 2
     rows = math.ceil(len(tuned) / columns)
-    figure = page(
+    figure = blank_page(
         "Parameters over the iterations", PAGE_WIDTH_INCHES, _MARGINS + (_PANEL + 0.25) * rows, note
     )
     axes = list(figure.subplots(rows, columns, sharex=True, squeeze=False).ravel())
@@ -252,7 +252,7 @@ def parameters_figure(traces: Traces) -> Figure:
         values = traces.in_shown_unit(parameter.name, traces.unwrapped(parameter))
         _draw_starts(ax, traces, values)
         _draw_bounds(ax, traces, parameter, values)
-        star(ax, traces.best[0], values[traces.best], lw=0.9, zorder=6)
+        draw_star(ax, traces.best[0], values[traces.best], lw=0.9, zorder=6)
         ax.set_ylabel(
             traces.quantity(parameter.name).label.replace(" [", "\n[")
         )  # long names are longer than a panel
@@ -266,7 +266,7 @@ def gradients_figure(traces: Traces) -> Figure:
     """Norm of the gradient."""
     norm = traces.gradient_norm()
     note = f"{_what(traces)}; each component counts per whole range of its parameter"
-    figure = page("Gradient over the iterations", PAGE_WIDTH_INCHES, _MARGINS + 2.3, note)
+    figure = blank_page("Gradient over the iterations", PAGE_WIDTH_INCHES, _MARGINS + 2.3, note)
     axes = _column(figure, 1)
     _draw_starts(axes[0], traces, norm)
     axes[0].set_ylabel("norm of the gradient [1]")
@@ -389,7 +389,7 @@ def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> 
 def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
     """Grid, ticks at whole iterations, the label below the lowest panels, the legend beside the first row."""
     for ax in axes:
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         ax.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
         ax.set_xlim(-0.5, len(traces.iterations) - 0.5)
     for ax in axes[len(axes) - columns :]:
@@ -423,7 +423,9 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     note = f"ring: start; dot: end; star: best; {beneath}" + "; colour: objective" * (
         landscape is None
     )
-    figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
+    figure = blank_page(
+        f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note
+    )
     ax = figure.subplots()
     ax.set_facecolor("white" if landscape is None else MISSING_COLOUR)
     ends = [traces.in_shown_unit(parameter.name, np.array(parameter.bounds)) for parameter in pair]
@@ -457,7 +459,7 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
         float(traces.in_shown_unit(parameter.name, traces.column(parameter.name)[traces.best]))
         for parameter in pair
     ]
-    star(ax, best[0], best[1], 230, 1.2)
+    draw_star(ax, best[0], best[1], 230, 1.2)
     quantities = [
         ShownValues(t.name, traces.quantity(t.name).unit, end)
         for t, end in zip(pair, ends, strict=True)
@@ -471,7 +473,7 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
     (parameter,) = traces.tuning.tuned
     note = f"dots: evaluations, larger towards the end; star: best; {beneath}"
-    figure = page(
+    figure = blank_page(
         f"Objective over {spoken(parameter.name)} (lower is better)", PAGE_WIDTH_INCHES, 4.0, note
     )
     ax = figure.subplots()
@@ -484,19 +486,19 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
         dots = {name: style[name] for name in ("color", "zorder", "label")}
         sizes = np.linspace(8, 40, len(positions))
         ax.scatter(positions[:, start], value[:, start], s=sizes, ec="white", lw=0.4, **dots)
-    star(ax, positions[traces.best], value[traces.best])
+    draw_star(ax, positions[traces.best], value[traces.best])
     ends = traces.in_shown_unit(parameter.name, np.array([parameter.low, parameter.high]))
     quantity = ShownValues(parameter.name, traces.quantity(parameter.name).unit, ends)
     set_scales(ax, quantity)
     ax.set(xlabel=quantity.label, ylabel="objective [1]", xlim=quantity.values)
-    horizontal_grid(ax)
+    draw_horizontal_grid(ax)
     legend(ax)
     return figure
 
 
 def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landscape) -> None:
     """Filled contours; where the robot did not walk to the end, grey hatching shows through."""
-    hatch(ax)
+    hatch_axes(ax)
     good = landscape.value[np.isfinite(landscape.value)]
     if not len(good):
         return

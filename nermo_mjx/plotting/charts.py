@@ -1,6 +1,7 @@
-"""How figures are drawn: scales and grids, the page around the axes, and the charts that figures share.
+"""Charts that several subpackages share, with their scales, grids, titles, legends and notes.
 
-A chart takes `ShownValues` and gives a figure; which charts a table gives is decided by the rooms that have tables.
+A chart accepts `ShownValues`, which are values in their display units, and returns a figure. The subpackage that owns a
+table decides which charts the table needs.
 """
 
 from __future__ import annotations
@@ -59,17 +60,17 @@ _OUTLIER_SHARE: Final = 0.05
 _OUTLIER_SPAN: Final = 0.5
 
 
-def light(colour: str) -> str:
-    """The colour on its way to white."""
+def lighten(colour: str) -> str:
+    """A paler colour: a mixture with white."""
     red, green, blue = (0.42 * part + 0.58 for part in to_rgb(colour))
     return to_hex((red, green, blue))
 
 
 def colour_scale(values: np.ndarray) -> tuple[Normalize, str]:
-    """The colour scale of values, and the end at which it is cut off, as `extend` of a colour bar.
+    """The colour scale of values, and the end at which it is cut off, as the argument `extend` of a colour bar.
 
-    It goes from the lowest finite value to the highest. An end at which one value of twenty or fewer would take more
-    than half of the colours is cut off before them: all of these have the colour of the end.
+    The scale goes from the lowest finite value to the highest. If the outer 5 % of the values at one end would use more
+    than half of the colours, the scale is cut off before them, and all of them have the colour of this end.
 
     >>> scale, extend = colour_scale(np.array([*range(100), 900.0]))
     >>> float(scale.vmin), extend
@@ -82,18 +83,16 @@ def colour_scale(values: np.ndarray) -> tuple[Normalize, str]:
     if low == high:
         return Normalize(low - abs(low) * 0.01 - 1e-9, high + abs(high) * 0.01 + 1e-9), "neither"
     first, last = np.quantile(good, [_OUTLIER_SHARE, 1 - _OUTLIER_SHARE]).tolist()
-    cut_low, cut_high = (
-        first - low > _OUTLIER_SPAN * (high - low),
-        high - last > _OUTLIER_SPAN * (high - low),
-    )
-    extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}[
-        cut_low, cut_high
-    ]
-    return Normalize(first if cut_low else low, last if cut_high else high), extend
+    # At most one end is cut off, because both cannot have more than half of the span.
+    if first - low > _OUTLIER_SPAN * (high - low):
+        return Normalize(first, high), "min"
+    if high - last > _OUTLIER_SPAN * (high - low):
+        return Normalize(low, last), "max"
+    return Normalize(low, high), "neither"
 
 
 def set_scales(ax: Axes, x: ShownValues, y: ShownValues | None = None) -> None:
-    """Linear or logarithmic axes, with ticks at round values; whole turns in round angles."""
+    """Make axes linear or logarithmic, with ticks at round values, and at round angles for a range of half a turn."""
     for quantity, axis, scale in ((x, ax.xaxis, ax.set_xscale), (y, ax.yaxis, ax.set_yscale)):
         if quantity is None:
             continue
@@ -110,8 +109,8 @@ def set_scales(ax: Axes, x: ShownValues, y: ShownValues | None = None) -> None:
             axis.set_major_locator(MaxNLocator(5))
 
 
-def horizontal_grid(ax: Axes) -> None:
-    """Faint lines to read values by, and a line at zero where values have both signs."""
+def draw_horizontal_grid(ax: Axes) -> None:
+    """Draw faint horizontal lines, and a line at zero if the axis contains values of both signs."""
     ax.grid(axis="y", color=GRID, lw=0.8)
     ax.set_axisbelow(True)
     low, high = ax.get_ylim()
@@ -119,7 +118,7 @@ def horizontal_grid(ax: Axes) -> None:
         ax.axhline(0, color=MUTED_INK, lw=0.8, zorder=1)
 
 
-def star(
+def draw_star(
     ax: Axes, x: Any, y: Any, size: float = 150, lw: float | None = None, zorder: float = 8
 ) -> None:
     """Draw a star at the best point."""
@@ -129,9 +128,10 @@ def star(
 
 
 # ---
-# The page: title above the axes, legend and note below, with as much space as they need.
+# The page: a title above the axes, and a legend and a note below them, with as much space as they need.
 
-#: Inches around a page (half beside labels, which are drawn wider than laid out), between lines of text, and of a line.
+#: Margin of a page (half of it beside labels, which are drawn wider than laid out), gap between texts, and height of a
+#: line [inch].
 _EDGE_INCHES: Final = 0.1
 _GAP_INCHES: Final = 0.08
 _LINE_INCHES: Final = 0.15
@@ -145,38 +145,38 @@ class FigurePage:
     """A figure with a title above its axes, and a legend and a note below.
 
     Attributes:
-        figure: to draw on.
-        axes: (rows, columns) of `Axes`.
+        figure: The figure.
+        axes: Its axes (rows, columns).
     """
 
     def __init__(
         self, title: str, size: tuple[float, float], rows: int = 1, columns: int = 1, **subplots
     ) -> None:
-        self.figure = blank(*size)
+        self.figure = blank_figure(*size)
         self.axes: np.ndarray = self.figure.subplots(rows, columns, squeeze=False, **subplots)
         self._title = title
         for ax in self.axes.ravel():
             ax.set_axisbelow(True)
 
     def finish(self, handles: Sequence[Artist], note: str) -> Figure:
-        """Add title, legend, in as few rows as fit, and note; the axes keep the rest of the page."""
-        return around(self.figure, self._title, note, handles)
+        """Add the title, the note and the legend, which has as few rows as fit; the axes fill the rest of the page."""
+        return finish_page(self.figure, self._title, note, handles)
 
 
-def blank(width: float, height: float) -> Figure:
+def blank_figure(width: float, height: float) -> Figure:
     """A blank figure of the given size in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def page(title: str, width: float, height: float, note: str = "") -> Figure:
-    """A blank figure of the given size in inches, its title above and its note below; axes share what is left."""
-    return around(blank(width, height), title, note)
+def blank_page(title: str, width: float, height: float, note: str = "") -> Figure:
+    """A blank figure of the given size in inches with a title above and a note below; axes fill the rest."""
+    return finish_page(blank_figure(width, height), title, note)
 
 
-def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()) -> Figure:
-    """Put the title above a figure's axes, and legend and note below; its layout keeps the axes off them.
+def finish_page(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()) -> Figure:
+    """Write a title above the axes of a figure, and a legend and a note below; its layout keeps the axes away from them.
 
     Lines of the title and the note that are too long for the page are broken; see `note_lines`.
     """
@@ -240,7 +240,7 @@ def note_lines(note: str, width: float) -> list[str]:
 
 
 def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
-    """The legend in the fewest rows that fit the page; its height [inch]."""
+    """Draw the legend in the fewest rows that fit the page; returns its height [inch]."""
     width, height = figure.get_size_inches()
     for rows in range(1, len(handles) + 1):
         columns = -(-len(handles) // rows)
@@ -259,25 +259,25 @@ def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
         if box.width / figure.dpi <= width - 2 * _EDGE_INCHES or columns == 1:
             return box.height / figure.dpi
         legend.remove()
-    raise AssertionError("one column is always taken")
+    raise AssertionError("one column is always accepted")
 
 
 # ---
-# Many points in one panel: dots as long as they can be distinguished, their density beyond.
+# Many points in one panel: dots if they can be distinguished, otherwise their density.
 
 #: Number of points in a panel above which dots would overlap.
 CROWD_POINTS: Final = 5000
 _CELLS: Final = 44
 #: Lighter than lines drawn over it.
 _DENSITY: Final = LinearSegmentedColormap.from_list(
-    "density", [light(BAND_COLOUR), BAND_COLOUR, "#5aa5d6"]
+    "density", [lighten(BAND_COLOUR), BAND_COLOUR, "#5aa5d6"]
 )
 
 
-def thinned(
+def thin_out(
     values: np.ndarray, limit: int, required: np.ndarray | Sequence[int] = ()
 ) -> np.ndarray:
-    """A given number of sorted values, evenly spaced, plus those to keep; all of them if there are no more."""
+    """At most `limit` of the sorted values, evenly spaced, and in addition the required ones."""
     if len(values) <= limit:
         return values
     even = values[np.linspace(0, len(values) - 1, limit).round().astype(int)]
@@ -285,11 +285,11 @@ def thinned(
 
 
 def density_note(count: int) -> str:
-    """The figure's note about this number of points."""
+    """Note of a figure about this number of points; empty if points are drawn as dots."""
     return "; darker: more runs" if count >= CROWD_POINTS else ""
 
 
-def cloud(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> None:
+def draw_points(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> None:
     """Draw points as dots of a size [pt^2], or many of them as hexagons, darker (logarithmically) for more points."""
     if len(x.values) < CROWD_POINTS:
         ax.scatter(
@@ -332,13 +332,13 @@ def heat_maps(
     *,
     gain: np.ndarray | None = None,
 ) -> Figure:
-    """One heat map a panel (its title, and a mask of the points in it) on a shared colour scale.
+    """One heat map for each panel (its title, and a mask of its points) on a shared colour scale.
 
-    Points that share a cell are averaged. The best cell of all (the highest, without a better direction) is a star,
-    that of each panel a ring; a cell without a successful run is hatched grey.
+    Points in the same cell are averaged. A star marks the best cell of all panels (the highest cell if the metric has no
+    better direction), and a ring marks the best cell of each panel. A cell without a successful run is hatched grey.
 
-    With `gain`, z is a gain in percent: 0 is white, the scale is symmetric (large losses are cut off
-    where they would leave the gains pale), marks show their value, and only points where `gain` holds are marked.
+    With `gain`, z is a gain in percent: 0 is white, the scale is symmetric (it is cut off at large losses, which would
+    make the gains pale), each mark shows its value, and only points for which `gain` is true are marked.
     """
     xs, ys = np.unique(x.values), np.unique(y.values)
     grids = [
@@ -354,7 +354,7 @@ def heat_maps(
         ]
         colours, fill, edge = GAIN_COLOUR_MAP, "white", INK
         scale, extend = _gain_scale(values)
-    figure, axes = panelled(len(panels), 2.5 if len(panels) > 1 else 4.4)
+    figure, axes = panel_figure(len(panels), 2.5 if len(panels) > 1 else 4.4)
     mesh = cell_edges(xs, x.log), cell_edges(ys, y.log)
     prices = [cost(z.side, grid) for grid in marked]
     lowest = min(
@@ -364,7 +364,7 @@ def heat_maps(
     for ax, (name, _), grid, candidates, price in zip(
         axes, panels, grids, marked, prices, strict=False
     ):
-        hatch(ax)
+        hatch_axes(ax)
         ax.pcolormesh(*mesh, np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
         set_scales(ax, x, y)
         ax.set_title(name)
@@ -372,7 +372,9 @@ def heat_maps(
             i, j = np.unravel_index(int(np.nanargmin(price)), grid.shape)
             is_best = price[i, j] == lowest
             best = float(candidates[i, j]) if is_best else best
-            star(ax, xs[i], ys[j], 190, 1.3, 5) if is_best else _ring(ax, xs[i], ys[j], fill, edge)
+            draw_star(ax, xs[i], ys[j], 190, 1.3, 5) if is_best else _ring(
+                ax, xs[i], ys[j], fill, edge
+            )
             if gain is not None:
                 _annotate_gain(ax, xs[i], ys[j], candidates[i, j], bool(i >= len(xs) / 2), is_best)
     columns = axes[0].get_gridspec().ncols  # type: ignore[union-attr]
@@ -382,18 +384,18 @@ def heat_maps(
         ax.set(xlabel=x.label if bottom else "", ylabel=y.label if is_left else "")
     bar = colour_bar(figure, axes, ScalarMappable(scale, colours), z.label, extend=extend, **_BAR)
     if gain is not None:
-        bar.formatter = FuncFormatter(lambda value, _: signed(value).removesuffix(" %"))
+        bar.formatter = FuncFormatter(lambda value, _: signed_percentage(value).removesuffix(" %"))
     word = best_word(z) if gain is None else "best"
     ring = f"; ring: {word} of its panel" if len(panels) > 1 else ""
-    return around(
+    return finish_page(
         figure,
         title,
-        f"{note}star: {word}, {z.shown(best) if gain is None else signed(best)}{ring}",
+        f"{note}star: {word}, {z.shown(best) if gain is None else signed_percentage(best)}{ring}",
     )
 
 
-def hatch(ax: Axes) -> None:
-    """Hatch the axes grey, which shows where nothing is drawn over it."""
+def hatch_axes(ax: Axes) -> None:
+    """Hatch the axes grey; the hatching remains visible where nothing else is drawn."""
     ax.add_patch(
         matplotlib.patches.Rectangle(
             (0, 0),
@@ -426,7 +428,7 @@ def _annotate_gain(ax: Axes, x: float, y: float, gain: float, left: bool, is_bes
     """Write the gain of a marked point on its left or right."""
     distance = 11 if is_best else 8  # from the mark, in points
     ax.annotate(
-        signed(gain),
+        signed_percentage(gain),
         (x, y),
         (-distance if left else distance, 0),
         fontsize=8.5,
@@ -441,39 +443,32 @@ def _annotate_gain(ax: Axes, x: float, y: float, gain: float, left: bool, is_bes
 
 
 def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
-    """Mean over x, with a band of its 95 % interval where points share an x, and the best point as a star."""
-    figure, (ax,) = panelled(1, 4.4)
-    xs, mean, half = binned(x.values, z.values, np.unique(x.values))
+    """Mean over x, with a band of its 95 % interval if several points have the same x, and a star at the best mean."""
+    figure, (ax,) = panel_figure(1, 4.4)
+    xs, mean, half = bin_means(x.values, z.values, np.unique(x.values))
     ax.fill_between(xs, mean - half, mean + half, color=BAND_COLOUR, alpha=0.6, lw=0)
     note += "band: 95 % interval of the mean; " if np.isfinite(half).any() else ""
     ax.plot(xs, mean, "-o", color=LINE_COLOUR, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
         best_index = int(np.nanargmin(cost(z.side, mean)))
-        ax.scatter(
-            xs[best_index],
-            mean[best_index],
-            s=170,
-            marker="*",
-            fc=BEST_COLOUR,
-            ec="white",
-            zorder=5,
-            clip_on=False,
-        )
+        draw_star(ax, xs[best_index], mean[best_index], 170, zorder=5)
         note += f"star: {best_word(z)}, {z.shown(mean[best_index])} at {x.shown(xs[best_index])}"
     set_scales(ax, x)
-    horizontal_grid(ax)
+    draw_horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
-    return around(figure, title, note)
+    return finish_page(figure, title, note)
 
 
 def scatters(
     xs: Sequence[ShownValues], z: ShownValues, titles: Sequence[str], title: str, note: str
 ) -> Figure:
-    """The metric against each parameter: every run, or their density; a running mean over runs of similar value."""
-    figure, axes = panelled(len(xs), 2.5 if len(xs) > 1 else 4.0)
+    """The metric over each parameter: every run, or the density of runs, and a running mean over similar values."""
+    figure, axes = panel_figure(len(xs), 2.5 if len(xs) > 1 else 4.0)
     for ax, x, name in zip(axes, xs, titles, strict=False):
-        centres, mean, _ = binned(x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9)))
-        cloud(ax, x, z, size=7)
+        centres, mean, _ = bin_means(
+            x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9))
+        )
+        draw_points(ax, x, z, size=7)
         ax.plot(
             centres,
             mean,
@@ -482,11 +477,11 @@ def scatters(
             path_effects=[Stroke(linewidth=4, foreground="white"), Normal()],
         )
         set_scales(ax, x)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         ax.set_title(name)
         ax.set_xlabel(x.label)
     figure.supylabel(z.label, fontsize=9.5)
-    return around(figure, title, note + density_note(len(z.values)))
+    return finish_page(figure, title, note + density_note(len(z.values)))
 
 
 def pair_scatters(
@@ -497,8 +492,9 @@ def pair_scatters(
     *,
     star: bool = True,
 ) -> Figure:
-    """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best may be a star."""
-    figure, axes = panelled(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
+    """Every run as a point over two parameters, coloured by the metric; good runs are on top, and a star may mark the
+    best."""
+    figure, axes = panel_figure(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
     (scale, extend), order = (
         colour_scale(z.values),
         np.argsort(-cost(z.side, z.values), kind="stable"),
@@ -515,27 +511,19 @@ def pair_scatters(
             rasterized=len(z.values) > 2000,
         )
         if star:
-            ax.scatter(
-                x.values[order[-1]],
-                y.values[order[-1]],
-                s=170,
-                marker="*",
-                fc=BEST_COLOUR,
-                ec="white",
-                zorder=5,
-            )
+            draw_star(ax, x.values[order[-1]], y.values[order[-1]], 170, zorder=5)
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
     colour_bar(figure, axes, ScalarMappable(scale, COLOUR_MAP), z.label, extend=extend, **_BAR)
     best = f"star: {best_word(z)}, {z.shown(float(z.values[order[-1]]))}"
-    return around(figure, title, note + best if star else note.removesuffix("; "))
+    return finish_page(figure, title, note + best if star else note.removesuffix("; "))
 
 
-def panelled(count: int, size: float) -> tuple[Figure, list[Axes]]:
+def panel_figure(count: int, size: float) -> tuple[Figure, list[Axes]]:
     """A figure with `count` panels of about `size` inches, and its axes, row by row."""
     columns = min(count, 4 if count > 6 else 3)
     rows = math.ceil(count / columns)
-    figure = blank(columns * size * 1.12 + 1.3, rows * size + 0.9)
+    figure = blank_figure(columns * size * 1.12 + 1.3, rows * size + 0.9)
     axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for ax in axes[count:]:
         ax.remove()
@@ -547,7 +535,7 @@ def best_word(metric: ShownValues) -> str:
     return "best" if metric.side else "highest"
 
 
-def signed(percent: float) -> str:
+def signed_percentage(percent: float) -> str:
     """A gain with its sign: +14.5 %."""
     text = f"{percent:+.3g}" if abs(percent) >= 100 else f"{round(percent, 1) + 0.0:+g}"
     return f"{'0' if text in ('+0', '-0') else text.replace('-', '−')} %"
@@ -564,10 +552,10 @@ def cell_means(
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(len(xs), len(ys))
 
 
-def binned(
+def bin_means(
     x: np.ndarray, z: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean x, mean z and half the 95 % interval of it in the bin of each node that holds anything."""
+    """Mean of x, mean of z, and half the 95 % interval of the latter, in the bin of each node with a finite z."""
     nodes = np.unique(nodes)
     bins = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 1)
     bins = bins if len(nodes) < 3 or np.isin(x, nodes).all() else np.minimum(bins, len(nodes) - 2)
@@ -577,7 +565,7 @@ def binned(
 
 
 def _mean(values: np.ndarray) -> tuple[float, float]:
-    """The mean of what is known of values, and half its 95 % interval."""
+    """The mean of the finite values, and half its 95 % interval."""
     good = values[np.isfinite(values)]
     spread = good.std(ddof=1) if len(good) > 1 else math.nan
     return float(good.mean()) if len(good) else math.nan, float(half_width(spread, len(good)))
@@ -598,13 +586,13 @@ def cell_edges(centres: np.ndarray, log: bool) -> np.ndarray:
 # ---
 # Figures that compare the structures of a table: a line, a panel or a dot for each combination of them.
 
-#: Parameters with a figure of their own, and of which pairs are drawn.
+#: Maximum number of parameters that have their own figure, and of parameters whose pairs have figures.
 _MAX_SINGLE_PARAMETERS: Final = 6
 _MAX_PAIRED_PARAMETERS: Final = 3
-#: Lines or panels of one figure; more structures are told by one of their names alone.
+#: Maximum number of lines or panels of one figure; more structures are grouped by fewer of their columns.
 MAX_CHART_GROUPS: Final = 12
 _DASHES: Final = ("-", "--", ":", "-.")
-#: Maximum number of lines with bands of spread; more would cover each other.
+#: Maximum number of lines with bands; more bands would cover each other.
 _MAX_BANDS: Final = 4
 _BINS: Final = 9
 
@@ -614,11 +602,11 @@ class Groups:
     """The structures of a table.
 
     Attributes:
-        names: what each is called.
-        of: which one each run has, (rows,) int.
-        what: of which columns they are, in words.
-        looks: colour and dashes of each, as numbers: structures that differ in their last column alone, as in the spine
-            on and off, share a colour.
+        names: Name of each structure.
+        of: Index of the structure of each run, (rows,) int.
+        what: Columns of the structures, in words.
+        looks: Indices of colour and dashes of each structure. Structures that differ only in their last column, for
+            example in the spine, have the same colour.
     """
 
     names: tuple[str, ...]
@@ -628,7 +616,7 @@ class Groups:
 
 
 def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
-    """The combinations of structures, None where none varies; of fewer columns where they were too many."""
+    """The combinations of structures, of fewer columns if there are too many; None if no structure varies."""
     columns = {x.spoken: [x.names[int(index)] for index in x.values] for x in structures}
     grouping = list(columns)
     while grouping:
@@ -649,16 +637,16 @@ def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
 
 
 def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool) -> Figure:
-    """A dot for each structure at the mean of its runs, the best one in orange.
+    """A dot for each structure at the mean of its runs; the best one is orange.
 
-    With `spread`, where runs of a structure are repeats, a bar of the mean's 95 % interval.
+    With `spread`, for which runs of a structure are repeats, a bar shows the 95 % interval of the mean.
     """
     count = len(groups.names)
     mean, half = np.array(
         [_mean(z.values[groups.of == group_index]) for group_index in range(count)]
     ).T
     best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
-    figure = blank(PAGE_WIDTH_INCHES, 1.3 + 0.3 * count)
+    figure = blank_figure(PAGE_WIDTH_INCHES, 1.3 + 0.3 * count)
     ax = figure.subplots()
     for group_index in range(count):
         colour = BEST_COLOUR if group_index == best else SERIES[0]
@@ -678,7 +666,7 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool)
     ax.set_axisbelow(True)
     best_note = f"; orange: {best_word(z)}, {z.shown(mean[best])}" if best >= 0 else ""
     caption = "mean of its runs, bar: its 95 % interval" if spread else "mean of all its runs"
-    return around(figure, title, f"{note}{groups.what}: {caption}{best_note}")
+    return finish_page(figure, title, f"{note}{groups.what}: {caption}{best_note}")
 
 
 def lines(
@@ -691,13 +679,13 @@ def lines(
     even: bool,
     spread: bool,
 ) -> Figure:
-    """A line for each structure: the mean at each value of x, or in bins with as many runs where x is `even`.
+    """A line for each structure: the mean at each value of x, or with `even` in bins of equal numbers of runs.
 
-    A structure that has no such parameter is a level line at its mean. With `spread`, where runs of a structure at one
-    x are repeats, a band of the mean's 95 % interval.
+    A structure without this parameter is a level line at its mean. With `spread`, for which runs of a structure at the
+    same x are repeats, a band shows the 95 % interval of the mean.
     """
     spread = spread and len(groups.names) <= _MAX_BANDS
-    figure, (ax,) = panelled(1, 4.6)
+    figure, (ax,) = panel_figure(1, 4.6)
     handles, level = [], False
     for group_index, name in enumerate(groups.names):
         in_group = (groups.of == group_index) & np.isfinite(z.values)
@@ -719,23 +707,23 @@ def lines(
             if even
             else np.unique(x.values[finite])
         )
-        xs, mean, half = binned(x.values[finite], z.values[finite], nodes)
+        xs, mean, half = bin_means(x.values[finite], z.values[finite], nodes)
         if spread:
             ax.fill_between(xs, mean - half, mean + half, color=style["color"], alpha=0.15, lw=0)
         ax.plot(xs, mean, marker="o", ms=3.5, mec="white", mew=0.5, **style)
     set_scales(ax, x)
-    horizontal_grid(ax)
+    draw_horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
     notes = [f"{groups.what}: " + ("running mean" if even else "mean over everything else")]
     notes += ["band: 95 % interval of the mean"] if spread else []
     notes += [f"level: without {x.spoken}"] if level else []
-    return around(figure, title, note + "; ".join(notes), handles)
+    return finish_page(figure, title, note + "; ".join(notes), handles)
 
 
 def structure_figures(
     groups: Groups, plotted: list[ShownValues], z: ShownValues, remark: str, *, grid: bool
 ) -> Iterator[tuple[str, Figure]]:
-    """(file name, figure): a metric of each structure; over each parameter, and on a grid over pairs of them."""
+    """File names and figures of a metric by structure: of its means, over each parameter, and on a grid over pairs."""
     metric = z.name
     title = f"{titled(metric)} of each structure"
     yield f"{metric}-over-structures", dots(groups, z, title, remark, spread=not plotted)
@@ -780,15 +768,18 @@ _MAX_TICKS: Final = 9
 
 
 # Long because one figure is laid out from top to bottom.
-def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note: str) -> Figure:
-    """A line for each point through its parameters to the metric; the last lines, which are the best, are orange."""
+def parallel_coordinates(
+    parameters: Sequence[ShownValues], z: ShownValues, title: str, note: str
+) -> Figure:
+    """Parallel coordinates: a line for each point through its parameters to the metric; the last lines, which are the
+    best, are orange."""
     scale, extend = colour_scale(z.values)
     if extend != "neither":
         end = scale.vmax if extend == "max" else scale.vmin
         assert end is not None
         note += f"; {z.spoken} {'above' if extend == 'max' else 'below'} {z.shown(float(end))} is drawn there"
     axes = [*parameters, dataclasses.replace(z, values=np.clip(z.values, scale.vmin, scale.vmax))]
-    figure = blank(1.5 + 1.35 * len(axes), 4.7)
+    figure = blank_figure(1.5 + 1.35 * len(axes), 4.7)
     ax = figure.subplots()
     paths = np.stack([_share(axis_values, axis_values.values) for axis_values in axes], axis=-1)
     places = np.broadcast_to(np.arange(len(axes)), paths.shape)
@@ -802,15 +793,20 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     )
     background.set_rasterized(len(lines) > 300)
     ax.add_collection(background)
-    ax.add_collection(
-        LineCollection(list(lines[-best_count:]), colors="white", linewidths=3.4, zorder=3)
-    )
-    ax.add_collection(
-        LineCollection(list(lines[-best_count:]), colors=BEST_COLOUR, linewidths=1.7, zorder=4)
-    )
-    for position, axis_values in enumerate(
-        axes
-    ):  # a line with ticks: each value where there are few, else round ones
+    for colour, width, zorder in (("white", 3.4, 3), (BEST_COLOUR, 1.7, 4)):
+        ax.add_collection(
+            LineCollection(
+                list(lines[-best_count:]), colors=colour, linewidths=width, zorder=zorder
+            )
+        )
+    style: dict[str, Any] = {
+        "xytext": (5, 0),
+        "textcoords": "offset points",
+        "va": "center",
+        "bbox": {"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0},
+    }
+    # An axis is a line with ticks: at each value if there are few, otherwise at round values.
+    for position, axis_values in enumerate(axes):
         ax.plot([position, position], [0, 1], color=MUTED_INK, lw=1.0, zorder=5)
         values = np.unique(axis_values.values[np.isfinite(axis_values.values)])
         if not axis_values.names and len(values) > _MAX_TICKS:
@@ -820,9 +816,6 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
             values = np.array(
                 [tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)]
             )
-        box: dict[str, Any] = {
-            "bbox": {"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0}
-        }
         for value, height in zip(values, _share(axis_values, values), strict=True):
             ax.plot(
                 [position, position + 0.03], [height, height], color=MUTED_INK, lw=1.0, zorder=5
@@ -832,24 +825,12 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
                 if axis_values.names
                 else f"{value + 0.0:.4g}".replace("-", "−")
             )
-            text_options: dict[str, Any] = {
-                "xytext": (5, 0),
-                "textcoords": "offset points",
-                "va": "center",
-            }
             ax.annotate(
-                text,
-                (position, height),
-                fontsize=SMALL_POINTS,
-                color=INK,
-                zorder=6,
-                **text_options,
-                **box,
+                text, (position, height), fontsize=SMALL_POINTS, color=INK, zorder=6, **style
             )
-    strip = np.linspace(0, 1, 256)[:, None]
     right = len(axes) - 1
     ax.imshow(
-        strip,
+        np.linspace(0, 1, 256)[:, None],
         cmap=COLOUR_MAP,
         extent=(right - 0.022, right + 0.022, 0, 1),
         origin="lower",
@@ -862,11 +843,11 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     ax.yaxis.set_visible(False)
     for spine in ax.spines.values():
         spine.set_visible(False)
-    return around(figure, title, note)
+    return finish_page(figure, title, note)
 
 
 def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
-    """Where values stand on an axis, from 0 at its lowest to 1 at its highest."""
+    """Positions of values on an axis, from 0 at its lowest value to 1 at its highest."""
     shown_values, limits = (
         (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
     )
@@ -875,19 +856,19 @@ def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
 
 
 # ---
-# Two metrics against each other: all points, the Pareto front, and its best points by name.
+# Two metrics over each other: all points, the Pareto front, and labels of some points of the front.
 
-#: Points of the front that are named.
+#: Maximum number of points of the front that have a label.
 NAMED_POINTS: Final = 5
 
 
-def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Places of the points that no other point beats, in the order of x.
+def pareto_front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Indices of the points that no other point dominates, in the order of x.
 
-    A point is dominated by one that is at least as good in both and better in one. Points equal in both count once.
+    A point dominates another one if it is at least as good in both costs and better in one. Equal points count once.
 
     Args:
-        x, y: (n,) costs, less is better; a point with a NaN is left out.
+        x, y: Costs (n,), of which lower values are better; a point with NaN is ignored.
     """
     finite = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     order = finite[np.lexsort((y[finite], x[finite]))]
@@ -897,7 +878,7 @@ def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def named_points(x: np.ndarray, y: np.ndarray, limit: int = NAMED_POINTS) -> np.ndarray:
-    """Places on a front (n,) of the points to name: both ends, and others at even distances along it."""
+    """Indices of the points of a front (n,) that get a label: both ends, and others at even distances along the front."""
     if len(x) <= limit:
         return np.arange(len(x))
     steps = np.hypot(np.diff(x) / max(np.ptp(x), 1e-12), np.diff(y) / max(np.ptp(y), 1e-12))
@@ -915,13 +896,15 @@ def trade_off(
     title: str,
     note: str,
 ) -> Figure:
-    """The figure.
+    """Figure of two metrics with their Pareto front.
 
     Args:
-        x, y: the metrics of all points.
-        best: places of the front, in order along it.
-        sides: the better direction of x and of y.
-        labelled: a place and what is said of it, for each point with a name; the names are letters.
+        x, y: Metrics of all points.
+        best: Indices of the points of the front, in the order along it.
+        sides: Better direction of x and of y.
+        labelled: Index and description of each point with a label; labels are letters.
+        title: Title of the figure.
+        note: Beginning of its note.
     """
     letters = string.ascii_uppercase
     lines = [f"{letter}\t{text}" for letter, (_, text) in zip(letters, labelled, strict=False)]
@@ -931,11 +914,11 @@ def trade_off(
     )
     lines.append(f"{note}orange: nothing is better in both ({directions})")
     text = "\n".join(lines) + density_note(len(x.values))
-    figure = blank(PAGE_WIDTH_INCHES, 4.4 + 0.15 * len(note_lines(text, PAGE_WIDTH_INCHES)))
+    figure = blank_figure(PAGE_WIDTH_INCHES, 4.4 + 0.15 * len(note_lines(text, PAGE_WIDTH_INCHES)))
     ax = figure.subplots()
-    cloud(ax, x, y, size=5 if len(x.values) > 2000 else 12)
+    draw_points(ax, x, y, size=5 if len(x.values) > 2000 else 12)
     if "nearest zero" not in sides:
-        # The edge of what the front beats: between two of its points it goes by the worse of both numbers.
+        # The boundary of the dominated region: between two points of the front, it follows the worse of both values.
         steps = []
         for values, side in zip((x.values[best], y.values[best]), sides, strict=True):
             turns = (np.minimum if side == "max" else np.maximum)(values[1:], values[:-1])
@@ -946,7 +929,7 @@ def trade_off(
     )
     set_scales(ax, x, y)
     ax.margins(0.06)
-    # Labels are placed on the better direction of their points, where there is nothing else.
+    # A label is on the better side of its point, where no other points are.
     right, up = (1 if side == "max" else -1 for side in sides)
     for letter, (point_index, _) in zip(letters, labelled, strict=False):
         ax.annotate(
@@ -963,4 +946,4 @@ def trade_off(
     ax.grid(color=GRID, lw=0.8)
     ax.set_axisbelow(True)
     ax.set(xlabel=x.label, ylabel=y.label)
-    return around(figure, title, text)
+    return finish_page(figure, title, text)

@@ -1,8 +1,8 @@
 """Assembly of the robot, and of its test stands, from the MJCF files of `mjcf/`.
 
-The files hold the structure, and `placing` writes the geometry into them; this module joins them, and `equipment` adds
-the values of the parameter trees and the table of masses. Every build starts from the left limbs' files; the right
-limbs are mirrored.
+A part is one of these files, such as the torso or a left leg; it contains bodies, joints and visuals. `load_part` reads a
+part and writes the geometry into it. This module attaches the parts to each other; the right limbs are mirrored left
+limbs. `nermo_mjx.robot.equipment` then adds masses, joint parameters, tendons, servos, sensors and contacts.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ ConeName = Literal["elliptic", "pyramidal"]
 FeetName = Literal["spheres", "capsules"]
 #: The torso's cameras that follow the robot without turning with it.
 FOLLOWING_CAMERAS: Final = ("track_side", "track_top", "track_three_quarter")
-#: Field of view of the head's two cameras.
+#: The two cameras of the head.
 EYE_CAMERAS: Final = ("left_eye", "right_eye")
 
 
 @with_attributes
 @dataclasses.dataclass(frozen=True)
 class RobotConfig:
-    """Which robot to build; every name is resolved before anything compiles."""
+    """Static choices of the robot's model; all names are checked before anything is compiled."""
 
     robot: RobotName = static(
         ProfileChoice("nermo_lite"),
@@ -139,7 +139,12 @@ class RobotConfig:
 def assemble(
     config: RobotConfig | None = None, parameters: ModelParameters | None = None
 ) -> mujoco.MjSpec:
-    """The whole robot in its scene, as an editable `MjSpec`; gravity is the scene's unless parameters are given."""
+    """The whole robot in its scene, as an editable `MjSpec`.
+
+    Args:
+        config: Choices of the model; the default robot on flat ground by default.
+        parameters: Parameters of the robot and of gravity; by default those of the robot, with the gravity of the scene.
+    """
     config = config or RobotConfig()
     scene = str(config.scene)
     spec = load_scene(scene)
@@ -213,11 +218,12 @@ def assemble_spine(
 
 
 def default_parameters(robot: str) -> ModelParameters:
-    """The default body parameters of a robot."""
+    """The default parameters of a robot's model, with the masses of this robot."""
     return replace_quantities(ModelParameters(), mass_values(robot))
 
 
 def _stand(name: str) -> mujoco.MjSpec:
+    """An empty test stand without gravity."""
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.option.gravity = np.zeros(3)
@@ -234,9 +240,17 @@ def _attach(
     hinges: int = 1,
     stiff: bool = False,
 ) -> None:
-    """Attach the robot's part `name` with its name as prefix; the elements in `plain` keep their names.
+    """Attach a part of the robot to the robot so far, with the name of the part as the prefix of its elements.
 
-    A tail may be `stiff`.
+    Args:
+        spec: Robot so far.
+        geometry: Lengths and positions of the robot.
+        attachment_site: Frame of the robot so far at which the part is attached, or a body.
+        name: Name of the part.
+        robot: Name of the robot.
+        plain: Names of elements that are stored without the prefix, if the part contains them.
+        hinges: Number of hinges of each joint of the spine.
+        stiff: Whether to remove the joints of the part, which must be the tail.
     """
     frame = (
         attachment_site
@@ -263,6 +277,10 @@ def _attach_leg(
     limb: str,
     config: RobotConfig,
 ) -> None:
+    """Attach a leg with the knee tendon of one routing; a right leg is a mirrored left leg.
+
+    The file of a leg contains one tendon for each routing, named after the routing.
+    """
     pair, side = limb.split("_")
     leg = load_part(f"{pair}_leg", parameters.geometry)
     for tendon in list(leg.tendons):
@@ -287,11 +305,10 @@ def _attach_leg(
 
 
 def _stiffen_tail(tail: mujoco.MjSpec) -> None:
-    """Freeze the tail's joints: the compiler then fuses its segments into the hip, which keeps their masses where they
-    were.
+    """Delete the joints of the tail, so that the compiler fuses its segments with the hip at their present positions.
 
-    Of the tail's ground contacts only the tip's remains, which touches first. In the part an element is deleted in a
-    fraction of the time that the whole robot would take.
+    Only the contact of the tip with the ground remains, because the tip touches first. The elements are deleted before
+    the part is attached, because this is much faster than in the whole robot.
     """
     for geom, site in TAIL_SEGMENTS:
         tail.delete(tail.geom(geom.removeprefix("tail_")))
@@ -301,9 +318,11 @@ def _stiffen_tail(tail: mujoco.MjSpec) -> None:
 
 
 def _pose(spec: mujoco.MjSpec, config: RobotConfig) -> None:
-    """Make the published stance the model's zero pose, so that MuJoCo's reference inertias are those of the standing
-    robot; joint values still count from the straight leg. Angles are rounded to 0.1 mrad. It does not depend on the
-    geometry, so that every value in the model is linear in the geometry."""
+    """Make the published stance the reference pose of the model (`qpos0`).
+
+    MuJoCo computes its reference inertias in this pose. A joint value of 0 still means the straight leg. The angles,
+    rounded to 0.1 mrad, do not depend on the geometry, so that every value in the model is linear in the geometry.
+    """
     for pair, leg in LEGS.items():
         hip, knee, pulley = (round(angle, 4) for angle in standing(leg, config.routing))
         for joint in spec.joints:
@@ -319,15 +338,17 @@ def _pose(spec: mujoco.MjSpec, config: RobotConfig) -> None:
 
 
 def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameters) -> None:
+    """Set the options of the physics, and write all values of the parameters into the model."""
     option = spec.option
     option.timestep = config.timestep
-    # Euler is implicit in the joints' damping, which is stiff, and explicit in the servos', which is not. With
-    # implicitfast the engines differ while a servo saturates: MJX keeps the derivative of its damping, C drops it.
+    # The integrator Euler treats the damping of the joints, which is stiff, implicitly, and the damping of the servos
+    # explicitly. With implicitfast, the engines would differ while a servo is saturated: MJX keeps the derivative of the
+    # servo's damping, and MuJoCo C omits it.
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
     option.impratio = 3.0
-    # A world that diverges must stay diverged, so that it is flagged, and must not be reset. One robot is one island:
-    # searching for others in every step gives bit-identical forces and takes 4 % longer.
+    # Without the automatic reset, a diverged world stays diverged, so that it can be reported. Without the search for
+    # islands, a step takes 4 % less time and has bit-identical forces, because one robot is one island.
     option.disableflags |= (
         mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
     )

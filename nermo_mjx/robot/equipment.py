@@ -1,6 +1,7 @@
 """What the assembled robot is equipped with: masses, springs and dampers, servos, sensors, and contact pairs.
 
-The numbers come from the table of masses and the parameter trees; the functions here write them into a specification.
+The numbers come from the table of masses and the parameter trees; the functions here write them into a MuJoCo
+specification (`spec`), which `robot.assembly` compiles.
 """
 
 from __future__ import annotations
@@ -57,8 +58,8 @@ def add_hinges(part: mujoco.MjSpec, hinges: int) -> None:
     """Turn every compliant joint of a leg or the spine into a chain, named `JOINT_hinge_1` to `JOINT_hinge_N`.
 
     Args:
-        part: before it is attached, so that the angles of all hinges are in its unit.
-        hinges: of each chain; one is left as it is.
+        part: Specification of the part before it is attached, so that the angles of all hinges have the part's unit.
+        hinges: Number of hinges of each chain; with 1, nothing changes.
     """
     if hinges == 1:
         return
@@ -72,14 +73,15 @@ def add_hinges(part: mujoco.MjSpec, hinges: int) -> None:
 def place_hinges(spec: mujoco.MjSpec, hinges: int) -> None:
     """Put the hinges of every chain along its leaf, in the robot's zero pose."""
     for joint in spec.joints:
-        _, chained, number = joint.name.partition(_HINGE_INFIX)
-        if chained:
-            share = (int(number) - 0.5) / hinges - 0.5
-            joint.pos = share * SPINE_GEOMETRY.segment_length * _direction(joint, hinges)
+        _, infix, number = joint.name.partition(_HINGE_INFIX)
+        if infix:
+            # Fraction of the leaf's length between the middle of the leaf and the hinge, from -0.5 to 0.5.
+            fraction = (int(number) - 0.5) / hinges - 0.5
+            joint.pos = fraction * SPINE_GEOMETRY.segment_length * _direction(joint, hinges)
 
 
 def chain_of(joint: str) -> str:
-    """The compliant joint that a hinge belongs to, and any other joint itself.
+    """Return the name of the compliant joint to which a hinge belongs; any other joint's name is returned unchanged.
 
     >>> chain_of("front_left_knee_hinge_2"), chain_of("neck")
     ('front_left_knee', 'neck')
@@ -90,18 +92,19 @@ def chain_of(joint: str) -> str:
 def _direction(joint: Any, hinges: int) -> np.ndarray:
     """Unit vector along a leaf in its body's frame, away from the torso.
 
-    The spine's leaves run along x. Those of the legs halve the angle between the links that they join, which run
-    along -z.
+    A leaf of the spine runs along x. A leaf of a leg halves the angle between the two links that it joins; the links
+    run along -z. In the zero pose, this angle is the reference angle of the knee (`ref`, divided among its hinges), or
+    theta_3 at the ankle.
     """
     name = chain_of(joint.name)
     if name.startswith("spine"):
         return np.array([1.0, 0.0, 0.0])
-    turn = (
+    link_angle = (
         hinges * joint.ref * joint.axis[0]
         if name.endswith("knee")
         else -LEGS[name.split("_")[0]].theta3
     )
-    return np.array([0.0, -np.sin(turn / 2), -np.cos(turn / 2)])
+    return np.array([0.0, -np.sin(link_angle / 2), -np.cos(link_angle / 2)])
 
 
 #: Rotor and gear inertia seen at the joint [kg m^2], as in the author's model.
@@ -112,17 +115,18 @@ ARMATURE: Final = {
     "spine": 0.00065,
     "tail": 0.00065,
 }
+#: Stiffness [N m/rad] and damping [N m s/rad] of each joint of the articulated tail, as in the author's model.
 TAIL_STIFFNESS: Final = 1.2
 TAIL_DAMPING: Final = 0.01
 #: Knee angle at which the torsion spring rests [rad].
 KNEE_REST_RAD: Final = {"front": np.radians(50.0), "rear": np.radians(75.0)}
-#: Tendons are massless and all but inextensible: their limit is stiff, with a time constant [s] of this or of two time
-#: steps, below which MuJoCo's solver would not hold.
+#: Tendons are massless and almost inextensible, so the limit of their length is stiff. Its time constant [s] is this
+#: value, or two time steps if they are longer, because MuJoCo's solver is unstable below them.
 TENDON_TIME_CONSTANT: Final = 0.004
 TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
-#: Those of the legs, which go slack and taut in each step, start gently: the impedance that they reach, and by how much
-#: they have yielded there [m]. Under the standing robot they yield by 0.07 to 0.08 mm. Spine tendons that did would
-#: bend the spine by 14 % less at small angles.
+#: The last four values of `solimp` for the tendons of the legs; the first one is `build.tendon_impedance`. These tendons
+#: go slack and taut in each step, so their impedance rises gently, to 0.99 over 0.1 mm. Under the standing robot they
+#: yield by 0.07 to 0.08 mm. With the same values for its tendons, the spine would bend by 14 % less at small angles.
 LEG_TENDON_ONSET: Final = (0.99, 0.0001, 0.5, 2.0)
 #: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
 TRUNK_GEOMS: Final = ("torso_chest", "hip_pelvis", "head_skull")
@@ -139,10 +143,10 @@ TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (1
 BUMPER_SUFFIX: Final = "_bumper"
 
 
-#: Geoms of the feet end so.
+#: The names of the feet's geoms end with one of these suffixes.
 FOOT_SUFFIXES: Final = ("_sole", "_ankle")
-#: Of the author's model: radius of the lower front legs, and the straight part of the soles' capsules [m], which lie
-#: across the robot.
+#: Radius of the lower front legs, and length of the straight part of the soles' capsules in the author's model [m]. The
+#: capsules lie across the robot (`LATERAL_QUATERNION`).
 ANKLE_RADIUS: Final = 0.002
 SOLE_WIDTH: Final = 0.007
 LATERAL_QUATERNION: Final = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
@@ -154,33 +158,36 @@ def set_masses(spec: mujoco.MjSpec, robot: str, parameters: ModelParameters) -> 
         if geom.group == VISUAL_GROUP:
             geom.mass = 0.0
     front, rear = ROBOT_MASSES[robot]
-    share = {True: float(parameters.mass.front / front), False: float(parameters.mass.rear / rear)}
+    # Factors on the masses in the table, by `is_front`.
+    scales = {True: float(parameters.mass.front / front), False: float(parameters.mass.rear / rear)}
     geometry = parameters.geometry
     for body in spec.bodies[1:]:
         part = part_of(body.name, robot, geometry)
         body.explicitinertial = True
-        scale = share[is_front(body.name)]
+        scale = scales[is_front(body.name)]
         body.mass, body.inertia = scale * part.mass, scale * np.array(part.inertia)
         body.ipos, body.iquat = np.array(part.com), np.array([1.0, 0, 0, 0])
     for body in spec.bodies[1:]:
         site = part_of(body.name, robot).site
         if site is not None:
-            # Its pose in the body, as the compiler resolves it from nested frames.
-            frame, turned = load_part("spine", geometry).compile().site(site), np.zeros(3)
-            mujoco.mju_rotVecQuat(turned, np.array(body.ipos), frame.quat)
-            body.ipos, body.iquat = frame.pos + turned, frame.quat
+            # The table gives the centre of mass in the frame of this site. The compiler resolves the pose of the site
+            # in the body from nested frames.
+            frame, offset = load_part("spine", geometry).compile().site(site), np.zeros(3)
+            mujoco.mju_rotVecQuat(offset, np.array(body.ipos), frame.quat)
+            body.ipos, body.iquat = frame.pos + offset, frame.quat
 
 
 def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1) -> None:
-    """Springs, dampers and rotor inertias (Table A.1); the back-EMF of a servo brakes its joint.
+    """Set springs, dampers and rotor inertias (Table A.1). The back-EMF of a servo adds to the damping of its joint.
 
     Args:
-        hinges: of each compliant joint; in series they have these values together.
+        hinges: Number of hinges of each compliant joint. Together, in series, they have the values of the parameters.
     """
     stiffness = parameters.stiffness
     damping = parameters.damping
     brake = float(parameters.servo.brake)
     for joint in spec.joints:
+        # The last word of the name, such as "knee" of "front_left_knee_hinge_2".
         kind = chain_of(joint.name).rstrip("_0123456789").rsplit("_", 1)[-1]
         if joint.name.startswith("tail_joint"):
             _compliant(joint, TAIL_STIFFNESS, TAIL_DAMPING, ARMATURE["tail"])
@@ -200,7 +207,7 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1
 
 
 def is_spine_joint(joint: str) -> bool:
-    """Whether a joint, by its name, is one of the spine's compliant ones, lateral or vertical."""
+    """Whether the joint of this name is one of the spine's compliant joints, lateral or vertical."""
     return chain_of(joint).rstrip("0123456789") in ("spine_joint_", "spine_vertical_")
 
 
@@ -209,7 +216,7 @@ COMPLIANT_KINDS: Final = ("knee", "ankle", "spine", "tail")
 
 
 def compliant_kind(joint: str) -> str | None:
-    """Which of `COMPLIANT_KINDS` a joint is by its name, or None.
+    """Return the one of `COMPLIANT_KINDS` to which the joint of this name belongs, or None.
 
     >>> compliant_kind("front_left_knee_hinge_2"), compliant_kind("spine_vertical_1"), compliant_kind("front_left_hip")
     ('knee', 'spine', None)
@@ -228,7 +235,8 @@ def _compliant(
     rest_angle: float = 0.0,
     hinges: int = 1,
 ) -> None:
-    # Coefficients of a polynomial in the angle; only the linear one is used.
+    """Set the spring, damper and rotor inertia of a joint, which is a hinge of a chain or the whole joint."""
+    # MuJoCo's stiffness and damping are coefficients of a polynomial in the angle; only the linear one is used.
     joint.stiffness, joint.damping = (
         np.array([hinges * value, 0.0, 0.0]) for value in (stiffness, damping)
     )
@@ -236,14 +244,14 @@ def _compliant(
 
 
 def pair_of(tendon: str) -> str | None:
-    """Whether a tendon, by its name, belongs to the `front` or the `rear` legs or to the `spine`; None for the tail."""
+    """Return `front`, `rear` or `spine`, the part to which the tendon of this name belongs; None for the tail."""
     part = tendon.split("_")[0]
     return part if part in ("front", "rear", "spine") else None
 
 
 def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters, robot: str) -> None:
-    """Make every tendon's length limit as stiff as the time step permits, and add slack and softness of the built
-    robot."""
+    """Make every tendon's length limit as stiff as the time step permits, and add the slack and softness (`build.*`)
+    of the built robot."""
     is_author = robot == "author"
     time_constant = max(TENDON_TIME_CONSTANT, 2.0 * spec.option.timestep)
     for tendon in spec.tendons:
@@ -257,6 +265,7 @@ def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters, robot: str) ->
         if pair is None and is_author:
             tendon.solref_limit = np.array([time_constant * np.sqrt(AUTHOR_TAIL_SOFTNESS), 1.0])
         if pair is not None:
+            # The stiffness of the limit is proportional to 1 / time_constant^2.
             softness = float(getattr(parameters.build, f"{pair}_softness"))
             tendon.solref_limit = np.array([time_constant * np.sqrt(softness), 1.0])
             tendon.range = np.array(tendon.range) + np.array(
@@ -268,9 +277,9 @@ def servo_shares(servos: Sequence[str], robot: str, is_simplified: bool) -> np.n
     """Shares of `servo.kp` and of `servo.torque_limit` that servos have, (n, 2), without `servo.spine_torque`.
 
     Args:
-        servos: names, as in `SERVOS`.
-        robot: that they belong to.
-        is_simplified: whether the servos of the robot `author` have one gain.
+        servos: Names, as in `SERVOS`.
+        robot: Robot that they belong to.
+        is_simplified: Whether the servos of the robot `author` have one gain.
     """
     gains = AUTHOR_GAIN_SHARES if robot == "author" and not is_simplified else {}
     torques = AUTHOR_TORQUE_SHARES if robot == "author" else {}
@@ -285,7 +294,7 @@ def add_servos(
     robot: str = "nermo_lite",
     is_simplified: bool = True,
 ) -> None:
-    """Proportional servos with a damped loop; the torque limit holds for both together."""
+    """Add proportional servos with damping; the torque limit applies to the sum of both torques."""
     servo = parameters.servo
     joints = {joint.name for joint in spec.joints}
     for name in SERVOS:
@@ -304,7 +313,7 @@ def add_servos(
 
 
 def servo_joint(servo: str) -> str:
-    """The joint a servo turns: limbs' hips, neck and head directly, the others through their pulley."""
+    """Return the joint that a servo turns. The servos of hips, neck and head turn their joints, the others a pulley."""
     if servo.endswith("_knee"):
         return servo.removesuffix("knee") + "pulley"
     return {
@@ -314,7 +323,7 @@ def servo_joint(servo: str) -> str:
 
 
 def add_sensors(spec: mujoco.MjSpec) -> None:
-    """The sensors that `Sensors` reads, in its order."""
+    """Add the sensors that `Sensors` reads, in the order of its fields."""
     kind, objects = mujoco.mjtSensor, mujoco.mjtObj
     site, actuator = objects.mjOBJ_SITE, objects.mjOBJ_ACTUATOR
 
@@ -348,19 +357,16 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
                 add(f"{joint.name}_velocity", kind.mjSENS_JOINTVEL, objects.mjOBJ_JOINT, joint.name)
     for geom, touch in _tail_ground(spec):
         add(f"{geom}_force", kind.mjSENS_TOUCH, site, touch)
-    nearest = [
-        1 << int(mujoco.mjtConDataField.mjCONDATA_DIST),
-        1,
-        1,
-    ]  # the distance of the deepest one of all contacts
-    deepest = spec.add_sensor(
+    # The sensor returns the distance (data field) of the contact with the smallest distance (reduction 1), and of one
+    # contact only.
+    contact_sensor = spec.add_sensor(
         name="contact_distance", type=kind.mjSENS_CONTACT, objtype=objects.mjOBJ_UNKNOWN
     )
-    deepest.intprm = nearest
+    contact_sensor.intprm = [1 << int(mujoco.mjtConDataField.mjCONDATA_DIST), 1, 1]
 
 
 def _tail_ground(spec: mujoco.MjSpec) -> list[tuple[str, str]]:
-    """Geoms of the tail that touch the ground, with their touch sites; a rigid tail has its tip alone."""
+    """Geoms of the tail that can touch the ground, with their touch sites; of a rigid tail, only its tip can."""
     return [pair for pair in (TAIL_TIP, *TAIL_SEGMENTS) if spec.geom(pair[0]) is not None]
 
 
@@ -375,10 +381,10 @@ def add_contacts(
     """Declare the few contact pairs that matter; there are no other collisions.
 
     Args:
-        scene: its geoms that can touch the robot.
-        trunk_contacts: whether the spheres of `TRUNK_GEOMS` touch the ground, too. They always touch obstacles.
-        capsules: whether soles are capsules instead of spheres, and the ankles of the front legs touch the ground, too.
-        begins_at_zero: whether the force of a sole begins at zero, or with the impedance of the author's model.
+        scene: Geoms of the scene that can touch the robot.
+        trunk_contacts: Whether the spheres of `TRUNK_GEOMS` touch the ground, too. They always touch obstacles.
+        capsules: Whether soles are capsules instead of spheres, and the ankles of the front legs touch the ground, too.
+        begins_at_zero: Whether the force of a sole begins at zero, or with the impedance of the author's model.
     """
     contact = parameters.contact
     time_constant = max(float(contact.time_constant), 2.0 * spec.option.timestep)
@@ -387,25 +393,26 @@ def add_contacts(
         (0.0, 0.5) if begins_at_zero else (AUTHOR_CONTACT_ONSET, AUTHOR_CONTACT_MIDPOINT)
     )
     solimp = np.array([onset, float(contact.impedance), float(contact.width), midpoint, 2.0])
-    soft = {f"{limb}_sole": contact.friction for limb in LIMBS}
+    # Geom -> friction: of the geoms with the soft contact of the soles, and of the geoms with MuJoCo's default contact.
+    soft_friction = {f"{limb}_sole": contact.friction for limb in LIMBS}
     for limb in LIMBS if capsules else ():
         sole = spec.geom(f"{limb}_sole")
         if limb.startswith("front"):
             ankle = spec.body(f"{limb}_foot").add_geom(
                 sole.classname, name=f"{limb}_ankle", size=[ANKLE_RADIUS, 0, 0]
             )
-            soft[ankle.name] = contact.friction
+            soft_friction[ankle.name] = contact.friction
         sole.type, sole.size[1], sole.quat = (
             mujoco.mjtGeom.mjGEOM_CAPSULE,
             SOLE_WIDTH / 2,
             LATERAL_QUATERNION,
         )
-    soft |= {geom: contact.tail_friction for geom, _ in _tail_ground(spec)}
-    hard = dict.fromkeys(TRUNK_GEOMS if trunk_contacts else (), contact.trunk_friction)
+    soft_friction |= {geom: contact.tail_friction for geom, _ in _tail_ground(spec)}
+    hard_friction = dict.fromkeys(TRUNK_GEOMS if trunk_contacts else (), contact.trunk_friction)
     for ground in scene.ground:
-        for part, friction in (soft | hard).items():
+        for part, friction in (soft_friction | hard_friction).items():
             pair = _add_pair(spec, ground, part, friction)
-            if part in soft:
+            if part in soft_friction:
                 pair.solref, pair.solimp = solref, solimp
     bumpers = [geom for geom in spec.geoms if geom.name.endswith(BUMPER_SUFFIX)]
     if not scene.obstacles:
@@ -419,12 +426,13 @@ def add_contacts(
 
 def _add_pair(spec: mujoco.MjSpec, scenery: str, part: str, friction: Any) -> Any:
     pair = spec.add_pair(name=f"{scenery}_{part}", geomname1=scenery, geomname2=part, condim=3)
+    # Two tangential coefficients; the torsional and rolling ones have no effect with three dimensions (`condim`).
     pair.friction = np.array([float(friction), float(friction), 0.005, 0.0001, 0.0001])
     return pair
 
 
 def contact_kinds(model: mujoco.MjModel, scene: SceneGeoms) -> dict[str, np.ndarray]:
-    """Ids of the contact pairs by what touches: `sole`, `tail` and `trunk` the ground, any part an `obstacle`."""
+    """Ids of the contact pairs by kind: `sole`, `tail` and `trunk` with the ground, and any part with an `obstacle`."""
     kinds: dict[str, list[int]] = {"sole": [], "tail": [], "trunk": [], "obstacle": []}
     for i, geoms in enumerate(
         zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
@@ -456,15 +464,15 @@ def contact_kinds(model: mujoco.MjModel, scene: SceneGeoms) -> dict[str, np.ndar
 #
 #     h^2 kp + 2 h kv < 4 I.
 #
-# With kp or kv alone these are 4 I / h^2 and 2 I / h; beyond, the torque jumps from limit to limit in each step. I is
-# at least the armature, since the inertia matrix is that of the bodies, which is positive, plus it; the joints'
-# damping, in which Euler's method is implicit, only widens the bound. The standing robot starts to alternate at 1.01
-# times the bound.
+# The bound of kp alone is 4 I / h^2, and the bound of kv alone is 2 I / h; beyond it, the torque jumps from limit to
+# limit in each step. I is at least the armature, because MuJoCo adds the armature to the positive inertia of the bodies.
+# The joints' damping, in which Euler's method is implicit, only widens the bound. The standing robot starts to alternate
+# at 1.01 times the bound.
 
 
-#: Share of the bound that is allowed: closer to it a servo settles, but rings for longer than a control period.
+#: Allowed fraction of the bound: closer to it, a servo settles, but rings for longer than a control period.
 ALLOWED_SHARE: Final = 0.9
-#: Share of it that is allowed for kp: without damping, the rest of the body is enough to make a stiff servo ring.
+#: Allowed fraction of the bound of kp: without damping, the rest of the body is enough to make a stiff servo ring.
 ALLOWED_STIFFNESS_SHARE: Final = 0.75
 
 
@@ -486,11 +494,11 @@ def check_servo(kp: Any, kv: Any, timestep: float) -> None:
     """Reject servos whose stiffness and damping together are too high for the time step.
 
     Args:
-        kp, kv: gains [N m/rad] and damping [N m s/rad], of any shapes that broadcast.
-        timestep: of the physics [s].
+        kp, kv: Gains [N m/rad] and damping [N m s/rad], of any shapes that broadcast.
+        timestep: Time step of the physics [s].
 
     Raises:
-        ParameterError: for the largest excess.
+        ParameterError: A pair is too high; the message names the pair with the largest excess.
     """
     kp, kv = np.broadcast_arrays(np.asarray(kp, float), np.asarray(kv, float))
     excess = kv - highest_kv(timestep, kp) * (1.0 + 1e-6)

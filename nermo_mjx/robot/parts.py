@@ -1,8 +1,8 @@
-"""Writes the robot's numbers into the parts of `mjcf/`: positions, lengths, and limits of the tendons.
+"""`load_part` reads a part of the robot from `mjcf/` and writes the geometry into it: positions, lengths, tendon limits.
 
-The files hold the structure, the visuals and everything that is defined nowhere else. Each function takes one part as
-read, in its own frame, and the geometry; all positions are linear in the geometry's numbers, which `physics.variation`
-relies on.
+A part is one MJCF file. It contains the structure, the visuals, and all values that are not in the tables of
+`nermo_mjx.robot.parameters`. A function such as `_leg` changes one kind of part, in the frame of the part. All positions
+are linear in the values of the geometry; `nermo_mjx.physics.variation` requires this.
 """
 
 from __future__ import annotations
@@ -33,12 +33,14 @@ from nermo_mjx.robot.parameters import (
 )
 
 # ---
-# Mesh files: Wavefront OBJ in millimetres, to a hundredth, without normals; small, and readable in a diff.
+# Mesh files: Wavefront OBJ in millimetres, rounded to 0.01 mm, without normals, so that they are small and a diff of
+# them is readable.
 
 
 @functools.lru_cache(maxsize=128)
 def read_obj(path: Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
-    """Vertices [mm] and faces of a file that `docs/meshes.py` wrote."""
+    """Vertices [mm] and faces of a mesh file, which `docs/meshes.py` writes."""
+    # Lines by their first word: "v" for a vertex, "f" for a face, whose indices begin at 1.
     rows: dict[str, list[list[str]]] = {"v": [], "f": []}
     for line in path.read_text(encoding="ascii").splitlines():
         kind, *values = line.split()
@@ -47,13 +49,14 @@ def read_obj(path: Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3
 
 
 def hundredths(shape: Shape) -> Int[np.ndarray, "V 3"]:
-    """A shape's vertices as its mesh file has them [0.01 mm]."""
-    # An offset larger than rounding errors, so that all platforms round to the same hundredth.
+    """The vertices of a shape in the unit of its mesh file [0.01 mm]."""
+    # The offset 1e-5 is larger than rounding errors, so that a value between two hundredths is rounded to the same one
+    # on all platforms.
     return np.rint(100.0 * shape.vertices + 1e-5).astype(int)
 
 
 # ---
-# Location of the MJCF files, and reading one of them.
+# Location of the MJCF files, and loading one of them.
 
 
 def mjcf_directory() -> Path:
@@ -69,7 +72,7 @@ def scene_files() -> tuple[str, ...]:
 
 
 def load_file(name: str) -> mujoco.MjSpec:
-    """The specification in `mjcf/NAME.xml`, editable, with its meshes inside."""
+    """The specification in `mjcf/NAME.xml`, editable, with its meshes as arrays."""
     spec = mujoco.MjSpec.from_file(str(mjcf_directory() / f"{name}.xml"))
     # Meshes become part of the specification: an assembled or exported model compiles anywhere, without files.
     for mesh in spec.meshes:
@@ -80,10 +83,11 @@ def load_file(name: str) -> mujoco.MjSpec:
 
 
 # ---
-# Turning and mirroring. The right half of the robot is mirrored from the left: there is one file per pair of limbs.
+# Turning and mirroring. There is one file for each pair of limbs, which contains the left limb; the right one is
+# mirrored.
 
 
-#: What a mirror at the y-z plane does to points and Euler angles, and to quaternions.
+#: Factors by which mirroring at the y-z plane changes points, Euler angles and quaternions.
 _POINT_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
 _EULER_MIRROR: Final = np.array([1.0, -1.0, -1.0])
 _QUATERNION_MIRROR: Final = np.array([1.0, 1.0, -1.0, -1.0])
@@ -116,25 +120,25 @@ def mirror(spec: mujoco.MjSpec) -> None:
 
 
 def turn(element: Any, x: float, y: float, z: float) -> None:
-    """Give an element of a specification its orientation: Euler angles about the axes x, y, z that turn along,
-    in the unit of its file."""
+    """Set the orientation of an element by Euler angles about its own axes x, y and z, in the angle unit of its file."""
     element.alt.type = mujoco.mjtOrientation.mjORIENTATION_EULER
     element.alt.euler = np.array([x, y, z])
 
 
 # ---
-# The tail's chain of segments, built from its numbers: bodies, joints, eyelets of the tendons, and contact geoms.
+# The chain of segments of the tail, built from `TAIL_GEOMETRY`: bodies, joints, eyelets of the tendons, contact geoms.
 
 
-#: Half the width of the pulley [m], and the positions of the eyelets along a segment of the published length [m].
+#: Half the width of the pulley [m].
 _TAIL_PULLEY_WIDTH: Final = 0.0010
+#: Position of the eyelets along a segment of the published length [m].
 _EYELET: Final = 0.5 * TAIL_GEOMETRY.spacing
-#: The last segments, numbered from 1, whose ends may touch the ground besides the tip.
+#: Numbers of the segments, from 1, whose ends may touch the ground, in addition to the tip.
 _GROUND_SEGMENTS: Final = (16, 17, 18)
 
 
 def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
-    """Place the base, and append the segments; the whole chain is stretched to its length."""
+    """Place the base of the tail, append its segments, and scale their lengths so that the tail has its length."""
     stretch = float(geometry.tail.length) / TAIL_GEOMETRY.length
     ends = [(TAIL_GEOMETRY.spacing, drop) for drop in TAIL_GEOMETRY.drops]
     ends.append((TAIL_GEOMETRY.tip, 0.0))
@@ -183,10 +187,18 @@ def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 
 
 def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: float) -> None:
-    """A bead as wide as its eyelets, reaching to the next joint, and a cord through the joint."""
+    """Add the visuals of segment i: a bead that is as wide as its eyelets, and a piece of cord through its joint.
+
+    Args:
+        spec: The tail.
+        segment: Body of the segment.
+        i: Number of the segment, from 1.
+        end: Position of the next joint, or of the tip, in the frame of the segment [m].
+        width: Distance of the eyelets from the middle [m].
+    """
     bead, name = spec.mesh("segment"), f"segment_{i}"
     across = width / TAIL_GEOMETRY.eyelet
-    # The last one ends at the tip, and is no shorter than the others.
+    # The last bead ends at the tip, and keeps its length.
     long = (
         math.hypot(end[1], end[2]) / TAIL_GEOMETRY.spacing if i <= len(TAIL_GEOMETRY.drops) else 1.0
     )
@@ -205,24 +217,25 @@ def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: flo
     cord.fromto = np.concatenate([-half, half])
 
 
-#: From the shoulder's or hip's axis to the end of the capsule about its servos, left, back and up [m].
+#: End of the capsule around the servos of a pair of limbs, relative to the shoulder or hip axis: left, back, up [m].
 _SERVO_CAPSULE_ENDS: Final = {"torso": (-0.0063, 0.0003, 0.0074), "hip": (-0.0063, 0.0021, 0.0059)}
 #: Half the width of the spine's pulley [m].
 _PULLEY_WIDTH: Final = 0.0015
-#: Digits of the tendons' limits [m]; with more, walks would differ from recorded ones in their last bits.
+#: Number of decimals to which the limits of tendons are rounded, of legs and of tendons that are taut when straight.
+#: More decimals would change stored reference walks in their last bits.
 _DIGITS: Final = {"leg": 10, "straight": 8}
 
 
 def load_part(name: str, geometry: Geometry, robot: str = "nermo_lite") -> mujoco.MjSpec:
-    """The part `mjcf/NAME.xml` with its numbers filled in.
+    """The part `mjcf/NAME.xml` with the values of the geometry.
 
     >>> round(float(load_part("front_leg", Geometry()).body("lower").pos[2]), 4)
     -0.0295
 
     Args:
-        name: `torso`, `head`, `spine`, `hip`, `front_leg`, `rear_leg` (left ones) or `tail`.
-        geometry: leaves of shape ().
-        robot: that the part belongs to.
+        name: Name of the part: `torso`, `head`, `spine`, `hip`, `front_leg`, `rear_leg` (both left) or `tail`.
+        geometry: Geometry with leaves of shape ().
+        robot: Name of the robot to which the part belongs.
     """
     spec = load_file(f"{name}_41" if robot == "nermo_41" and name in ("spine", "head") else name)
     if name in _PART_FUNCTIONS:
@@ -239,7 +252,10 @@ def _torso(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 
 
 def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
-    """The cameras in front of the lenses; a camera's own axes are right, up and back."""
+    """Place the cameras in front of the lenses, and the head of Nermo 4.1 at its tilt axis.
+
+    The axes of a camera are right, up and back.
+    """
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
         c = np.cos(EYE_GEOMETRY.outward)
         s = side * np.sin(EYE_GEOMETRY.outward)
@@ -268,7 +284,7 @@ def _hip(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 
 
 def _limbs(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
-    """Mounts of a pair of limbs, their servos, and the capsule that is the servos' outline."""
+    """Place the mounts of a pair of limbs, their servos, and the capsule that encloses the servos."""
     joint_position = geometry.shoulder if pair == "front" else geometry.hip
     axis, height = (
         np.array([joint_position.x, joint_position.y, joint_position.z], float),
@@ -370,7 +386,7 @@ def _place_author_eyelets(spec: mujoco.MjSpec) -> None:
 
 
 def _limit_to_straight(spec: mujoco.MjSpec) -> None:
-    """Make the antagonists just taut when all joints are straight and their servo is at 0."""
+    """Set the limits of antagonistic tendons so that both are just taut if all joints are straight and the servo is at 0."""
     for tendon in spec.tendons:
         tendon.limited = mujoco.mjtLimited.mjLIMITED_FALSE
     model = spec.copy().compile()
@@ -399,38 +415,42 @@ def stance_height(geometry: Geometry) -> float:
 # ---
 # The additional parts of Nermo 4.1: vertical joints in the spine with their servo, and a head that tilts.
 #
-# Both robots share all MJCF files but `spine_41.xml` and `head_41.xml`.
+# Both robots share all MJCF files except `spine_41.xml` and `head_41.xml`.
 #
-# The thesis gives the chain, the mass, the length and the number of servos of Nermo 4.1, but not how its tendons run.
-# Servo, guide and tilt axis are those of the author's later model (github.com/a-rohr/mouse_controller, commit 22caf00,
-# `models/dynamic_4l_t3.xml`). Its tendons run 7.5 mm above and 3 mm below the joints from one pulley: pulling in the
-# lower one needs 2.5 times as much of the upper one as the pulley releases, so in simulation its spine flexes by 0.06
-# rad per joint and then stalls. Here both run at the same distance from the axes as the lateral tendons,
-# `SpineGeometry.segment_offset`, and (5.26) holds for both servos. Each tendon crosses the joints of the other plane on
-# their axes, so that neither servo bends the other plane.
+# The thesis contains the chain, the mass, the length and the number of servos of Nermo 4.1, but not the paths of its
+# tendons. The servo, the guide and the tilt axis are taken from the author's later model
+# (github.com/a-rohr/mouse_controller, commit 22caf00, `models/dynamic_4l_t3.xml`). In this model, the tendons of one
+# pulley run 7.5 mm above and 3 mm below the joints: if the pulley pulls the lower tendon, the upper tendon needs 2.5
+# times the length that the pulley releases, so that the simulated spine flexes by 0.06 rad per joint and then stalls.
+# Here both tendons have the same distance from the axes as the lateral tendons, `SpineGeometry.segment_offset`, so that
+# (5.26) holds for both servos. Each tendon crosses the joints of the other plane on their axes, so that a servo bends
+# only its own plane.
 
 
-#: Pulley of the vertical spine's servo, from the spine base: centre [m] and pitch [rad].
+#: Centre of the pulley of the vertical servo, relative to the spine base [m].
 SERVO_PULLEY: Final = (0.0, -0.0355, 0.0055)
+#: Pitch of this pulley [rad].
 SERVO_PULLEY_PITCH: Final = np.radians(6.0)
-#: Where both tendons are tied, at its front and just outside the rim, and how far beside its centre they pass it [m].
+#: Distance from the centre of the pulley to the knot of both tendons, at the front just outside the rim [m].
 TENDON_KNOT: Final = 0.0065125
+#: Lateral distance from the centre of the pulley at which the tendons pass it [m].
 TENDON_SIDE: Final = 0.010
-#: Where both tendons leave the torso, from the spine base [m].
+#: Point at which both tendons leave the torso, relative to the spine base [m].
 TENDON_GUIDE: Final = (0.0, -0.0200, 0.0070)
-#: Axis of the head's tilt from the foot of the neck's axis [m].
+#: Axis of the tilt of the head, relative to the foot of the neck's axis [m].
 TILT_AXIS: Final = (0.0, -0.0106, 0.0144)
-#: How much further forward the head sits than Nermo-Lite's [m]. Its nose is then 53 mm in front of the tilt axis, as in
-#: the author's model, and 403.6 mm in front of the tip of the tail; the published length is 405 mm.
+#: Distance by which the head is further forward than the head of Nermo-Lite [m]. The nose is then 53 mm in front of the
+#: tilt axis, as in the author's model, and 403.6 mm in front of the tip of the
+#: tail; the published length is 405 mm.
 HEAD_FORWARD: Final = 0.0160
 
 
 def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
-    """Position the parts that `spine_41.xml` has in addition.
+    """Place the elements that only `spine_41.xml` contains.
 
     Args:
-        spec: of the spine.
-        ratio: of the pulley's radius to the published one.
+        spec: The spine.
+        ratio: Radius of the pulley relative to the published radius.
     """
     half, lateral_offset = SPINE_GEOMETRY.segment_length / 2, SPINE_GEOMETRY.segment_offset
     # A vertical joint's z is left, and a lateral one's z is up.

@@ -29,7 +29,7 @@ import jax
 import numpy as np
 
 T = TypeVar("T")
-#: Units that a text may have in the place of a quantity's own, and how many of them are one of it.
+#: SI unit -> the other units that a number in a text may have, and how many of each make one SI unit: 1 m is 1e3 mm.
 _UNIT_FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
     "1": {"%": 1e2},
     "m": {"mm": 1e3, "cm": 1e2},
@@ -70,10 +70,10 @@ def require(option: str, library: str, extra: str) -> None:
 
 
 def of_type(field: str, value: T, kinds: type | tuple[type, ...], expected: str) -> T:
-    """The value, if it has one of these types; a truth value is no number.
+    """Return the value if it has one of these types. A truth value counts as none of them.
 
     Raises:
-        ParameterError: it has another type; the message names the field, the value and what is expected.
+        ParameterError: The value has another type; the message names the field, the value and the expected value.
     """
     if not isinstance(value, kinds) or isinstance(value, bool):
         raise ParameterError(f"{field} is {value!r}: expected {expected}.")
@@ -85,11 +85,11 @@ class Quantity:
     """The declaration of one parameter.
 
     Attributes:
-        default: value of the published robot, a float or a tuple (one number for each of `labels`).
+        default: Value of the published robot, a float or a tuple (one number for each of `labels`).
         unit: SI unit, "rad", or "1" for a pure number.
-        low, high: the allowed range; `open_low`/`open_high` exclude the bound itself.
-        doc: its meaning in one line.
-        labels: names of the components of a vector quantity; empty for a scalar.
+        low, high: Bounds of the allowed range; `open_low`/`open_high` exclude the bound itself.
+        doc: Meaning in one line.
+        labels: Names of the components of a vector quantity; empty for a scalar.
     """
 
     default: float | tuple[float, ...]
@@ -103,27 +103,27 @@ class Quantity:
 
     def allowed(self) -> str:
         """The allowed range in words, for error messages and listings."""
-        bracket = "(" if self.open_low or math.isinf(self.low) else "["
-        right = ")" if self.open_high or math.isinf(self.high) else "]"
+        left_bracket = "(" if self.open_low or math.isinf(self.low) else "["
+        right_bracket = ")" if self.open_high or math.isinf(self.high) else "]"
         unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{bracket}{self.low:g}, {self.high:g}{right}{unit}"
+        return f"{left_bracket}{self.low:g}, {self.high:g}{right_bracket}{unit}"
 
     @property
     def _in_units(self) -> dict[str, float]:
-        """Units that a text may have, and how many of them are one of this quantity's."""
+        """Unit that a number in a text may have -> how many of it make one of this quantity's unit."""
         return ({} if self.unit == "1" else {self.unit: 1.0}) | dict(
             _UNIT_FACTORS.get(self.unit, {})
         )
 
     @property
     def pattern(self) -> str:
-        """The regular expression of a text that is a number, with one of the units or none."""
+        """The regular expression for a text that contains a number, with one of the units or without a unit."""
         units = "|".join(unit.replace("^", r"\^") for unit in self._in_units)
         return rf"^\s*({_NUMBER})\s*({units})?\s*$"
 
     @property
     def expected(self) -> str:
-        """What a number of this quantity may be, for error messages."""
+        """The expected form of a number, with its units and an example, for error messages."""
         unit = "" if self.unit == "1" else f" {self.unit}"
         *others, last = self._in_units
         units = f"{', '.join(others)} or {last}" if others else last
@@ -131,7 +131,7 @@ class Quantity:
         return f"expected a number{unit_note}, such as {np.ravel(self.default)[0]:g}{unit}."
 
     def number(self, text: str) -> float | None:
-        """The SI number of a text, or None if the text is none.
+        """Return the number in a text, in the SI unit, or None if the text contains no number of this quantity.
 
         >>> Quantity(0.0, "rad", -math.pi, math.pi, "of a swing").number("-45 deg")
         -0.7853981633974483
@@ -140,10 +140,10 @@ class Quantity:
         return None if match is None else float(match[1]) / self._in_units.get(match[4], 1.0)
 
     def numbers(self, name: str, value: Any) -> Any:
-        """What is given, with SI numbers in the place of texts; whatever is neither a text nor a truth value may pass.
+        """Replace each text in a value, which may be a nested list, by its SI number. Other values are unchanged.
 
         Raises:
-            ParameterError: a text is no number, or has a unit that does not convert.
+            ParameterError: A text is not a number, its unit does not convert, or there is a truth value.
         """
         if isinstance(value, np.ndarray) and value.dtype.kind in "OUb":
             value = value.tolist()
@@ -184,18 +184,21 @@ def quantity(
     open_high: bool = False,
     labels: tuple[str, ...] = (),
 ) -> Any:
-    """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments and `parameter_tree`."""
+    """Declare a field of a parameter tree (see `parameter_tree`) that contains a quantity.
+
+    The arguments are the attributes of `Quantity`.
+    """
     if not doc:
         raise TypeError("quantity() has no doc: expected the quantity's meaning in one line")
     declaration = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
 
-    def own() -> np.ndarray:
-        """A new array for each tree: JAX caches by array, and would mix up programs in 32 and 64 bits."""
+    def new_array() -> np.ndarray:
+        """Each tree has its own array, because JAX caches by array and would mix up programs in 32 and 64 bits."""
         value = np.array(default, dtype=np.float64)
         value.flags.writeable = False
         return value
 
-    return dataclasses.field(default_factory=own, metadata={"quantity": declaration})
+    return dataclasses.field(default_factory=new_array, metadata={"quantity": declaration})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(quantity, dataclasses.field))
@@ -205,7 +208,7 @@ def parameter_tree(cls: type[T]) -> type[T]:
     >>> @parameter_tree
     ... class Hop:
     ...     height: Any = quantity(0.01, "m", 0.0, 0.03, "of a hop")
-    >>> [(name, about.allowed()) for name, about in quantities(Hop)]
+    >>> [(name, declaration.allowed()) for name, declaration in quantities(Hop)]
     [('height', '[0, 0.03] m')]
     """
     return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True, kw_only=True)(cls))
@@ -225,7 +228,9 @@ def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
 
 
 def gathered(declarations: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
-    """Names and quantities for display: components of a long vector that differ only in their last name part are one.
+    """Yield names and quantities for a listing, in which a long vector is one entry.
+
+    More than four entries are a vector if their quantities are equal and their names differ only in the last part.
 
     >>> alike = Quantity(0.0, "m", 0.0, 1.0, "of a path")
     >>> [name for name, _ in gathered({f"path.y{i}": alike for i in range(6)})]
@@ -256,7 +261,7 @@ def values_of(tree: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
-    """A copy of `tree` with the named quantities replaced (names as `quantities` yields them).
+    """Return a copy of `tree` with the named quantities replaced (names as `quantities` yields them).
 
     A value may be a number, a numpy array or a traced array, of any batch shape; a component of a vector quantity is
     written into the last axis. Values are not checked: see `check_quantities`.
@@ -265,9 +270,8 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
     replaced = _replace(tree, values, "", unknown) if values else tree
     if unknown:
         name = sorted(unknown)[0]
-        allowed = dict(quantities(tree)) | dict(
-            quantities(type(tree))
-        )  # also of what a tree may have and leaves out
+        # The names of the class include optional sub-trees that this tree does not have.
+        allowed = dict(quantities(tree)) | dict(quantities(type(tree)))
         raise ParameterError(f"{name} is not a parameter{did_you_mean(name, allowed)}")
     return replaced
 
@@ -277,14 +281,17 @@ def check_quantities(tree: Any, prefix: str = "") -> None:
     for name, declaration, value in _fields(tree, prefix):
         try:
             declaration.check(name, value)
-        except ParameterError:  # of a vector, the error names the component
+        except ParameterError:  # for a vector, the error of a component names this component
             for i, label in enumerate(declaration.labels):
                 declaration.check(f"{name}.{label}", np.asarray(value)[..., i])
             raise
 
 
 def _fields(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, Any]]:
-    """Dotted name, quantity and value of every field of a tree; vectors are not divided. A class has no values."""
+    """Yield dotted name, quantity and value of every field of a tree; a vector is one entry.
+
+    For a class instead of a tree, the values mean nothing.
+    """
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
         declaration = field.metadata.get("quantity")
         value = getattr(tree, field.name, field.default_factory if declaration is None else None)
@@ -295,7 +302,7 @@ def _fields(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, Any]]:
 
 
 def _prefix(field: dataclasses.Field[Any]) -> str:
-    # A sub-tree marked `flat` stands at the top of the name space: `frequency`, not `gait.frequency`.
+    """The beginning of the names of a sub-tree's quantities; empty for a field that `flat` declares."""
     return "" if field.metadata.get("flat") else field.name + "."
 
 
@@ -307,7 +314,7 @@ def _of_component(declaration: Quantity, component: int) -> Quantity:
 
 
 def _replace(tree: Any, values: Mapping[str, Any], prefix: str, unknown: set[str]) -> Any:
-    """The tree with the values whose names begin with its prefix, which are unknown no longer."""
+    """Replace the values whose names begin with the prefix of a tree, and remove their names from `unknown`."""
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
         declaration, value = field.metadata.get("quantity"), getattr(tree, field.name)
@@ -348,8 +355,8 @@ def static(default: Any, doc: str) -> Any:
     The type of the field states the allowed names, as a `Literal`: see `allowed_names`.
 
     Args:
-        default: what it is if nothing is given.
-        doc: its meaning.
+        default: Default value.
+        doc: Meaning.
     """
     return dataclasses.field(default=default, metadata={"doc": doc})
 
@@ -385,28 +392,29 @@ def with_attributes(cls: type[T]) -> type[T]:
 
 
 # ---
-# Names of which one is allowed, and suggestions for misspelled ones.
+# Checks of names, and suggestions for misspelled names.
 
 
-#: Least share of letters in common, in order, of names that are near.
+#: Minimum similarity of a suggestion: the fraction of letters that both names have in the same order.
 MIN_SIMILARITY: Final = 0.6
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str | None:
-    """The allowed name that is most like `name`, in whole or by its last parts, or None if none is.
+    """Return the allowed name that is most similar to `name`, as a whole or in its last parts, or None.
 
     >>> nearest("foot_radius", ["contact.friction", "foot", "geometry.foot.radius"])
     'geometry.foot.radius'
     >>> nearest("spine.ampl", ["gait.amplitude", "spine.amplitude"])
     'spine.amplitude'
     """
-    name_parts = _parts(
-        name[:100]
-    )  # a longer one is near none, and comparing letters takes as long as both are long
+    # A longer name is similar to none, and the time of a comparison is proportional to the lengths of both names.
+    name_parts = _parts(name[:100])
 
-    def likeness(full: str) -> tuple[float, float]:
+    def similarity(full: str) -> tuple[float, float]:
+        """The largest similarity of the compared parts, and the similarity of the whole names."""
         parts = _parts(full)
-        # As many parts as it has, or one more, which is joined where a sign is left out; all in any order; and all.
+        # The name is compared with as many last parts as it has, with one more (because a missing separator joins two
+        # parts), with all parts in alphabetical order, and with all parts in their order.
         pairs = [(name_parts, parts[-count:]) for count in (len(name_parts), len(name_parts) + 1)]
         pairs += [(sorted(name_parts), sorted(parts)), (name_parts, parts)]
         ratios = [
@@ -416,7 +424,7 @@ def nearest(name: str, allowed: Iterable[str]) -> str | None:
         return max(ratios), ratios[-1]
 
     ranked = sorted(
-        ((likeness(full), full) for full in allowed),
+        ((similarity(full), full) for full in allowed),
         key=lambda candidate: candidate[0],
         reverse=True,
     )
@@ -428,16 +436,17 @@ def _parts(name: str) -> list[str]:
 
 
 def did_you_mean(name: str, allowed: Iterable[str]) -> str:
-    """`; did you mean 'x'?` for the nearest allowed name, or a full stop where none is near."""
+    """The end of a message: `; did you mean 'x'?` for the nearest allowed name, or a full stop if there is none."""
     suggestions = nearest(name, allowed)
     return f"; did you mean {suggestions!r}?" if suggestions else "."
 
 
 def choice(field: str, name: str, options: Iterable[str]) -> str:
-    """`name` if it is one of `options`.
+    """Return `name` if it is one of `options`.
 
     Raises:
-        ParameterError: it is not; the message names the field, the value, the nearest option and all of them.
+        ParameterError: The name is not allowed; the message contains the field, the name, the nearest option and all
+            options.
     """
     names = list(options)
     if name in names:

@@ -1,4 +1,8 @@
-"""Controller and metrics, joined: the loop between ticks of physics in one world. Pure; the same in every engine."""
+"""`ClosedLoop` joins a controller and the metrics: an engine calls it between the control ticks of one world.
+
+All functions of the loop are pure, so that every engine runs the same code. A control tick is one update of the
+controller, and lasts for several physics steps.
+"""
 
 from __future__ import annotations
 
@@ -33,21 +37,21 @@ from nermo_mjx.rollout.setup import Setup, Start, Window, WorldParameters
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
 
-#: An angle that is this much beyond a servo's range is within it [rad].
+#: Tolerance for rounding: a command that exceeds a servo's range by less does not count as clamped [rad].
 ANGLE_ROUNDING_RAD: Final = 1e-6
-#: How long a push lasts [s].
+#: Duration of a push [s].
 PUSH_SECONDS: Final = 0.1
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Pushes:
-    """Horizontal pushes of the torso in one world: one in each interval, at a random moment in a random direction.
+    """Horizontal pushes of the torso in one world: one push in each interval, at a random time in a random direction.
 
     Attributes:
-        force: of each [N].
-        interval: [s], at least as long as a push.
-        seed: of moments and directions, a whole number below 2^24.
+        force: Force of a push [N].
+        interval: Length of an interval [s], at least as long as a push.
+        seed: Seed of the random times and directions, a whole number below 2^24.
     """
 
     force: Any
@@ -55,13 +59,15 @@ class Pushes:
     seed: Any
 
     def at(self, tick: Count, dt: float) -> Float[Array, " xy"]:
-        """The force in a control tick, along the world's x and y [N]."""
-        lasts = max(1, round(PUSH_SECONDS / dt))
-        period = jnp.maximum(jnp.round(self.interval / dt).astype(jnp.int32), lasts)
-        key = jax.random.fold_in(jax.random.key(self.seed), tick // period)
-        moment, turn = jax.random.uniform(key, (2,))
-        since = tick % period - jnp.floor(moment * (period - lasts + 1)).astype(jnp.int32)
-        force = jnp.where((since >= 0) & (since < lasts), self.force, 0.0)
+        """The force in control tick number `tick`, of `dt` seconds, along the world's x and y [N]."""
+        push_ticks = max(1, round(PUSH_SECONDS / dt))
+        interval_ticks = jnp.maximum(jnp.round(self.interval / dt).astype(jnp.int32), push_ticks)
+        key = jax.random.fold_in(jax.random.key(self.seed), tick // interval_ticks)
+        # Two samples from [0, 1): when in the interval the push begins, and its direction as a fraction of a turn.
+        delay, turn = jax.random.uniform(key, (2,))
+        begin = jnp.floor(delay * (interval_ticks - push_ticks + 1)).astype(jnp.int32)
+        elapsed = tick % interval_ticks - begin
+        force = jnp.where((elapsed >= 0) & (elapsed < push_ticks), self.force, 0.0)
         return force * jnp.stack([jnp.cos(2.0 * jnp.pi * turn), jnp.sin(2.0 * jnp.pi * turn)])
 
 
@@ -71,13 +77,14 @@ class LoopParameters:
     """Parameters of one world's loop.
 
     Attributes:
-        control: of the controller.
-        start, window: of the run.
-        servo: parameters of the servos.
-        terrain: shape of the ground, in a scene that has one; None for the compiled ground.
-        servo_brake: of the servos by their back-EMF [N m s/rad]; None unless it is named.
-        schedule: what changes of `control` while the robot walks; None for nothing.
-        push: who pushes the robot; None for nobody.
+        control: Parameters of the controller.
+        start: Position, heading and gait phase at the start of the run.
+        window: Time in which metrics are measured.
+        servo: Parameters of the servos.
+        terrain: Shape of the ground in a scene whose ground has parameters; None for the compiled ground.
+        servo_brake: Braking of the servos by their back-EMF [N m s/rad]; None if the caller did not set `servo.back_emf`.
+        schedule: Changes of `control` while the robot walks; None if `control` is constant.
+        push: Pushes of the torso; None without pushes.
     """
 
     control: Any
@@ -91,17 +98,24 @@ class LoopParameters:
 
 
 def loop_parameters(
-    robot: Robot, world: WorldParameters, window: Window, named: Container[str]
+    robot: Robot, world: WorldParameters, window: Window, set_names: Container[str]
 ) -> LoopParameters:
-    """Parameters of the loop of worlds, measured in the window; `named` are those that are not the robot's defaults."""
+    """Parameters of the loop, from the parameters of the world.
+
+    Args:
+        robot: Robot that walks.
+        world: Parameters of one world, or of a batch.
+        window: Time in which metrics are measured.
+        set_names: Names of the parameters that the caller has set; all others have the robot's default values.
+    """
     servo = world.model.servo
-    brake = servo.brake if "servo.back_emf" in named else None
+    brake = servo.brake if "servo.back_emf" in set_names else None
     terrain = terrain_of(robot, world)
     return LoopParameters(world.control, world.start, window, servo, terrain, brake, world.schedule)
 
 
 def terrain_of(robot: Robot, world: WorldParameters) -> TerrainShape | None:
-    """Shape of the ground; None in a scene that has none."""
+    """Shape of the ground; None in a scene whose ground has no parameters."""
     return world.model.terrain if robot.terrain.has_shape else None
 
 
@@ -111,11 +125,12 @@ class LoopState:
     """The loop's state in one world.
 
     Attributes:
-        tick, time: control ticks, and simulated time [s], since the start.
-        control: the controller's state.
-        metrics: accumulators.
-        ctrl: the servos' targets, within their ranges [rad].
-        clamped: 1 if the controller asked for an angle beyond a servo's range in this tick, else 0.
+        tick: Number of control ticks since the start.
+        time: Simulated time since the start [s].
+        control: State of the controller.
+        metrics: Accumulators of the metrics.
+        ctrl: Target angles of the servos, within their ranges and their speed [rad].
+        clamped: 1 if the controller commanded an angle beyond a servo's range in this tick, else 0.
     """
 
     tick: Count
@@ -128,11 +143,17 @@ class LoopState:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Implements `physics.engine.Loop` for a robot and a controller, with built-in and custom metrics."""
+    """Implements `physics.engine.Loop` for a robot and a controller, with built-in and custom metrics.
+
+    Attributes:
+        robot: Robot, with its model and its sensors.
+        controller: Controller, the published one or any other.
+        custom_metrics: Metrics of the user, in addition to the built-in ones.
+    """
 
     robot: Robot
     controller: ControllerLike
-    own: tuple[OwnMetric, ...] = ()
+    custom_metrics: tuple[OwnMetric, ...] = ()
 
     @property
     def steps_per_tick(self) -> int:
@@ -143,43 +164,46 @@ class ClosedLoop:
         """See `Loop.init`."""
         sensors = self.robot.sensors(sensordata)
         control_params = self.control_at(params, 0.0)
-        control = canonical(self._seeing(params).init(control_params, sensors, params.start.phase))
+        controller = self._controller_on_ground(params)
+        control = canonical(controller.init(control_params, sensors, params.start.phase))
         servo = self.controller.initial_servo(control_params, params.start.phase).vector(
             self.robot.servos
         )
         servo = self._within_range(params, servo)
-        first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
+        zero = jnp.zeros(())
         return LoopState(
-            first,
-            now,
-            control,
-            metrics.init(sensors, self.own, params.schedule is not None),
-            servo.astype(now.dtype),
-            now,
+            tick=jnp.zeros((), jnp.int32),
+            time=zero,
+            control=control,
+            metrics=metrics.init(sensors, self.custom_metrics, params.schedule is not None),
+            ctrl=servo.astype(zero.dtype),
+            clamped=zero,
         )
 
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
     ) -> tuple[LoopState, Float[Array, " ctrl"]]:
-        """See `Loop.step`. Metrics get the tick that has just ended, the controller its last reading."""
-        measured = self.measure(params, state, sensordata)
-        controller, control_params = self._seeing(params), self.control_at(params, state.time)
+        """See `Loop.step`. The metrics use all readings of the tick that has just ended, the controller the last one."""
+        metric_state = self.measure(params, state, sensordata)
+        controller = self._controller_on_ground(params)
+        control_params = self.control_at(params, state.time)
         control, servo = controller.update(
-            control_params, state.control, self.last_reading(measured, sensordata)
+            control_params, state.control, self.last_reading(metric_state, sensordata)
         )
-        reach = params.servo.top_speed * controller.dt
+        # The target of a servo moves no faster than the servo can turn.
+        largest_move = params.servo.top_speed * controller.dt
         commanded = servo.vector(self.robot.servos)
         target = self._within_range(params, commanded)
-        ctrl = state.ctrl + jnp.clip(target - state.ctrl, -reach, reach)
+        ctrl = state.ctrl + jnp.clip(target - state.ctrl, -largest_move, largest_move)
         tick = state.tick + 1
         clamped = jnp.any(jnp.abs(commanded - target) > ANGLE_ROUNDING_RAD).astype(ctrl.dtype)
         next_state = LoopState(
-            tick,
-            tick * controller.dt,
-            with_dtypes_of(state.control, control),
-            measured,
-            ctrl,
-            clamped,
+            tick=tick,
+            time=tick * controller.dt,
+            control=with_dtypes_of(state.control, control),
+            metrics=metric_state,
+            ctrl=ctrl,
+            clamped=clamped,
         )
         if params.push is not None:
             ctrl = jnp.concatenate(
@@ -188,18 +212,19 @@ class ClosedLoop:
         return with_dtypes_of(state, next_state), ctrl
 
     def control_at(self, params: LoopParameters, time: Scalar | float) -> Any:
-        """The controller's parameters at a time [s]."""
+        """The controller's parameters at a time since the start [s]; only a schedule changes them."""
         rate = self.controller.cycle_rate(params.control) if params.schedule is not None else None
         return scheduled(params.control, params.schedule, time, rate)
 
-    def _seeing(self, params: LoopParameters) -> Any:
-        """The controller over the ground of this world."""
+    def _controller_on_ground(self, params: LoopParameters) -> Any:
+        """The controller, which observes the ground of this world if it can (`SeesGround`)."""
         ground = functools.partial(self.robot.terrain.height, shape=params.terrain)
         return seeing(self.controller, ground)
 
     def _within_range(
         self, params: LoopParameters, angles: Float[Array, " n_servos"]
     ) -> Float[Array, " n_servos"]:
+        """Angles clipped to the ranges of the servos; `servo.knee_range` widens the ranges of the knees [rad]."""
         low, high = jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype)
         knee_margin = params.servo.knee_range * np.array(
             [name.endswith("_knee") for name in self.robot.servos]
@@ -209,18 +234,20 @@ class ClosedLoop:
     def measure(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
     ) -> metrics.MetricState:
-        """The metrics updated with the tick that has just ended."""
+        """State of the metrics, updated with the tick that has just ended."""
         sensors = self.robot.sensors(sensordata)
         controller, control_params = self.controller, self.control_at(params, state.time)
         path, stance = None, None
+        # The position of a diverged world is not finite.
         position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
         if isinstance(controller, FollowsPath):
             path = controller.path(control_params, state.control, position)
         if isinstance(controller, PlansContact):
             stance = controller.stance(state.control)
-        is_in_range = None
+        transition_times = None
         if params.schedule is not None:
-            is_in_range = transitions.span(params.schedule, controller.cycle_rate(params.control))
+            cycle_rate = controller.cycle_rate(params.control)
+            transition_times = transitions.span(params.schedule, cycle_rate)
         tick = metrics.Tick(
             sensors=sensors,
             time=state.time,
@@ -232,32 +259,36 @@ class ClosedLoop:
             brake=params.servo_brake,
             servo=params.servo,
             clamped=state.clamped,
-            transition=is_in_range,
+            transition=transition_times,
         )
-        return metrics.update(params.window, state.metrics, tick, self.own)
+        return metrics.update(params.window, state.metrics, tick, self.custom_metrics)
 
     def last_reading(
-        self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]
+        self, metric_state: metrics.MetricState, sensordata: Float[Array, "steps n"]
     ) -> Sensors:
         """The readings that a controller receives for a tick.
 
-        A diverged world continues with readings of zero, so that nothing non-finite enters the controller.
+        A diverged world (`metric_state.lost`) continues with readings of zero, so that every value that the controller
+        receives is finite.
         """
         sensors = self.robot.sensors(sensordata)
+        is_lost = metric_state.lost
         return jax.tree.map(
-            lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors
+            lambda leaf: jnp.where(is_lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors
         )
 
 
-# Long because each part of the protocol is checked in its order.
+# Long because each function of the protocol is checked in turn.
 def check_controller(robot: Robot, controller: ControllerLike) -> None:
-    """Reject a controller whose functions fail, do not fit together, or give no finite numbers for a robot at rest.
+    """Reject a controller whose functions fail, do not fit together, or return non-finite numbers for a robot at rest.
+
+    The functions are traced with abstract arrays, so that only shapes and types are computed.
 
     Raises:
-        ParameterError: names the function, its file and line, and what is wrong.
+        ParameterError: The message names the function, its file and line, and the fault.
     """
     if isinstance(controller, Controller):
-        return  # its parts are checked by its tests, and tracing it takes half a second
+        return  # the tests check the published controller, and tracing it takes half a second
     controller = seeing(controller, robot.terrain.height)
     readings = jax.eval_shape(
         robot.sensors, jax.ShapeDtypeStruct((robot.model.nsensordata,), jnp.zeros(()).dtype)
@@ -265,28 +296,31 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     phase = jax.ShapeDtypeStruct((), jnp.zeros(()).dtype)
     params = controller.parameters
 
-    def traced(
-        name: str, *arguments: Any, settle: Callable[[Any], Any] = lambda traced_value: traced_value
+    def trace(
+        name: str, *arguments: Any, convert: Callable[[Any], Any] = lambda result: result
     ) -> Any:
+        """Shapes and types of the result of a function of the controller; `convert` is applied to this result."""
         with user_code(f"{named_place(controller, name)}, which fails"):
             return jax.eval_shape(
-                lambda *args: settle(getattr(controller, name)(*args)), *arguments
+                lambda *args: convert(getattr(controller, name)(*args)), *arguments
             )
 
     def refuse(name: str, why: str) -> NoReturn:
         raise ParameterError(f"{named_place(controller, name)}, which {why}.")
 
-    first = traced("init", params, readings, phase, settle=canonical)
-    servo, rate = traced("initial_servo", params, phase), traced("cycle_rate", params)
-    traced_value = traced("update", params, first, readings)
-    if not isinstance(traced_value, tuple) or len(traced_value) != 2:
+    initial_state = trace("init", params, readings, phase, convert=canonical)
+    initial_servo = trace("initial_servo", params, phase)
+    cycle_rate = trace("cycle_rate", params)
+    result = trace("update", params, initial_state, readings)
+    if not isinstance(result, tuple) or len(result) != 2:
         refuse(
             "update",
-            f"gives {described(traced_value)}: expected two, the next state and ServoAngles",
+            f"gives {described(result)}: expected two, the next state and ServoAngles",
         )
-    next_state, now = traced_value
-    forms = [str(jax.tree.structure(state)) for state in (first, next_state)]
-    shapes = [[leaf.shape for leaf in jax.tree.leaves(state)] for state in (first, next_state)]
+    next_state, servo = result
+    states = (initial_state, next_state)
+    forms = [str(jax.tree.structure(state)) for state in states]
+    shapes = [[leaf.shape for leaf in jax.tree.leaves(state)] for state in states]
     if forms[0] != forms[1] or shapes[0] != shapes[1]:
         refuse(
             "update",
@@ -294,7 +328,9 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
             f"{forms[0]} with shapes {shapes[0]}",
         )
     for (path, old), new in zip(
-        jax.tree_util.tree_leaves_with_path(first), jax.tree.leaves(next_state), strict=True
+        jax.tree_util.tree_leaves_with_path(initial_state),
+        jax.tree.leaves(next_state),
+        strict=True,
     ):
         if old.dtype != new.dtype and not np.can_cast(new.dtype, old.dtype, "same_kind"):
             refuse(
@@ -303,7 +339,7 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
                 f"{old.dtype}: each tick would lose what {old.dtype} cannot hold; begin it as "
                 f"{new.dtype}",
             )
-    for name, angles in (("initial_servo", servo), ("update", now)):
+    for name, angles in (("initial_servo", initial_servo), ("update", servo)):
         if not isinstance(angles, ServoAngles):
             refuse(
                 name,
@@ -314,15 +350,18 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
             if getattr(angle, "shape", None) != shape or np.dtype(angle.dtype).kind not in "fi":
                 message = f"gives ServoAngles whose {part.name} is {described(angle)}"
                 refuse(name, f"{message}: expected real numbers of shape {shape}")
-    if getattr(rate, "shape", None) != ():
+    if getattr(cycle_rate, "shape", None) != ():
         refuse(
             "cycle_rate",
-            f"gives {described(rate)}: expected one number, the gait cycles per second",
+            f"gives {described(cycle_rate)}: expected one number, the gait cycles per second",
         )
-    stance = traced("stance", first) if isinstance(controller, PlansContact) else jnp.ones(4, bool)
-    if getattr(stance, "shape", None) != (4,):
-        refuse("stance", f"gives {described(stance)}: expected the planned contact of four limbs")
-    # A policy of this package takes seconds to compile.
+    if isinstance(controller, PlansContact):
+        stance = trace("stance", initial_state)
+        if getattr(stance, "shape", None) != (4,):
+            refuse(
+                "stance", f"gives {described(stance)}: expected the planned contact of four limbs"
+            )
+    # A policy of this package is trusted, because compiling it takes seconds.
     if not type(controller).__module__.startswith("nermo_mjx."):
         _check_at_rest(robot, controller)
 
@@ -344,9 +383,9 @@ def _check_at_rest(robot: Robot, controller: ControllerLike) -> None:
     with jax.ensure_compile_time_eval():
         reading = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
     with user_code("controller fails"):
-        initial = jax.jit(start)(controller.parameters, reading)
-    for name, several in initial.items():
-        for leaf in jax.tree.leaves(several):
+        results = jax.jit(start)(controller.parameters, reading)
+    for name, result in results.items():
+        for leaf in jax.tree.leaves(result):
             if jnp.issubdtype(leaf.dtype, jnp.floating) and not np.isfinite(leaf).all():
                 raise ParameterError(
                     f"{named_place(controller, name)}, which gives {np.asarray(leaf).tolist()} for a robot at rest: "
@@ -355,23 +394,24 @@ def _check_at_rest(robot: Robot, controller: ControllerLike) -> None:
 
 
 def checked_loop(setup: Setup) -> ClosedLoop:
-    """The loop of a setup, whose own controller and metrics have been checked; warns of a policy that was judged in
-    another physics.
+    """The loop of a setup, after a check of its controller and of its custom metrics.
+
+    Warns if the controller is a policy that was evaluated with another physics or time step.
 
     Raises:
-        ParameterError: see `check_controller` and `check_metrics`; its first word is the setup's field.
+        ParameterError: See `check_controller` and `check_metrics`; the message begins with the field of the setup.
     """
     loop = ClosedLoop(setup.load(), setup.make_controller(), setup.own_metrics)
     check_controller(loop.robot, loop.controller)
-    check_metrics(loop.robot.config, loop.own)
+    check_metrics(loop.robot.config, loop.custom_metrics)
     if isinstance(loop.controller, ActsUpon) and (
-        why := loop.controller.elsewhere(setup.physics, setup.timestep)
+        warning := loop.controller.elsewhere(setup.physics, setup.timestep)
     ):
-        warnings.warn(why, stacklevel=3)
+        warnings.warn(warning, stacklevel=3)
     return loop
 
 
 def check_code(setup: Setup) -> None:
-    """Reject a setup's own controller or metrics, before anything is simulated; see `checked_loop`."""
+    """Check a custom controller and custom metrics before anything is simulated; see `checked_loop`."""
     if setup.controller is not None or setup.metrics:
         checked_loop(setup)

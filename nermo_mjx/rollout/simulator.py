@@ -246,7 +246,7 @@ class Simulator:
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = Lanes(functools.partial(measures.result, custom=self.loop.own))
+        self._results = Lanes(functools.partial(measures.result, custom=self.loop.custom_metrics))
 
     def with_setup(self, setup: Setup) -> Simulator:
         """A simulator for a setup that differs only in `PRESETTINGS`, with the same programs: nothing is recompiled.

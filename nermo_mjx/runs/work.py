@@ -161,7 +161,7 @@ class Work:
     @property
     def _there(self) -> np.ndarray:
         """The same of all numbers up to that of the last further row."""
-        is_there, numbers = np.zeros(len(self.seconds), bool), self.runs.numbers
+        is_there, numbers = np.zeros(len(self.seconds), bool), self.runs.row_numbers
         is_there[numbers[numbers < len(is_there)]] = True
         return is_there
 
@@ -215,7 +215,7 @@ class Work:
 
     def known(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Unfinished rows that are in other directories or in former parts, some at a time (n,), and where (n,)."""
-        unfinished = self.unfinished if self.runs.others else np.empty(0, int)
+        unfinished = self.unfinished if self.runs.other_parts else np.empty(0, int)
         at_once = len(self.layout[0]) if self.job.with_series else _COPIED_ROWS
         for start in range(0, len(unfinished), at_once):
             index = unfinished[start : start + at_once]
@@ -279,9 +279,9 @@ class Work:
         """
         places = dict.fromkeys(batch.structure for batch in batches)
         self._stamps = {structure: computer.stamp(structure) for structure in places}
-        several = bool(self.runs.others) or self.job.several_models
+        several = bool(self.runs.other_parts) or self.job.several_models
         self.runs.take_codes(list(self._stamps.values()), accept=accept_new_code, any_model=several)
-        first, directory = next(iter(self._stamps.values())), self.runs.held
+        first, directory = next(iter(self._stamps.values())), self.runs.directory
         assert directory is not None
         shard = "" if directory.shard is None else "{}/{}".format(*directory.shard)
         directory.note_session(

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 from scipy import stats
 
-from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, set_scales
+from nermo_mjx.plotting.charts import FigurePage, draw_horizontal_grid, set_scales
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST_COLOUR, GRID, INK, LINE_COLOUR, MUTED_INK, SERIES
@@ -33,9 +33,9 @@ from nermo_mjx.sweep.counting import (
     OF_ALL_RUNS,
     counts,
     losses,
+    losses_text,
     matched,
     same_values,
-    told,
     two_stage,
 )
 from nermo_mjx.sweep.spec import not_varied
@@ -765,7 +765,7 @@ def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]
                 round(share * runs),
             )
             why |= {NO_NUMBER: lost_text - failed} if lost_text > failed else {}
-            arm_names.append(f"{lost_text:,} of {runs:,} runs of {side.name}{told(why)}")
+            arm_names.append(f"{lost_text:,} of {runs:,} runs of {side.name}{losses_text(why)}")
             table.append((lost_text, runs - lost_text))
         if base[0] != other_arm[0]:
             yield (
@@ -1092,7 +1092,7 @@ def _by_groups(
         ax.set_title(", ".join([*([titled(metric)] if len(metrics) > 1 else []), *words]))
         set_scales(ax, across)
         ax.axhline(0, color=MUTED_INK, lw=0.8, zorder=1)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         if len(metrics) > 1 or number % columns == 0:
             ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")
         ax.set_xlabel(across.label)

@@ -45,8 +45,8 @@ def losses(status: np.ndarray, good: np.ndarray) -> dict[str, int]:
     )
 
 
-def told(losses_by_reason: Mapping[str, int]) -> str:
-    """Losses in brackets, empty without any: (3 fell, 1 no number)."""
+def losses_text(losses_by_reason: Mapping[str, int]) -> str:
+    """Numbers of failed runs by reason, in brackets, such as ` (3 fell, 1 no number)`; empty without any."""
     return (
         f" ({', '.join(f'{count:,} {why}' for why, count in losses_by_reason.items())})"
         if losses_by_reason

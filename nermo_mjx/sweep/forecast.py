@@ -106,7 +106,7 @@ def sweep_forecast(
         )
     existing = [
         part
-        for part in (*work.runs.parts, *work.runs.others)
+        for part in (*work.runs.parts, *work.runs.other_parts)
         if folder is not None and part.directory == folder
     ]
     rate, rate_from = _rate(sweep, name, existing, steps, measure)
@@ -141,7 +141,7 @@ def _further(sweep: Sweep, work: Work) -> int:
     assert sweep.optimum is not None
     groups = math.prod(len(values[name] or ()) for name in sweep.optimum.grouped(values))
     further_runs = groups * (sweep.optimum.budget + 2 * sweep.optimum.fresh)
-    return max(further_runs - int((work.runs.numbers >= len(work.seconds)).sum()), 0)
+    return max(further_runs - int((work.runs.row_numbers >= len(work.seconds)).sum()), 0)
 
 
 def _rate(

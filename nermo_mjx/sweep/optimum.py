@@ -18,7 +18,7 @@ import numpy as np
 from nermo_mjx.plotting.shown import half_width, shown, spoken, titled
 from nermo_mjx.runs.files import plain_json
 from nermo_mjx.runs.rows import part_files
-from nermo_mjx.sweep.counting import Variants, counts, losses, matched, told, two_stage
+from nermo_mjx.sweep.counting import Variants, counts, losses, losses_text, matched, two_stage
 from nermo_mjx.sweep.selection import Judged, judged
 from nermo_mjx.sweep.spec import SoughtOptimum
 from nermo_mjx.sweep.table import (
@@ -173,7 +173,7 @@ class FoundOptimum:
                 single_note = (
                     f"{self.asked.fresh} fresh runs each, no pairs (randomize.paired makes them)"
                 )
-                fresh = f", {f'{pairs} fresh pairs' if pairs else single_note}{told(answer.lost)}"
+                fresh = f", {f'{pairs} fresh pairs' if pairs else single_note}{losses_text(answer.lost)}"
             fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
             sentences.append(f"{name}: {verdict.runs} runs a point{fresh}; {why}{lost_note}.")
             for column, ends in self.ends(answer).items():

@@ -16,13 +16,13 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
 from nermo_mjx.plotting.charts import (
-    around,
-    blank,
+    blank_figure,
     cell_edges,
     cell_means,
     colour_bar,
+    finish_page,
     set_scales,
-    signed,
+    signed_percentage,
 )
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import (
@@ -77,7 +77,7 @@ def optimum_figure(optimum: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     )
     columns = min(len(answers), _COLUMNS)
     lines = -(-len(answers) // columns)
-    figure = blank(2.75 * columns + 1.1, 4.3 * lines + 1.0)
+    figure = blank_figure(2.75 * columns + 1.1, 4.3 * lines + 1.0)
     grid = figure.subplots(
         2 * lines, columns, squeeze=False, gridspec_kw={"height_ratios": [3.0, 0.85] * lines}
     )
@@ -96,7 +96,7 @@ def optimum_figure(optimum: FoundOptimum) -> Iterator[tuple[str, Figure]]:
         label = f"{spoken(question.metric)} against {optimum.base} [%]"
         bar = colour_bar(figure, list(maps), colours, label, extend="both", shrink=0.9, aspect=26)
         bar.ax.yaxis.set_major_formatter(
-            FuncFormatter(lambda value, _: signed(value).removesuffix(" %"))
+            FuncFormatter(lambda value, _: signed_percentage(value).removesuffix(" %"))
         )
     _draw_costs(optimum, answers, list(below))
     frame: dict[str, Any] = (
@@ -118,7 +118,7 @@ def optimum_figure(optimum: FoundOptimum) -> Iterator[tuple[str, Figure]]:
         if len(optimum.answers) > len(answers)
         else []
     )
-    yield "optimum", around(figure, optimum.title, " ".join(notes), handles)
+    yield "optimum", finish_page(figure, optimum.title, " ".join(notes), handles)
 
 
 def _draw_group(

@@ -21,16 +21,16 @@ from scipy import stats
 from nermo_mjx.plotting.charts import (
     BEST_LINES,
     best_word,
-    front,
     groups_of,
     heat_maps,
     line,
     named_points,
     pair_scatters,
-    parallel,
+    parallel_coordinates,
+    pareto_front,
     scatters,
     structure_figures,
-    thinned,
+    thin_out,
     trade_off,
 )
 from nermo_mjx.plotting.files import Figures
@@ -193,7 +193,7 @@ def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.nda
     """The panels of a heat map of `count` points for the parameters not on its axes, and a remark about them."""
     if len(rest) == 1:
         third, values = rest[0], np.unique(rest[0].values[np.isfinite(rest[0].values)])
-        panel_values = thinned(values, MAX_FIGURE_PANELS)
+        panel_values = thin_out(values, MAX_FIGURE_PANELS)
         panels = [
             (f"{third.spoken} = {third.shown(value)}", third.values == value)
             for value in panel_values
@@ -410,7 +410,7 @@ def _drawn_of(side: str, values: np.ndarray) -> tuple[np.ndarray, str]:
     """Places of the points (n,) that a scatter draws, the best one among them, and how many these are of all."""
     places, note = np.arange(len(values)), f"{len(values):,} runs"
     if len(values) > MAX_SCATTER_POINTS:
-        places = thinned(places, MAX_SCATTER_POINTS, [int(np.argmin(cost(side, values)))])
+        places = thin_out(places, MAX_SCATTER_POINTS, [int(np.argmin(cost(side, values)))])
         note = f"{MAX_SCATTER_POINTS:,} of {note}"
     return places, note
 
@@ -576,7 +576,9 @@ def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: s
     )
     best_text = f"the {min(BEST_LINES, finite_count)} {best_word(every)}"
     note += f"; orange: {best_text}, of which the first is {z.shown(z.values[-1])} at {where}"
-    return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
+    return parallel_coordinates(
+        parameters, z, f"{titled(metric)}: all parameters side by side", note
+    )
 
 
 # ---
@@ -612,7 +614,7 @@ def trade_off_figure(
 ) -> Figure:
     """Two metrics with a better direction against each other; the named points have their parameters below."""
     x, y = points.metrics[first], points.metrics[second]
-    best = front(cost(x.side, x.values), cost(y.side, y.values))
+    best = pareto_front(cost(x.side, x.values), cost(y.side, y.values))
     named = best[named_points(x.values[best], y.values[best])]
     parameters = points.of(names[:_MOST_TOLD], named)
     lines = []
@@ -630,7 +632,7 @@ def trade_off_figure(
     finite_points = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))
     note = f"{remark}{points.what}; "
     if len(finite_points) > _MAX_FRONT_POINTS:
-        finite_points = thinned(finite_points, _MAX_FRONT_POINTS, best)
+        finite_points = thin_out(finite_points, _MAX_FRONT_POINTS, best)
         note = f"{remark}{_MAX_FRONT_POINTS:,} of {points.what}, and the whole front; "
     x, y = (
         dataclasses.replace(parameter, values=parameter.values[finite_points])

@@ -18,7 +18,7 @@ from pydantic import BaseModel, Field
 
 from nermo_mjx.files import json_of
 from nermo_mjx.plotting import style
-from nermo_mjx.plotting.charts import thinned
+from nermo_mjx.plotting.charts import thin_out
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
@@ -188,7 +188,7 @@ def runs_of(
     places = np.arange(len(number))
     if len(number) > limit:
         best = np.argsort(price, kind="stable")[: min(_BEST_ROWS, limit // 2)]
-        places = np.union1d(thinned(places, limit - len(best)), best)
+        places = np.union1d(thin_out(places, limit - len(best)), best)
         places = np.union1d(places, np.flatnonzero(np.isin(number, list(required_rows))))
     columns = {
         name: _column(name, fields[name], sides[name], column(name)[places])
@@ -407,7 +407,7 @@ def explore(
     price = np.where(runs.counts, runs.columns[runs.leading].cost(), np.inf)
     ranked = runs.rows[recorded_rows[np.argsort(price[recorded_rows], kind="stable")]]
     chosen_rows = (
-        ranked[thinned(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
+        ranked[thin_out(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
     )
     if len(chosen_rows) < len(recordings_by_row):
         notes.append(

@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.stepping import FREE_TRAJECTORY, FreeStepping, Stepping
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
-from nermo_mjx.plotting.charts import FigurePage, horizontal_grid
+from nermo_mjx.plotting.charts import FigurePage, draw_horizontal_grid
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import (
     FOOT,
@@ -199,7 +199,7 @@ def orientation(walk: RecordedGait) -> Figure | None:
         ax.plot(time, values, color=LINE_COLOUR, lw=1.3, zorder=3)
         ax.set_ylabel(f"{name} [deg]")
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
         ax.annotate(
             f"{values.mean():.1f} ± {values.std():.1f}".replace("-", "−"),
             (1, 1.01),
@@ -350,7 +350,7 @@ def over_ground(walk: RecordedGait) -> Figure | None:
             ax.plot(along[:, i], loaded, color=FOOT[limb], lw=4.0, solid_capstyle="butt", zorder=4)
         ax.annotate(name_of(limb), (0, 1.0), xycoords="axes fraction", va="bottom", color=INK)
         ax.margins(x=0.02, y=0.15)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
     page.axes[-1, 0].set_xlabel("along the course [mm]")
     page.figure.supylabel("height of the foot [mm]", fontsize=9.5)
     note = (
@@ -426,7 +426,7 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
             ax.plot(time, aim[:, i], color=INK, lw=0.9, ls=(0, (4, 2)), zorder=4)
         ax.annotate(name, (0, 1.0), xycoords="axes fraction", va="bottom", color=INK)
         ax.margins(y=0.1)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
     page.axes[-1, 0].set(xlabel="time [s]", xlim=(time[0], time[-1]))
     page.figure.supylabel("servo angle [deg]", fontsize=9.5)
     handles: list[Artist] = [
@@ -460,7 +460,7 @@ def beside_robot(walk: RecordedGait) -> Figure | None:
         title = f"{channel.title} [{channel.unit}]"
         ax.annotate(title, (0, 1.0), xycoords="axes fraction", va="bottom", color=INK, fontsize=8.5)
         ax.margins(y=0.1)
-        horizontal_grid(ax)
+        draw_horizontal_grid(ax)
     for ax in page.axes.T.ravel()[len(channels) :]:
         ax.remove()
     for ax in page.axes.T.ravel()[[rows - 1, len(channels) - 1]]:

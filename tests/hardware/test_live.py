@@ -106,6 +106,7 @@ def broker() -> Iterator[int]:
         yield port
 
 
+@pytest.mark.extra
 def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
     """A subscriber gets every message of half a second, in order: JSON lists of twelve whole degrees."""
     import paho.mqtt.client as mqtt
@@ -165,7 +166,11 @@ def test_a_bridge_gets_radians(published) -> None:
 @pytest.mark.parametrize(
     ("url", "sentence"),
     [
-        ("mqtt://127.0.0.1:9", "127.0.0.1:9: no MQTT broker answers there"),
+        pytest.param(
+            "mqtt://127.0.0.1:9",
+            "127.0.0.1:9: no MQTT broker answers there",
+            marks=pytest.mark.extra,
+        ),
         ("ws://127.0.0.1:9", "127.0.0.1:9: no rosbridge server answers there"),
     ],
 )
@@ -175,6 +180,7 @@ def test_nobody_there_is_a_sentence(url: str, sentence: str) -> None:
         pass
 
 
+@pytest.mark.extra
 def test_the_command_sends_and_says_how_it_went(broker) -> None:
     send = ("--send", f"mqtt://127.0.0.1:{broker}", "--seconds", "0.19")
     report = json_of("servos", "--channels", "published", *send)["sent"]
@@ -243,6 +249,7 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
         thread.join(10)
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("scheme", ["mqtt", "ws"])
 @pytest.mark.parametrize(
     "address",

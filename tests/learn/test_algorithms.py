@@ -19,11 +19,11 @@ from nermo_mjx.learn.experience import (
     Actor,
     EpisodeScores,
     Experience,
-    Learned,
+    LearningState,
     Statistics,
-    advantages,
-    descent,
-    scanned,
+    collect_traced,
+    estimate_advantages,
+    make_optimizer,
 )
 
 QUICK = PPO(hidden=(16, 16))
@@ -31,10 +31,10 @@ QUICK = PPO(hidden=(16, 16))
 
 def trained(algorithm, environment, iterations, seed=0):
     """What was learned, and the numbers of each iteration."""
-    iterate, learned = algorithm.iteration(environment), algorithm.begin(environment, seed)
+    iterate, learned = algorithm.make_iteration(environment), algorithm.begin(environment, seed)
     state, scores, rows = (
-        environment.reset(learned.random(RESET_KEY)),
-        EpisodeScores.none(environment.worlds),
+        environment.reset(learned.random_key(RESET_KEY)),
+        EpisodeScores.empty(environment.worlds),
         [],
     )
     for _ in range(iterations):
@@ -61,7 +61,7 @@ def returned(learned, episodes=64):
     state, total = environment.reset(jax.random.key(99)), np.zeros(episodes)
     state = state._replace(tick=jnp.zeros_like(state.tick))
     quiet = dataclasses.replace(learned.actor, log_std=jnp.full(2, -20.0))
-    _, steps_of_scan = jax.jit(functools.partial(scanned, environment))(
+    _, steps_of_scan = jax.jit(functools.partial(collect_traced, environment))(
         quiet, learned.statistics, state, jnp.zeros((60, episodes, 2))
     )
     running = np.ones(episodes, bool)
@@ -84,7 +84,7 @@ def test_the_tally_leaves_out_each_worlds_first_episode():
     experience = Experience(
         nothing, nothing, reward, {"near": reward}, falls, ends & ~falls, nothing
     )
-    numbers = EpisodeScores.none(2).tally(experience)
+    numbers = EpisodeScores.empty(2).tally(experience)
     assert numbers["episodes"] == 3
     np.testing.assert_allclose(numbers["return"], ((3 + 4 + 5) + (20 + 30 + 40) + (50 + 60)) / 3)
     np.testing.assert_allclose(numbers["length"], (3 + 3 + 2) / 3)
@@ -98,7 +98,7 @@ def test_advantages_are_sums_of_errors_up_to_the_episodes_end():
     reward, value, next_value = rng.normal(size=(3, 9, 5))
     fallen = rng.random((9, 5)) < 0.2
     cut = (rng.random((9, 5)) < 0.2) & ~fallen
-    result = advantages(reward, value, next_value, fallen, cut, 0.9, 0.7)
+    result = estimate_advantages(reward, value, next_value, fallen, cut, 0.9, 0.7)
     for world in range(5):
         for t in range(9):
             total = 0.0
@@ -112,7 +112,7 @@ def test_advantages_are_sums_of_errors_up_to_the_episodes_end():
 
 def test_statistics_in_parts_are_those_of_the_whole():
     values = np.random.default_rng(1).normal(3.0, 2.0, (40, 6)).astype(np.float32)
-    parts = Statistics.none(6).extended(values[:7]).extended(values[7:])
+    parts = Statistics.empty(6).extend(values[:7]).extend(values[7:])
     np.testing.assert_allclose(parts.mean, values.mean(axis=0), rtol=1e-5)
     np.testing.assert_allclose(parts.variance, values.var(axis=0), rtol=1e-4)
 
@@ -128,9 +128,9 @@ def test_two_steps_on_the_clipped_objective_are_those_of_the_definition():
     actor = Actor(((jnp.zeros((1, 1)), jnp.zeros(1)),), jnp.full(1, np.log(std), jnp.float32))
     critic = ((jnp.zeros((1, 1)), jnp.zeros(1)),)
     key, zero = jax.random.key_data(jax.random.key(0)), jnp.zeros((), jnp.int32)
-    states = (descent().init(actor), descent().init(critic))
-    learned = Learned(
-        actor, critic, critic, Statistics.none(1), states, jnp.float32(rate), key, zero, zero
+    states = (make_optimizer().init(actor), make_optimizer().init(critic))
+    learned = LearningState(
+        actor, critic, critic, Statistics.empty(1), states, jnp.float32(rate), key, zero, zero
     )
     no, inputs = jnp.zeros((1, 2), bool), jnp.zeros((1, 2, 1))
     experience = Experience(
@@ -142,7 +142,7 @@ def test_two_steps_on_the_clipped_objective_are_those_of_the_definition():
         no,
         inputs,
     )
-    updated, _ = jax.jit(functools.partial(ppo._updated, 1))(learned, experience)
+    updated, _ = jax.jit(functools.partial(ppo._update, 1))(learned, experience)
 
     def log_density(bias: float, log_std: float) -> np.ndarray:
         return -0.5 * ((action - np.tanh(bias)) / np.exp(log_std)) ** 2 - log_std

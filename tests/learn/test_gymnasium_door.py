@@ -15,6 +15,8 @@ gymnasium = pytest.importorskip("gymnasium")
 from nermo_mjx import ParameterError, Setup  # noqa: E402
 from nermo_mjx.learn import Environment, Task  # noqa: E402
 
+pytestmark = pytest.mark.extra
+
 
 @pytest.fixture(scope="module")
 def door():

@@ -76,8 +76,7 @@ registry.load("NermoFlat")
 """
 
 
-@pytest.mark.process
-@pytest.mark.slow
+@pytest.mark.release
 def test_playgrounds_environments_keep_their_physics_whichever_module_is_imported_first():
     """An acrobot's capsules have seven contacts in MJX, and eight in this package."""
     ran = [

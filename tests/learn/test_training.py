@@ -46,7 +46,7 @@ from nermo_mjx.learn.evaluation import (
     summary_of,
     unseen_bodies,
 )
-from nermo_mjx.learn.experience import collector
+from nermo_mjx.learn.experience import make_collector
 from nermo_mjx.learn.policy import export
 from nermo_mjx.learn.run import _VALIDATION_OFFSET, BestPolicy, successes
 from nermo_mjx.runs import RunDirectory
@@ -737,14 +737,14 @@ def test_parts_that_do_not_wait_for_each_other_step_as_together():
         [(Setup(physics="fast"), task), (Setup(physics="fast"), other_task)], worlds=3, threads=2
     )
     learned, key, steps = PPO(std=0.5).begin(mixture, 0), jax.random.key(7), 3
-    final_state, experience = collector(mixture, steps)(
+    final_state, experience = make_collector(mixture, steps)(
         learned.actor, learned.statistics, mixture.reset(4), key
     )
     state = mixture.reset(4)
     noise = np.asarray(jax.random.normal(key, (steps, 3, 9), np.float32))
     for t in range(steps):
         observations = np.concatenate([state.observation, state.privileged], axis=1)
-        np.testing.assert_array_equal(experience.seen[t], observations)
+        np.testing.assert_array_equal(experience.critic_input[t], observations)
         # An untrained policy's mean is zero.
         np.testing.assert_allclose(experience.action[t], 0.5 * noise[t], rtol=1e-6)
         state = mixture.step(state, experience.action[t])
@@ -753,7 +753,7 @@ def test_parts_that_do_not_wait_for_each_other_step_as_together():
         final_observations = np.concatenate(
             [state.final_observation, state.final_privileged], axis=1
         )
-        np.testing.assert_array_equal(experience.then[t], final_observations)
+        np.testing.assert_array_equal(experience.next_critic_input[t], final_observations)
     assert experience.truncated.any()
     np.testing.assert_array_equal(final_state.privileged, state.privileged)
 
@@ -771,6 +771,7 @@ def test_a_policy_follows_another_path(policy, tmp_path):
         Setup(controller=str(path), pilot="open_loop")
 
 
+@pytest.mark.extra
 def test_onnx_acts_as_the_policy_does(policy):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")

@@ -68,7 +68,14 @@ def test_both_ends_of_a_measures_range_are_in_the_atlas():
 
 
 @pytest.mark.release(cases=("cma_me",))
-@pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        pytest.param(SPEED, id="cma"),
+        pytest.param(FRONT, id="nsga2", marks=pytest.mark.extra),
+        pytest.param(ATLAS, id="cma_me", marks=pytest.mark.extra),
+    ],
+)
 def test_points_stay_within_the_bounds_whatever_happens(spec):
     """Even if every run falls, or all points are equal."""
     search = Search.from_dict(spec)
@@ -251,6 +258,7 @@ def test_the_command_searches_by_a_custom_metric(tmp_path):
     assert f"best shake {best:.4g} deg/s" in ran.stderr
 
 
+@pytest.mark.extra
 @pytest.mark.release(cases=("spec1-names1",))
 @pytest.mark.parametrize(
     ("spec", "names"), [(FRONT, ("front", "hypervolume")), (ATLAS, ("atlas", "coverage"))]

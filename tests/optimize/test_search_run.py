@@ -25,10 +25,13 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import read_table
 
 #: Not imported here, which would take two seconds in each process of tests.
-pytestmark = pytest.mark.skipif(
-    not all(map(importlib.util.find_spec, ("ribs", "pymoo"))),
-    reason="needs nermo-mjx[search]",
-)
+pytestmark = [
+    pytest.mark.extra,
+    pytest.mark.skipif(
+        not all(map(importlib.util.find_spec, ("ribs", "pymoo"))),
+        reason="without ribs or pymoo: pip install '.[test-all]'",
+    ),
+]
 
 
 def values(table, *names):

@@ -127,7 +127,9 @@ def test_tune_prints_start_and_best_as_people_read_them(
 def test_the_change_of_an_angle_is_the_shorter_way_round(
     name: str, change: float, shown: float
 ) -> None:
-    assert jobs._shortest(Tuning.from_dict(SPEC), name, change) == pytest.approx(shown, abs=1e-5)
+    assert jobs._shortest_change(Tuning.from_dict(SPEC), name, change) == pytest.approx(
+        shown, abs=1e-5
+    )
 
 
 def test_a_start_that_falls_is_said_so(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:

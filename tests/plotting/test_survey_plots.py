@@ -12,7 +12,7 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from scipy import stats
 
-from nermo_mjx.plotting.charts import CROWD_POINTS, front, named_points, scatters
+from nermo_mjx.plotting.charts import CROWD_POINTS, named_points, pareto_front, scatters
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import ShownValues, spoken
 from nermo_mjx.plotting.style import STYLE
@@ -87,7 +87,7 @@ def beaten(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def test_nothing_beats_a_point_of_the_front_and_all_else_is_beaten(seed: int) -> None:
     random = np.random.default_rng(seed)
     x, y = random.integers(0, 40, (2, 300)).astype(float)
-    best = front(x, y)
+    best = pareto_front(x, y)
     is_beaten = beaten(x, y)
     assert not is_beaten[best].any()
     on_it = {(x[i], y[i]) for i in best}
@@ -95,8 +95,8 @@ def test_nothing_beats_a_point_of_the_front_and_all_else_is_beaten(seed: int) ->
     assert len(on_it) == len(best), "points that are best in both count once"
     assert (np.diff(x[best]) > 0).all()
     assert (np.diff(y[best]) < 0).all()
-    assert front(np.append(x, np.nan), np.append(y, 0.0)).tolist() == best.tolist()
-    assert front(x[:0], y[:0]).tolist() == []
+    assert pareto_front(np.append(x, np.nan), np.append(y, 0.0)).tolist() == best.tolist()
+    assert pareto_front(x[:0], y[:0]).tolist() == []
 
 
 def test_named_points_are_both_ends_and_some_between() -> None:

@@ -30,8 +30,8 @@ def keys(values):
     return keys_of("walk", {"a": np.asarray(values, float)}, len(values))
 
 
-def opened(directory, group="aa", also=(), **options):
-    return Runs(directory.out, group, also, directory=directory, **options)
+def opened(directory, group="aa", sources=(), **options):
+    return Runs(directory.out, group, sources, directory=directory, **options)
 
 
 def add(runs, values, first=0, series=False):
@@ -67,9 +67,9 @@ def test_a_key_is_of_content_and_of_nothing_else():
 def test_runs_are_found_again_in_any_order_and_by_another_job(directory):
     add(opened(directory), [1.0, 2.0])
     add(opened(directory), [3.0], first=2)
-    assert sorted(opened(directory).numbers.tolist()) == [0, 1, 2]
+    assert sorted(opened(directory).row_numbers.tolist()) == [0, 1, 2]
     second_job = opened(directory, "bb")  # extended: the same folder, another job
-    assert len(second_job.numbers) == 0
+    assert len(second_job.row_numbers) == 0
     places = second_job.find(keys([3.0, 9.0, 1.0]))
     assert (places >= 0).tolist() == [True, False, True]
     rows = second_job.take(places[places >= 0])
@@ -88,7 +88,7 @@ def test_parts_of_another_job_leave_the_folder_that_is_read_whole_and_come_back(
     assert not first.series.is_relative_to(directory.out / "series")
     assert len(list(directory.out.glob("former/*/*.parquet"))) == 2
     runs = opened(directory, series=True)
-    assert runs.numbers.tolist() == [0]
+    assert runs.row_numbers.tolist() == [0]
     assert first.path.exists()
 
 
@@ -125,7 +125,7 @@ def test_another_directory_is_only_read(directory, tmp_path):
         store = opened(other_directory)
         store.take_codes([STAMP], accept=False)
         path = add(store, [1.0], series=True).path
-    runs = opened(directory, also=[tmp_path / "there"], series=True)
+    runs = opened(directory, sources=[tmp_path / "there"], series=True)
     (index,) = runs.find(keys([1.0]))
     assert runs.take(np.array([index])).column("speed").to_pylist() == [2.0]
     assert [
@@ -134,7 +134,7 @@ def test_another_directory_is_only_read(directory, tmp_path):
     assert runs.codes(accept=False) == [STAMP]
     path.write_bytes(path.read_bytes()[:-1])
     warned = []
-    assert opened(directory, also=[tmp_path / "there"], warn=warned.append).find(
+    assert opened(directory, sources=[tmp_path / "there"], warn=warned.append).find(
         keys([1.0])
     ).tolist() == [-1]
     assert path.exists()
@@ -143,7 +143,7 @@ def test_another_directory_is_only_read(directory, tmp_path):
 
 def test_without_the_directory_nothing_is_written(tmp_path):
     """As a forecast asks: neither folders nor what is damaged change."""
-    assert len(Runs(tmp_path / "none", "aa").numbers) == 0
+    assert len(Runs(tmp_path / "none", "aa").row_numbers) == 0
     assert not (tmp_path / "none").exists()
     with RunDirectory(tmp_path / "out", "sweep") as directory:
         path = add(opened(directory), [1.0]).path
@@ -153,7 +153,7 @@ def test_without_the_directory_nothing_is_written(tmp_path):
     retired_path.write_bytes(b"half")
     former_contents = contents(tmp_path)
     warned = []
-    assert len(Runs(tmp_path / "out", "aa", warn=warned.append).numbers) == 0
+    assert len(Runs(tmp_path / "out", "aa", warn=warned.append).row_numbers) == 0
     assert warned == [f"{retired_path} is damaged; its runs are not used."]
     assert former_contents == contents(tmp_path)
     assert not path.exists()
@@ -162,7 +162,7 @@ def test_without_the_directory_nothing_is_written(tmp_path):
 def test_runs_of_unknown_code_are_used_only_when_that_is_accepted(directory, tmp_path):
     with RunDirectory(tmp_path / "there", "sweep") as other_directory:
         add(opened(other_directory), [1.0])
-    runs = opened(directory, also=[tmp_path / "there"])
+    runs = opened(directory, sources=[tmp_path / "there"])
     with pytest.raises(
         OtherCode,
         match="there does not say which code made it: its runs are used with --accept-new",
@@ -195,11 +195,11 @@ def test_any_damage_is_seen_and_nothing_is_deleted(directory):
             file.write_bytes(damaged)
             warned = []
             runs = opened(directory, series=True, warn=warned.append)
-            assert runs.numbers.tolist() == [2], damaged
+            assert runs.row_numbers.tolist() == [2], damaged
             assert [str(part.path) in message for message in warned] == [True]
             assert damaged in [path.read_bytes() for path in directory.out.glob("*.aside/*")]
             add(runs, [1.0, 2.0], series=True)
-            assert sorted(opened(directory, series=True).numbers.tolist()) == [0, 1, 2]
+            assert sorted(opened(directory, series=True).row_numbers.tolist()) == [0, 1, 2]
             for path in directory.out.glob("*.aside/*"):
                 path.unlink()
 
@@ -229,10 +229,10 @@ def test_a_full_disk_leaves_nothing_half_written(directory, monkeypatch, folder)
             add(runs, [2.0], first=1, series=True)
     assert not list(directory.out.rglob("*.nermo-tmp"))
     runs = opened(directory, series=True)
-    assert runs.numbers.tolist() == [0]
+    assert runs.row_numbers.tolist() == [0]
     assert len(list(directory.out.glob("series/*"))) == 1
     add(runs, [2.0], first=1, series=True)
-    assert sorted(opened(directory, series=True).numbers.tolist()) == [0, 1]
+    assert sorted(opened(directory, series=True).row_numbers.tolist()) == [0, 1]
 
 
 @pytest.mark.parametrize("operation", ["rename", "bytes"])
@@ -250,9 +250,9 @@ def test_what_a_disk_loses_is_missing_when_it_is_looked_at_again(directory, monk
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", loses)
         add(runs, [1.0])
-    assert len(runs.numbers) == 1
+    assert len(runs.row_numbers) == 1
     runs.survey()
-    assert len(runs.numbers) == 0
+    assert len(runs.row_numbers) == 0
 
 
 CHILD = """
@@ -261,7 +261,7 @@ from test_rows import *
 shard = (int(sys.argv[3]), 3) if len(sys.argv) > 3 else None
 with RunDirectory(sys.argv[1], "sweep", shard) as directory:
     runs = opened(directory, series=True)
-    done = set(runs.numbers.tolist())
+    done = set(runs.row_numbers.tolist())
     for i in range(shard[0] if shard else 0, 300, 3 if shard else 1):
         if i not in done:
             add(runs, [float(i)], first=i, series=True)
@@ -288,7 +288,7 @@ def test_what_killed_processes_stored_is_whole(tmp_path):
         process.wait()
     with RunDirectory(tmp_path, "sweep") as directory:
         warned = []
-        rows = opened(directory, warn=warned.append, series=True).numbers.tolist()
+        rows = opened(directory, warn=warned.append, series=True).row_numbers.tolist()
     assert not warned
     assert sorted(rows) == list(range(len(rows)))
     assert set(rows) >= {int(line) for line in output_lines if line.endswith("\n")}
@@ -311,8 +311,8 @@ def test_shards_add_at_the_same_time(tmp_path):
         process.communicate(timeout=60)
     with RunDirectory(tmp_path, "sweep") as directory:
         warned = []
-        assert sorted(opened(directory, warn=warned.append, series=True).numbers.tolist()) == list(
-            range(300)
-        )
+        assert sorted(
+            opened(directory, warn=warned.append, series=True).row_numbers.tolist()
+        ) == list(range(300))
         assert warned == []
     assert len(list(tmp_path.glob("series/*"))) == len(list(tmp_path.glob("results/*"))) == 300

@@ -31,6 +31,7 @@ def documented(start: str) -> str:
     return re.findall(statement, PAGE.read_text(), re.MULTILINE)[0]
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("package", ["pandas", "polars", "duckdb"])
 def test_tables_open_in_one_line(package: str, out: Path) -> None:
     """As the page has it, with all rows and the same numbers."""
@@ -46,6 +47,7 @@ def test_tables_open_in_one_line(package: str, out: Path) -> None:
     assert set(frame["status"]) == {"ok"}
 
 
+@pytest.mark.extra
 def test_the_best_rows_are_a_query_away(out: Path) -> None:
     """The documented query of DuckDB, over the files as they are."""
     duckdb = pytest.importorskip("duckdb")

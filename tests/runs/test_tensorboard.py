@@ -13,6 +13,7 @@ from nermo_mjx import read_table, run_sweep
 from nermo_mjx.runs import Interrupted
 
 
+@pytest.mark.extra
 def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     """At the number of rows so far; what an earlier session ran counts in the best and the mean of the later one."""
     pytest.importorskip("tensorboardX")

@@ -396,6 +396,7 @@ def test_what_is_kept_does_not_change_the_sweep() -> None:
     )
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("package", ["pandas", "polars", "duckdb"])
 def test_series_open_in_the_lines_of_the_page(tmp_path: Path, package: str) -> None:
     """As docs/files.md has them, but for runs that are shorter; one run, and runs beside their parameters, too."""

@@ -246,6 +246,7 @@ def test_wrong_rows_of_a_file_are_refused_with_its_line(tmp_path, text, line, se
     assert f"sweep.yaml:{line}: " in str(refused.value)
 
 
+@pytest.mark.extra
 def test_a_table_that_lost_what_its_columns_are_is_refused(tmp_path):
     """As pandas and polars write it: nobody could tell a drawn friction from a varied one."""
     duckdb = pytest.importorskip("duckdb")
