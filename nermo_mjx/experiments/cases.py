@@ -244,7 +244,8 @@ class Settings:
             ParameterError: the controller cannot act upon such a one.
         """
         if self.controller is None:
-            return Setup(scene=scene, profile=self.profiles[0], **choices)
+            profile: Any = self.profiles[0]
+            return Setup(scene=scene, profile=profile, **choices)
         return Setup(scene=scene, **self.robot, controller=self.controller.acts.upon(**choices))
 
     @property

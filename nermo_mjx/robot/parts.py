@@ -440,8 +440,7 @@ TENDON_GUIDE: Final = (0.0, -0.0200, 0.0070)
 #: Axis of the tilt of the head, relative to the foot of the neck's axis [m].
 TILT_AXIS: Final = (0.0, -0.0106, 0.0144)
 #: Distance by which the head is further forward than the head of Nermo-Lite [m]. The nose is then 53 mm in front of the
-#: tilt axis, as in the author's model, and 403.6 mm in front of the tip of the
-#: tail; the published length is 405 mm.
+#: tilt axis, as in the author's model, and 403.6 mm in front of the tip of the tail; the published length is 405 mm.
 HEAD_FORWARD: Final = 0.0160
 
 

@@ -414,7 +414,12 @@ def load_robot(
         return Robot(robot, _compile(robot))
     options = {} if timestep is None else {"timestep": timestep}
     config = RobotConfig(
-        *(robot, scene, tail, routing, cone, physics),
+        robot,
+        scene,
+        tail,
+        routing,
+        cone,
+        physics,
         hinges=hinges,
         feet=feet,
         simplifications=simplifications,
