@@ -50,6 +50,8 @@ STAND_SETTABLE: Final = BODY_SETTABLE - {
 #: Time in which a stand comes to rest, so often at most where damping is low; and in which a motion or a load is slow:
 #: inertia and damping hardly matter [s].
 REST, PATIENCE, SLOW = 2.0, 15, 8.0
+#: Speed of joints below which a stand is at rest [rad/s].
+RESTING_SPEED: Final = 2e-3
 #: A servo saturates at this share of its torque limit, which it only approaches.
 _SATURATED: Final = 0.999
 #: Numbers of hinges whose bend is compared.
@@ -76,10 +78,14 @@ class Stand:
         """
         self.data.ctrl[:] = servo
         for waited in range(1, PATIENCE + 1):
-            for _ in range(self._steps(REST)):
+            # A swing is also without speed at its ends: the fastest moment of the last quarter counts.
+            speed = 0.0
+            for step in range(steps := self._steps(REST)):
                 mujoco.mj_step(self.model, self.data)
+                if step >= 0.75 * steps:
+                    speed = max(speed, np.abs(self.data.qvel).max())
             mujoco.mj_forward(self.model, self.data)
-            if waited >= times and np.abs(self.data.qvel).max() < 1e-2:
+            if waited >= times and speed < RESTING_SPEED:
                 return self
         raise ParameterError(
             f"the stand of {self.name} does not come to rest with these parameters."
