@@ -19,6 +19,7 @@ was made, its kind:
 - `fitted`: a term of the objective (`identification`), or a figure that those terms decide;
 - `theory`: a formula of the publication against the same formula here; nothing is simulated;
 - `chosen`: something was decided with this figure, or one of its group, in view;
+- `rewritten`: the rule of this figure was changed after the author's own model had failed it;
 - `predicted`: none of these. Only predicted lines are evidence. In case of doubt, a line does not count as predicted.
 """
 
@@ -38,7 +39,7 @@ from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, Settings
 from nermo_mjx.experiments.measures import MEASURES, Measure, NotMeasured, ProfileOutcome
 from nermo_mjx.specs.reading import read_file
 
-Kind = Literal["predicted", "chosen", "fitted", "theory"]
+Kind = Literal["predicted", "rewritten", "chosen", "fitted", "theory"]
 Rule = Literal["number", "effect", "gain", "range", "at_most", "outcome", "none"]
 LINE_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 Value = float | bool | str | None

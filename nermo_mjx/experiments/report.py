@@ -343,6 +343,7 @@ _SOURCE: Final = (
 _LINE_COUNTS: Final = ("lines", "hold", "do_not_hold", "not_measured")
 _MEANING: Final = {
     "predicted": "not used in any decision about the twin",
+    "rewritten": "its rule was changed after the author's own model had failed it",
     "chosen": "something was decided with it in view",
     "fitted": "a term of the identification, or decided by those",
     "theory": "formula against formula; nothing is simulated",

@@ -306,7 +306,8 @@ def add_servos(
             gain_share, torque_share = servo_shares([name], robot, is_simplified)[0]
             actuator.set_to_position(kp=float(servo.kp) * gain_share, kv=float(servo.kv))
             actuator.ctrllimited = True
-            actuator.ctrlrange = np.array(servo_range(name, routing, robot))
+            margin = float(servo.knee_range) if name.endswith("_knee") else 0.0
+            actuator.ctrlrange = servo_range(name, routing, robot) + margin * np.array([-1.0, 1.0])
             limit = float(servo.stall_torque) * torque_share
             limit *= float(servo.spine_torque) if name == "spine" else 1.0
             actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])
