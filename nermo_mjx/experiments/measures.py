@@ -366,10 +366,11 @@ def _family(
         measure: Function of a `ProfileOutcome` and the argument.
         arguments: Text -> argument.
     """
-    return {
-        figure.format(text): lambda measured, argument=argument: measure(measured, argument)
-        for text, argument in arguments.items()
-    }
+
+    def with_argument(argument: Any) -> Measure:
+        return lambda measured: measure(measured, argument)
+
+    return {figure.format(text): with_argument(argument) for text, argument in arguments.items()}
 
 
 #: The measures by experiment and figure, as in `published.yaml`.
