@@ -2,6 +2,7 @@
 
 import collections
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -22,19 +23,23 @@ def _jaxtyped_first_calls(function: Any = None, *, typechecker: Any) -> Any:
 
     A function within a function is not checked: it would be prepared anew, for a millisecond, whenever the other runs.
     Nor is a pytree where it is made: JAX makes it anew with leaves of a whole batch, or with none.
+    The check of a function is prepared at its first call, because a process of tests calls a part of all functions.
     """
     if function is None:
         return functools.partial(_jaxtyped_first_calls, typechecker=typechecker)
     if isinstance(function, type) or "<locals>" in getattr(function, "__qualname__", ""):
         return function
-    checked = _jaxtyped(function, typechecker=typechecker)
-    if not callable(checked):  # a property
-        return checked
+    if not inspect.isfunction(function):  # a property, for example
+        return _jaxtyped(function, typechecker=typechecker)
+
+    @functools.cache
+    def prepared() -> Callable[..., Any]:
+        return _jaxtyped(function, typechecker=typechecker)
 
     @functools.wraps(function)
     def first_calls(*arguments: Any, **keywords: Any) -> Any:
         calls[function] += 1
-        return (checked if calls[function] <= MOST else function)(*arguments, **keywords)
+        return (prepared() if calls[function] <= MOST else function)(*arguments, **keywords)
 
     return first_calls
 

@@ -288,15 +288,17 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
     assert fresh[1].endswith("-m pytest")
     parts = dict(re.findall(r"^([\w-]+)\(\) \{\n(.*?)^\}$", script, re.MULTILINE | re.DOTALL))
     for part, line in {
-        "commands": 'eval "${job/python3/$python}"',
-        "readme": "commands python3",
+        "main_job": 'eval "${job/python3/$python}"',
+        "default_tests": 'eval "${tests/python3/$python}"',
+        "readme": "main_job python3",
         "release": "pytest -m '(release or extra) and not long'",
         "wheel": ".ci/wheel",
-        "other-pythons": 'commands "$python"',
+        "other-pythons": 'default_tests "$python"',
         "style": "ruff format --check",
     }.items():
         assert line in parts[part]
-    assert 'eval "${tests/python3/$python}"' in parts["commands"]
+    assert "default_tests python3" in parts["readme"]
+    assert 'main_job "$python"' in parts["other-pythons"]
     assert ".ci/size" in parts["style"]
     assert ".ci/names" in parts["style"]
     for name in ("run", "wheel"):

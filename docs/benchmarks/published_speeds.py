@@ -126,11 +126,11 @@ def main(out: Path, profile: str, generations: int, samples: int, tolerance: flo
     problem = PublishedSpeeds(defaults, profile)
     problem.predict(np.array([list(defaults.values())]))
     list(
-        Estimation(ParameterSpace(parameters[: len(SEARCHED)]), problem).sought(
+        Estimation(ParameterSpace(parameters[: len(SEARCHED)]), problem).search_globally(
             generations, generations, seed=0
         )
     )
-    Estimation(ParameterSpace(parameters), problem).scanned(samples, seed=0)
+    Estimation(ParameterSpace(parameters), problem).scan(samples, seed=0)
     objective = np.nan_to_num(np.sqrt(np.mean(problem.deviations**2, axis=1)), nan=math.inf)
     tried = len(objective) - samples
     chosen = [

@@ -957,7 +957,7 @@ def identify_command(
     if model and "robot" in options.given():
         raise WrongUse("--model is another robot: give it, or --robot.")
     from nermo_mjx.hardware.log import read_log
-    from nermo_mjx.identify.identification import FREE
+    from nermo_mjx.identify.identification import FREE_KINDS
     from nermo_mjx.identify.report import ESTIMATE_HEADINGS, estimate_rows
     from nermo_mjx.identify.run import run_identification
     from nermo_mjx.robot.quantity import require
@@ -980,7 +980,7 @@ def identify_command(
             logs,
             out,
             model=robot if model is None else model,
-            free=free.split(",") if free else FREE,
+            free=free.split(",") if free else FREE_KINDS,
             ranges=ranges,
             judges=check_logs,
             seed=seed,

@@ -103,7 +103,7 @@ _DIRECTORY_KINDS: Final = (
         Kind(
             name,
             f"an {name}",
-            "identify.report:kept_figures",
+            "identify.report:reject_figures",
             "identify.run:identification_status",
             page="identify.report:identification_page",
         )

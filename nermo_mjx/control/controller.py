@@ -5,8 +5,10 @@
                ├────────┴──────────► spine ────┴───────────────────────────────────────► spine servo
                └───────────────────► head, tail ───────────────────────────────────────► neck, tilt and tail servos
 
-Two pytrees go through it: `ControlParameters` (varied by sweeps) and `ControllerState` (which changes over time). Its
-parts are fields, and each can be replaced by another one with the same interface. Values are unbatched; engines vmap.
+Two pytrees go through it: `ControlParameters` (varied by sweeps) and `ControllerState` (which changes over time). The
+parts of the controller are fields, and each part can be replaced by another one with the same interface (`PilotLike`,
+`GaitLike` and so on). Values are unbatched; the engines apply `vmap`. A *walk* is what the pilot knows about the present
+gait (`pilot.Walk`), and a *drive* is the pilot's command: speed and turn rate (`pilot.Drive`).
 """
 
 from __future__ import annotations
@@ -82,16 +84,17 @@ class ControllerState:
     """State of the controller.
 
     Attributes:
-        tick: control ticks since the start.
-        time: simulated time since the start [s].
-        pilot: the pilot's memory, of its last decision.
-        drive: its output, held between pilot ticks.
-        gait: the gait's state.
-        foot: commanded foot positions: those on the path, after offset compensation and tracking lag [m].
-        spine: commanded spine servo angle, positive left [rad].
-        head, tail: memories of these parts.
-        head_angles, tail_angle: their commanded servo angles [rad].
-        spine_vertical: that of Nermo 4.1's vertical servo, positive lifts the hip [rad]; None on Nermo-Lite.
+        tick: Number of control ticks since the start.
+        time: Simulated time since the start [s].
+        pilot: Memory of the pilot at its last tick.
+        drive: Output of the pilot at its last tick, held until the next one.
+        gait: State of the gait.
+        foot: Commanded foot positions: the positions on the feet's paths, after offset compensation and tracking lag [m].
+        spine: Commanded spine servo angle, positive left [rad].
+        head, tail: Memories of these parts.
+        head_angles, tail_angle: Commanded servo angles of these parts [rad].
+        spine_vertical: Commanded angle of Nermo 4.1's vertical servo, which lifts the hip if positive [rad]; None for
+            Nermo-Lite.
     """
 
     tick: Count
@@ -109,7 +112,7 @@ class ControllerState:
 
     @property
     def phase(self) -> Scalars:
-        """Of the gait cycle, in [0, 1)."""
+        """Phase of the gait cycle, in [0, 1)."""
         return self.gait.phase
 
     @property
@@ -119,23 +122,23 @@ class ControllerState:
 
     @property
     def turn_rate(self) -> Scalars:
-        """In [-1, 1], positive left."""
+        """Commanded turn rate, in [-1, 1], positive left."""
         return self.drive.turn_rate
 
 
 def canonical(state: State) -> State:
-    """The state with every float in JAX's default precision and no weak types, so that a scan can carry it."""
+    """Convert every float of a state to JAX's default precision without weak types, so that a scan can carry it."""
     precision = jnp.zeros(()).dtype
 
-    def settle(leaf: Array) -> Array:
+    def convert(leaf: Array) -> Array:
         leaf = jnp.asarray(leaf)
         return leaf.astype(precision if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype)
 
-    return jax.tree.map(settle, state)
+    return jax.tree.map(convert, state)
 
 
 def with_dtypes_of(reference: State, state: State) -> State:
-    """`state` with the dtypes of `reference`, so that a scan can carry it."""
+    """Return `state` with the dtypes of `reference`, so that a scan can carry it."""
     return jax.tree.map(lambda old, new: jnp.asarray(new).astype(old.dtype), reference, state)
 
 
@@ -144,18 +147,19 @@ class Controller:
     """Static choices of the controller; hashable by value, so it can be closed over or a static argument of `jit`.
 
     Attributes:
-        pilot: commands speed and turn rate; see `PilotLike`.
-        gait: plans the feet; see `GaitLike`.
-        spine: commands the spine's servo; see `SpineLike`.
-        head: commands the neck and the head's tilt; see `HeadLike`.
-        tail: commands the tail's servo; see `TailLike`.
-        sagittal: commands the vertical servo of Nermo 4.1's spine; see `SagittalLike`. None for robots without one.
-        routing: knee tendon routing of the legs.
-        control_rate, pilot_rate: ticks per simulated second [Hz]; their ratio is an integer.
-        parameters: defaults of a simulation; any tree with the groups that the parts read.
+        pilot: Part that commands speed and turn rate; see `PilotLike`.
+        gait: Part that plans the feet; see `GaitLike`.
+        spine: Part that commands the spine's servo; see `SpineLike`.
+        head: Part that commands the neck and the head's tilt; see `HeadLike`.
+        tail: Part that commands the tail's servo; see `TailLike`.
+        sagittal: Part that commands the vertical servo of Nermo 4.1's spine; see `SagittalLike`. None for robots without
+            such a servo.
+        routing: Routing of the knees' tendons.
+        control_rate, pilot_rate: Ticks per simulated second [Hz]; their ratio is an integer.
+        parameters: Default parameters of a simulation: any tree with the groups that the parts read.
 
     Raises:
-        ParameterError: at construction, for an unknown name or incompatible rates.
+        ParameterError: A name is unknown, or the rates do not fit together.
     """
 
     pilot: PilotLike = dataclasses.field(default_factory=Follow)
@@ -190,8 +194,11 @@ class Controller:
     def init(
         self, params: ControlParameters, sensors: Sensors, phase: Scalar | float = 0.0
     ) -> ControllerState:
-        """State at the start, from the readings at rest: every leg is on its nominal path at `phase` of the gait cycle,
-        taken modulo 1, so that the robot starts in its gait's posture."""
+        """Return the state at the start, from the readings at rest.
+
+        Every leg is on its nominal path at `phase` of the gait cycle, taken modulo 1, so that the robot starts in a
+        posture of its gait.
+        """
         state = self._start(params, phase)
         initial = dataclasses.replace(
             state,
@@ -202,18 +209,19 @@ class Controller:
         return with_dtypes_of(state, initial)
 
     def initial_servo(self, params: ControlParameters, phase: Scalar | float = 0.0) -> ServoAngles:
-        """Servo angles of the state that `init` returns, from which the start pose is built."""
+        """Return the servo angles of the state that `init` returns; the initial pose of the robot has these angles."""
         return self.servo_angles(params, self._start(params, phase))
 
     def update(
         self, params: ControlParameters, state: ControllerState, sensors: Sensors
     ) -> tuple[ControllerState, ServoAngles]:
-        """One control tick: the state and the servo angles `dt` later."""
+        """Compute one control tick: return the state and the servo angles `dt` later."""
         walk = self._walk(params, state)
-        decided = self.pilot.update(params, state.pilot, sensors, walk)
-        held_commands = (state.pilot, state.drive)
+        new_command = self.pilot.update(params, state.pilot, sensors, walk)
+        held_command = (state.pilot, state.drive)
+        # Between two ticks of the pilot, its memory and its drive are held.
         memory, drive = jax.tree.map(
-            lambda now, previous: jnp.where(walk.due, now, previous), decided, held_commands
+            lambda new, held: jnp.where(walk.due, new, held), new_command, held_command
         )
         gait, path = self.gait.update(params, state.gait, state.drive, drive, self.dt)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
@@ -221,8 +229,10 @@ class Controller:
         if self.sagittal is not None:
             pitch = attitude(sensors.orientation)[1]
             vertical = self.sagittal(params, gait.phase, drive.turn_rate, pitch, sensors.gyro[0])
-        closed = trajectory.share_closed(params.tracking, self.dt)
-        foot = state.foot + closed * (
+        # The commanded feet follow their target, the compensated path, with a lag: in a tick, this fraction of the
+        # distance is closed.
+        fraction = trajectory.share_closed(params.tracking, self.dt)
+        foot = state.foot + fraction * (
             path + self._compensation(params, spine, vertical, path, state.foot) - state.foot
         )
         pace = self._pace(params, gait.phase, drive)
@@ -230,7 +240,7 @@ class Controller:
         tail, tail_angle = self.tail.update(params, state.tail, sensors, pace, self.dt)
 
         tick = state.tick + 1
-        following = ControllerState(
+        next_state = ControllerState(
             tick,
             tick * self.dt,
             memory,
@@ -244,16 +254,17 @@ class Controller:
             tail_angle,
             vertical,
         )
-        following = with_dtypes_of(state, following)
-        return following, self.servo_angles(params, following)
+        next_state = with_dtypes_of(state, next_state)
+        return next_state, self.servo_angles(params, next_state)
 
     def servo_angles(self, params: ControlParameters, state: ControllerState) -> ServoAngles:
-        """Servo angles for the commanded feet, spine, head and tail."""
+        """Return the servo angles for the commanded feet, spine, head and tail."""
         servos = leg_servos(state.foot, state.spine, self.routing, geometry_of(params))
         head = state.head_angles
         servos = dataclasses.replace(servos, neck=head.neck, head=head.tilt, tail=state.tail_angle)
         if state.spine_vertical is not None:
             servos = dataclasses.replace(servos, spine_vertical=state.spine_vertical)
+        # A gait with a method `trim` adds corrections to the servo angles.
         trim = getattr(self.gait, "trim", None)
         return servos if trim is None else trim(params, servos)
 
@@ -264,32 +275,32 @@ class Controller:
     def path(
         self, params: ControlParameters, state: ControllerState, position: Float[Array, " 3"]
     ) -> PathPoint | None:
-        """The point of the pilot's path closest to a position [m]; None for a pilot without a path."""
-        follow = getattr(self.pilot, "path", None)
-        return None if follow is None else follow(params, state.pilot, position)
+        """Return the point of the pilot's path closest to a position [m]; None for a pilot without a path."""
+        closest_point = getattr(self.pilot, "path", None)
+        return None if closest_point is None else closest_point(params, state.pilot, position)
 
     def stance(self, state: ControllerState) -> Bool[Array, " 4"]:
         """Planned contact of the limbs."""
         return state.stance
 
     def complete(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Named values plus derived ones: the gait factor, if only the duty factor is named."""
+        """Add derived values to named values: the gait factor, if only the duty factor is named."""
         return with_gait_factor(values)
 
     def check(self, params: ControlParameters) -> None:
-        """Reject unreachable strides, see `build.check_workspace`, and limbs that would always or never be in
-        stance."""
+        """Reject unreachable strides (see `check_workspace`), and limbs that would always or never be in stance."""
         check_workspace(params, routing=self.routing)
         if isinstance(self.gait, FreeStepping):
             self.gait.check(params)
 
     def _start(self, params: ControlParameters, phase: Scalar | float) -> ControllerState:
+        """Return the state at the start as far as it does not depend on readings."""
         memory, drive = self.pilot.start(params)
         gait, path = self.gait.start(
             params, trajectory.wrap(jnp.asarray(phase, dtype=float)), drive
         )
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
-        # Neutral at first: an arched back would start with its tail in the ground.
+        # The vertical servo starts at its neutral angle, because the tail of an arched robot would be in the ground.
         vertical = None if self.sagittal is None else jnp.zeros_like(gait.phase)
         foot = path + self._compensation(params, spine, vertical, path, path)
         pace = self._pace(params, gait.phase, drive)
@@ -324,13 +335,25 @@ class Controller:
         path: Float[Array, "4 2"],
         foot: Float[Array, "4 2"],
     ) -> Float[Array, "4 2"]:
-        geometry, lifted = geometry_of(params), None
+        """Return the offsets of the feet [m] that compensate the rise of the hips, or of the feet, by the bent spine.
+
+        Args:
+            params: Parameters of the controller.
+            spine, vertical: Servo angles of the spine [rad].
+            path: Positions of the feet on their paths [m].
+            foot: Commanded positions of the feet at the last tick [m].
+        """
+        geometry, rise = geometry_of(params), None
         if vertical is not None:
-            bends = joint_angle(spine, geometry), joint_angle(vertical, geometry)
-            lifted = rear_foot_rise(bends[0], path, bends[1], geometry)
-        return spine_modes.compensation(params.spine, spine, geometry, lifted, foot)
+            lateral_bend, vertical_bend = (
+                joint_angle(spine, geometry),
+                joint_angle(vertical, geometry),
+            )
+            rise = rear_foot_rise(lateral_bend, path, vertical_bend, geometry)
+        return spine_modes.compensation(params.spine, spine, geometry, rise, foot)
 
     def _walk(self, params: ControlParameters, state: ControllerState) -> Walk:
+        """Return the inputs of the pilot."""
         speed, yaw_rate = self.gait.walked(params, state.gait, state.drive)
         due = state.tick % round(self.control_rate / self.pilot_rate) == 0
         return Walk(state.time, state.phase, speed, yaw_rate, due, self.pilot_rate)
@@ -351,19 +374,19 @@ def published_controller(
     control_rate: float = 100.0,
     pilot_rate: float = 50.0,
 ) -> Controller:
-    """The published controller, its parts chosen by name.
+    """Return the published controller, whose parts are chosen by name.
 
     >>> published_controller(pilot="arc").gait
     Stepping(form='cubic')
 
     Args:
-        spine, pilot, waypoints, command, trajectory, head, tail_motion, routing: as in `Setup`; the spine's modes also
-            as a tuple of names.
-        masses: two-mass model of the assembled robot, for the mode "balance".
-        control_rate, pilot_rate: see `Controller`.
+        spine, pilot, waypoints, command, trajectory, head, tail_motion, routing: Choices as in `Setup`; the modes of the
+            spine can also be a tuple of names.
+        masses: Two-mass model of the assembled robot, for the mode "balance".
+        control_rate, pilot_rate: Rates as in `Controller` [Hz].
 
     Raises:
-        ParameterError: an unknown name, or choices that cannot be combined.
+        ParameterError: A name is unknown, or choices cannot be combined.
     """
     modes = spine_modes.mode_names(spine)
     lateral = tuple(name for name in modes if name in spine_modes.LATERAL_MODES)
@@ -384,10 +407,11 @@ def published_controller(
 def named_pilot(
     name: str, waypoints: Sequence[Sequence[float]] | None, command: Command | None
 ) -> PilotLike:
-    """A pilot by its name; the arguments are those of `published_controller`."""
+    """Return a pilot by its name; the arguments are those of `published_controller`."""
     choice("pilot", name, get_args(pilot.PilotName))
-    owned = ("command", command, "external", "one"), ("waypoints", waypoints, WAYPOINTS, "them")
-    for field, value, owner, description in owned:
+    # Field, its value, the only pilot that needs this field, and a pronoun for the message.
+    fields = ("command", command, "external", "one"), ("waypoints", waypoints, WAYPOINTS, "them")
+    for field, value, owner, description in fields:
         if (name == owner) != (value is not None):
             state = "missing" if value is None else "given"
             raise ParameterError(
@@ -404,10 +428,11 @@ _course_through = functools.lru_cache(maxsize=32)(course_through)
 
 
 # ---
-# Building controller parameters: names, ranges and reachable strides are checked here only.
+# Controller parameters from names and values. Only the functions below check names, ranges and reachable strides.
 
 
-#: Points of each half-cycle at which the nominal foot path is checked, and steps of the search for the longest stride.
+#: Number of points of the nominal foot path that are checked in each half-cycle, and of strides from 0 to the requested
+#: stride that are compared to find the longest possible one.
 _PATH_POINTS, _STRIDE_STEPS = 9, 41
 
 
@@ -419,25 +444,25 @@ def control_parameters(
     routing: str = "type3",
     **values: Any,
 ) -> ControlParameters:
-    """Checked parameters of a published gait with some values changed.
+    """Return the parameters of a published gait with some values changed, after a check.
 
     >>> params = control_parameters("lateral_walk", frequency=0.8, **{"spine.amplitude": 0.3})
     >>> float(params.gait.duty), float(params.spine.amplitude)
     (0.68, 0.3)
 
     Args:
-        gait: "trot", "walking_trot" or "lateral_walk". Give duty and offsets in `values` for a custom gait; the gait
-            factor follows the duty factor unless it is given.
-        steering: "leg", "spine" or "mix"; by default that of the profile.
-        profile: one of `PROFILES`.
-        routing: knee tendon routing, for the check of the workspace.
-        values: parameters by name, as `quantities(ControlParameters)` lists them, and lengths and places of the robot
-            (`Geometry`); pass names with a dot as `**{"spine.amplitude": 0.3}`. Numbers, or arrays whose axes are
-            batch axes. They are checked, so they cannot be traced: inside a transformed function use
-            `replace_quantities`.
+        gait: Name of a gait, such as "trot", "walking_trot" or "lateral_walk". For a custom gait, give duty and offsets
+            in `values`; the gait factor follows the duty factor unless `values` contains it.
+        steering: "leg", "spine" or "mix"; by default the steering of the profile.
+        profile: One of `PROFILES`.
+        routing: Routing of the knees' tendons, for the check of the workspace.
+        values: Parameters by name, as `quantities(ControlParameters)` lists them, and lengths and positions of the robot
+            (`Geometry`); pass names with a dot as `**{"spine.amplitude": 0.3}`. Values are numbers, or arrays whose axes
+            are batch axes. They are checked, so they cannot be traced: use `replace_quantities` inside a transformed
+            function.
 
     Raises:
-        ParameterError: an unknown name, a number out of range, or a stride outside the legs' workspace.
+        ParameterError: A name is unknown, a number is out of range, or a stride is outside the legs' workspace.
     """
     start = ControlParameters(geometry=Geometry() if names_geometry(values) else None)
     allowed = dict(quantities(start))
@@ -454,14 +479,14 @@ def control_parameters(
 
 
 def check(params: ControlParameters, *, routing: str = "type3") -> None:
-    """Reject parameters that are not finite, out of range, or step outside the legs' workspace.
+    """Reject parameters that are not finite or out of range, and strides outside the legs' workspace.
 
     Args:
-        params: concrete (not traced) parameters; leaves may carry leading batch axes.
-        routing: knee tendon routing.
+        params: Concrete (not traced) parameters; leaves can have leading batch axes.
+        routing: Routing of the knees' tendons.
 
     Raises:
-        ParameterError: with the field's name, its value and what is allowed.
+        ParameterError: A value is not allowed; the message contains the field, its value and the allowed values.
     """
     check_quantities(params)
     check_workspace(params, routing=routing)
@@ -474,7 +499,7 @@ def check_workspace(params: ControlParameters, *, routing: str = "type3") -> Non
     columns = [
         leaf.ravel() for leaf in np.broadcast_arrays(*(np.asarray(leaf, float) for leaf in leaves))
     ]
-    # The distinct combinations of a batch: usually one, because most sweeps vary other things.
+    # The distinct combinations of a batch: usually one, because most sweeps vary none of these values.
     paths: _Paths = jax.tree.unflatten(structure, np.unique(np.stack(columns), axis=1))
     start_jax()
     reached = np.asarray(_reachable(paths, routing))
@@ -499,45 +524,47 @@ def _reachable(paths: _Paths, routing: str) -> Bool[Array, "batch 4"]:
     stance, geometry, stride = paths
     progress = jnp.linspace(0.0, 1.0, _PATH_POINTS)[:, None, None]
     strides = jnp.broadcast_to(stride[:, None], (stride.size, len(LIMBS)))
-    down = jnp.asarray([True, False])[:, None, None]
-    points = trajectory.nominal_points(stance, jnp.broadcast_to(down, (2, *strides.shape)), strides)
+    is_stance = jnp.asarray([True, False])[:, None, None]
+    is_stance = jnp.broadcast_to(is_stance, (2, *strides.shape))
+    points = trajectory.nominal_points(stance, is_stance, strides)
     path = trajectory.foot_position(points[:, None], progress)
     return jnp.all(inverse_kinematics(four_legs(geometry), path, routing).reachable, axis=(0, 1))
 
 
 def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str) -> str:
-    """What is wrong with the path of a limb that leaves its workspace, and what is allowed."""
-    axle, stance, stride = LIMBS[limb].split("_")[0], paths.stance, float(paths.stride)
-    height = float(getattr(stance, f"{axle}_z"))
+    """The message about the path of a limb that leaves its workspace, with the allowed values."""
+    pair, stance, stride = LIMBS[limb].split("_")[0], paths.stance, float(paths.stride)
+    height = float(getattr(stance, f"{pair}_z"))
     strides = np.linspace(0.0, stride, _STRIDE_STEPS)
     batch = jax.tree.map(lambda leaf: np.full(_STRIDE_STEPS, leaf), paths)._replace(stride=strides)
     reached = np.asarray(_reachable(batch, routing))[:, limb]
     actual, published = (
-        dict(values_of(getattr(source, f"{axle}_leg"))) for source in (paths.geometry, Geometry())
+        dict(values_of(getattr(source, f"{pair}_leg"))) for source in (paths.geometry, Geometry())
     )
     changed = [
-        f"geometry.{axle}_leg.{link} {float(length):g} m"
+        f"geometry.{pair}_leg.{link} {float(length):g} m"
         for link, length in actual.items()
         if abs(float(length) - float(published[link])) > 1e-9
     ]
     links = f", with {' and '.join(changed)}" if changed else ""
     if not reached[0]:
-        behind = getattr(stance, f"{axle}_y")
-        up = stance.swing_amplitude
-        down = stance.stance_amplitude
+        position = getattr(stance, f"{pair}_y")
+        rise = stance.swing_amplitude
+        drop = stance.stance_amplitude
         return (
-            f"stance.{axle}_z is {height:g} m: with stance.{axle}_y {behind:g} m, raised by {up:g} m and lowered by "
-            f"{down:g} m, the {axle} foot leaves its leg's workspace even without a stride{links}."
+            f"stance.{pair}_z is {height:g} m: with stance.{pair}_y {position:g} m, raised by {rise:g} m and lowered by "
+            f"{drop:g} m, the {pair} foot leaves its leg's workspace even without a stride{links}."
         )
     longest = strides[np.argmin(reached) - 1]
     scale = float(stance.max_stride)
-    varied = np.any(np.asarray(params.gait.stride) != 1.0) and scale > 0.0
+    # The message names the parameter that was changed: the relative stride, or the longest stride.
+    is_stride_changed = np.any(np.asarray(params.gait.stride) != 1.0) and scale > 0.0
     name, value, limit, unit = (
         ("stride", stride / scale, longest / scale, "")
-        if varied
+        if is_stride_changed
         else ("stance.max_stride", stride, longest, " m")
     )
     return (
-        f"{name} is {value:g}{unit}: with stance.{axle}_z {height:g} m the {axle} feet reach a stride of "
+        f"{name} is {value:g}{unit}: with stance.{pair}_z {height:g} m the {pair} feet reach a stride of "
         f"{longest:.3f} m{links}, so allowed is [0, {limit:.3f}]{unit}."
     )

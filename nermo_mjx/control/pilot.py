@@ -1,4 +1,8 @@
-"""The pilot, the high-level controller: speed and turn rate that follow a path, or that are prescribed."""
+"""The pilot, the high-level controller: it commands speed and turn rate, so that the robot follows a path, or as prescribed.
+
+A pilot returns a `Drive` from the sensors and a `Walk`. `OpenLoop` and `External` prescribe the drive; `Follow` follows a
+path, with the published PD controller (`steer`) and the guidance of the profile `exact` (second half of this file).
+"""
 
 from __future__ import annotations
 
@@ -32,8 +36,8 @@ class Drive(NamedTuple):
     """A pilot's output.
 
     Attributes:
-        speed: commanded [m/s of the controller's clock].
-        turn_rate: in [-1, 1], positive left.
+        speed: Commanded speed [m/s of the controller's clock].
+        turn_rate: Commanded turn rate, in [-1, 1], positive left.
     """
 
     speed: Scalar
@@ -44,11 +48,11 @@ class Walk(NamedTuple):
     """A pilot's inputs, in addition to the sensors.
 
     Attributes:
-        time: simulated, since the start [s].
-        phase: of the gait cycle.
-        speed, yaw_rate: expected without slip from the legs' current strides [m/s, rad/s of simulated time].
-        due: whether the pilot's output at this tick is used.
-        rate: pilot ticks per simulated second [Hz].
+        time: Simulated time since the start [s].
+        phase: Phase of the gait cycle, in [0, 1).
+        speed, yaw_rate: Speed and yaw rate of the present strides without slip [m/s, rad/s of simulated time].
+        due: Whether the pilot's output at this control tick is used; otherwise the last output is held.
+        rate: Pilot ticks per simulated second [Hz].
     """
 
     time: Scalar
@@ -67,18 +71,18 @@ class PilotLike(Protocol):
     """
 
     def start(self, params: Any) -> tuple[Any, Drive]:
-        """Memory and drive of a robot at the beginning of the path; the start pose is built from them."""
+        """Return memory and drive of a robot at the beginning of the path; its initial pose follows from them."""
 
     def init(self, params: Any, memory: Any, sensors: Sensors, walk: Walk) -> Any:
-        """The memory of `start` updated with the first readings; by default it stays as it is."""
+        """Return the memory of `start`, updated with the first readings; by default it is unchanged."""
         return memory
 
     def update(self, params: Any, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
-        """New memory and drive; both are held until the next pilot tick."""
+        """Return new memory and drive; both are held until the next pilot tick."""
 
 
 def limited(speed: Any, turn_rate: Any) -> Drive:
-    """A drive within its limits: speeds from 0, turn rates in [-1, 1]."""
+    """Return the drive within its limits: a speed of at least 0, and a turn rate in [-1, 1]."""
     return Drive(jnp.maximum(jnp.asarray(speed), 0.0), jnp.clip(jnp.asarray(turn_rate), -1.0, 1.0))
 
 
@@ -122,7 +126,7 @@ class Follow(PilotLike):
     """Follows a path at the gait's speed.
 
     Attributes:
-        along: a function of `path.PATHS`' form, from parameters and a position to a `PathPoint`, or a `Course`.
+        along: The path: a `Course`, or a function as in `path.PATHS`, from parameters and a position to a `PathPoint`.
     """
 
     along: Callable[[Pilot, Array], PathPoint] | Course = straight
@@ -130,8 +134,13 @@ class Follow(PilotLike):
     def locate(
         self, params: ControlParameters, position: Float[Array, " 3"], progress: Scalar
     ) -> PathPoint:
-        """The point of the path closest to a position [m]; `progress` of the last one tells a path that approaches
-        itself where to look [m]."""
+        """Return the point of the path closest to a position [m].
+
+        Args:
+            params: Parameters of the controller.
+            position: Position of the robot [m].
+            progress: Distance along the path at the last tick [m]. A path that approaches itself is searched near it.
+        """
         if isinstance(self.along, Course):
             return locate(self.along, progress, position)
         return self.along(params.pilot, position)
@@ -139,7 +148,7 @@ class Follow(PilotLike):
     def path(
         self, params: ControlParameters, memory: Beside, position: Float[Array, " 3"]
     ) -> PathPoint:
-        """The point of the path closest to a position, for metrics."""
+        """Return the point of the path closest to a position [m], for metrics."""
         return self.locate(params, position, memory.point.progress)
 
     def start(self, params: ControlParameters) -> tuple[Beside, Drive]:
@@ -173,8 +182,9 @@ class Follow(PilotLike):
         curvature = point.curvature + correction(
             params.pilot, estimate, walk.speed, point.curvature
         )
-        # Avoids Newton steps for a turn rate that is not used.
+        # A curvature of 0 avoids Newton steps for a turn rate that is not used.
         speed, turn_rate = self._guided(params, jnp.where(walk.due, curvature, 0.0))
+        # The published PD controller takes the change of the error in one tick of its own rate.
         published_ticks = PUBLISHED_RATE_HZ / (walk.rate * params.tracking.clock_ratio)
         change = (point.error - memory.point.error) / published_ticks
         return Beside(point, estimate), Drive(
@@ -182,7 +192,7 @@ class Follow(PilotLike):
         )
 
     def _guided(self, params: ControlParameters, curvature: Scalar) -> Drive:
-        """The gait's speed, and the turn rate for a curvature [1/m]."""
+        """Return the gait's speed, and the turn rate for a curvature [1/m]."""
         turn_rate = params.pilot.guidance * turning.turn_rate_for(
             params, curvature / params.pilot.grip
         )
@@ -190,9 +200,10 @@ class Follow(PilotLike):
 
 
 def heading(point: PathPoint, sensors: Sensors, geometry: Geometry) -> Scalar:
-    """Heading of the robot relative to the tangent of its path [rad], positive left, in (-pi, pi].
+    """Return the heading of the robot relative to the tangent of its path [rad], positive left, in (-pi, pi].
 
-    A bent spine turns torso and hip to opposite sides of it, so it is the torso's minus half of the bend.
+    A bent spine turns torso and hip to opposite sides of the heading, so the heading is the yaw of the torso minus half of
+    the bend.
     """
     w, x, y, z = sensors.orientation
     ahead = jnp.stack([2.0 * (w * z - x * y), 2.0 * (x * x + z * z) - 1.0])
@@ -203,10 +214,15 @@ def heading(point: PathPoint, sensors: Sensors, geometry: Geometry) -> Scalar:
 
 
 def steer(pilot: Pilot, error: Scalars, change: Scalars, guided: Scalars | float = 0.0) -> Scalars:
-    """Turn rate of the published PD, added to that of the guidance and limited.
+    """Add the turn rate of the published PD controller to the turn rate of the guidance, and limit the sum.
 
-    Its input is the cross-track error, positive to the left of the path [m], and the error's change in 1/100 s of the
-    controller's clock [m]; left of the path it is negative.
+    The PD controller turns right, with a negative turn rate, if the robot is left of the path.
+
+    Args:
+        pilot: Gains and limit.
+        error: Cross-track error, positive to the left of the path [m].
+        change: Change of the error in 1/100 s of the controller's clock [m].
+        guided: Turn rate of the guidance.
     """
     command = guided - (pilot.error_gain * error + pilot.change_gain * change)
     return jnp.clip(command, -pilot.output_limit, pilot.output_limit)
@@ -222,7 +238,7 @@ class Tabulated:
     hold: bool = False
 
     def __call__(self, time: Scalar) -> tuple[Scalar, Scalar]:
-        """(speed, turn rate) at `time`; before the first and after the last row, that row's."""
+        """Return (speed, turn rate) at `time`; before the first row and after the last one, the values of this row."""
         times, speed, turn = (
             jnp.asarray(column) for column in (self.time, self.speed, self.turn_rate)
         )
@@ -235,16 +251,16 @@ class Tabulated:
 def tabulated(
     time: ArrayLike, speed: ArrayLike, turn_rate: ArrayLike, *, hold: bool = False
 ) -> Tabulated:
-    """A command for the pilot `external` from arrays over time.
+    """Return a command for the pilot `external` from arrays over time.
 
     Args:
-        time: strictly increasing, simulated time [s].
-        speed: commanded, a number, or one per time [m/s of the controller's clock]. The stride saturates.
-        turn_rate: in [-1, 1], positive left, a number, or one per time.
-        hold: keep each row until the next one begins, instead of interpolating linearly.
+        time: Simulated times in strictly increasing order [s].
+        speed: Commanded speed, a number or one per time [m/s of the controller's clock]. The stride saturates.
+        turn_rate: Commanded turn rate in [-1, 1], positive left, a number or one per time.
+        hold: Whether each row is held until the next one begins, instead of a linear interpolation.
 
     Raises:
-        ParameterError: the columns have different lengths, are not finite, or are out of range.
+        ParameterError: The columns have different lengths, are not finite, or are out of range.
     """
     times = _column("time", time)
     if times.ndim != 1 or times.size == 0:
@@ -294,25 +310,25 @@ def _column(name: str, values: Any) -> np.ndarray:
 # new stride only when it switches; and each turn by the legs costs speed, since it shortens strides. The gait's phase
 # is known, so the sway can be estimated together with the course, and ignored.
 #
-# Two observers of the same form track the cross-track error and the heading. Between two steps, the observed system is
-# linear: a double integrator for the course (the value, and what drives it beyond the known input) and an oscillator
-# for each harmonic of the sway. The gains place the poles for any gait frequency and pilot rate: with a(z) the plant's
-# characteristic polynomial and p(z) the desired one, they are the partial fractions of p(z) / a(z) at the plant's
-# poles, in closed form.
+# Two observers of the same form track the cross-track error and the heading. Between two steps, the observed system (the
+# plant) is linear: a double integrator for the course (the value, and the unexplained input that adds to the known one)
+# and an oscillator for each harmonic of the sway. The gains place the poles for any gait frequency and pilot rate: with
+# the plant's characteristic polynomial a(z) and the desired one p(z), the gains are the partial fractions of p(z) / a(z)
+# at the plant's poles, in closed form.
 #
 # The heading is measured, not just predicted from the turn rate, because the prediction is inaccurate: with the spine's
 # stride extension the trot responds to a turn by the legs with up to three times the yaw rate that it has without.
 
 
-#: Harmonics of the gait cycle that make up the sway. On a straight line right mirrors left after half a cycle, which
-#: leaves only the odd ones; in a turn the second is added. Measured in trots with and without the spine: 5 to 8 mm
-#: in the first, 1 to 2 mm in the third, 0.3 mm at most in the second and fourth.
+#: Harmonics of the gait cycle in the sway. On a straight line, right mirrors left after half a cycle, so that only odd
+#: harmonics occur; a turn adds the second one. In trots with and without the spine, the amplitude is 5 to 8 mm in the
+#: first harmonic, 1 to 2 mm in the third, and at most 0.3 mm in the second and fourth.
 SWAY_HARMONICS: Final = (1, 2, 3)
-#: Decay rate of the unexplained inputs relative to all other poles: for cross-track error and heading. The unexplained
-#: turning is in the loop with a plant that may turn twice as much as expected, or half as much; estimated as fast as
-#: the course, it made the trot with the spine oscillate with a period of four cycles.
+#: Decay rate of the unexplained inputs relative to the other poles, for cross-track error and for heading. The robot may
+#: turn twice or half as much as expected. When the unexplained yaw rate was estimated as fast as the course, the trot with
+#: the spine oscillated with a period of four cycles.
 DECAY_RATE_RATIOS: Final = (1.0, 0.4)
-#: Look-ahead on a bend, as a share of its radius, see `correction`.
+#: Look-ahead on a bend as a fraction of the radius, see `correction`.
 BEND_RADIUS_SHARE: Final = 0.7
 #: Longest step of the observer [gait cycles]: beyond it, a harmonic would alias to a slower one, or to its own mirror
 #: image.
@@ -325,11 +341,11 @@ class Guidance:
     """Estimate of the robot's position and heading relative to its path.
 
     Attributes:
-        course: cross-track error [m] and heading from the path's tangent [rad], without sway, positive left.
-        unexplained: not accounted for by the observers' inputs: lateral speed relative to the heading [m/s], and yaw
-            rate beyond the one expected from the strides [rad/s].
-        sway: of both, cosine and sine of each of `SWAY_HARMONICS` at the gait's phase [m, rad].
-        cycles: time observed since the start [gait cycles].
+        course: Cross-track error [m] and heading from the path's tangent [rad], without sway, positive left.
+        unexplained: Inputs that the observers do not know: lateral speed relative to the heading [m/s], and yaw rate
+            minus the yaw rate expected from the strides [rad/s].
+        sway: Amplitudes of the sway of both, cosine and sine of each of `SWAY_HARMONICS` at the gait's phase [m, rad].
+        cycles: Time observed since the start [gait cycles].
     """
 
     course: Float[Array, " 2"]
@@ -339,7 +355,7 @@ class Guidance:
 
 
 def start(error: Scalar, heading: Scalar, speed: Scalar) -> Guidance:
-    """Estimate at rest, from the cross-track error [m], the heading from the path's tangent [rad] and the speed [m/s].
+    """Return the estimate at rest from cross-track error [m], heading from the path's tangent [rad] and speed [m/s].
 
     The robot is assumed to walk along its path, whatever the torso's direction.
     """
@@ -362,22 +378,23 @@ def observe(
     cycle_rate: Any,
     dt: float,
 ) -> Guidance:
-    """One step of the observers (Luenberger, in the current-estimate form: each step uses its own reading).
+    """Compute one step of the observers (Luenberger observers in the current form: each step uses the present reading).
 
     Args:
-        pilot: `bandwidth`, of the observers [rad per gait cycle].
-        state: the estimate before.
-        observation: cross-track error [m] and heading from the path's tangent [rad] as measured.
-        phase: of the gait cycle.
-        speed: of the walk [m/s].
-        yaw_rate: expected, relative to that of the path [rad/s].
-        cycle_rate: gait cycles per second [1/s].
-        dt: time since the last step [s].
+        pilot: Parameters, of which `bandwidth` [rad per gait cycle] is used.
+        state: Estimate before the step.
+        observation: Measured cross-track error [m] and heading from the path's tangent [rad].
+        phase: Phase of the gait cycle.
+        speed: Speed of the walk [m/s].
+        yaw_rate: Expected yaw rate minus the yaw rate along the path [rad/s].
+        cycle_rate: Gait cycles per second [1/s].
+        dt: Time since the last step [s].
     """
     course, sway = observer_gains(pilot.bandwidth, cycle_rate * dt)
     angle = 2.0 * jnp.pi * phase * jnp.asarray(SWAY_HARMONICS, observation.dtype)
     wave = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-    # The gain on an oscillator's complex amplitude is fixed in the frame that turns with it.
+    # The gain of an oscillator's complex amplitude is constant in the frame that turns with the phase; `turned` is this
+    # gain for the cosine and sine at phase 0.
     real, imaginary = sway[..., :1], sway[..., 1:]
     turned = wave * real + wave[:, ::-1] * jnp.asarray([1.0, -1.0], observation.dtype) * imaginary
 
@@ -395,17 +412,18 @@ def observe(
 def observer_gains(
     bandwidth: Scalar | float, cycles: Scalar | float
 ) -> tuple[Float[Array, "2 2"], Float[Array, "2 harmonics 2"]]:
-    """Gains that put each pole of an observer at exp(-bandwidth * cycles) of the plant's: stable for every bandwidth.
+    """Return the gains with which each pole of an observer is exp(-bandwidth * cycles) times the pole of the plant.
 
-    The pole of the unexplained input is at exp(-DECAY_RATE_RATIOS * bandwidth * cycles).
+    The observer is stable for every bandwidth. The pole of the unexplained input is at
+    exp(-DECAY_RATE_RATIOS * bandwidth * cycles).
 
     Args:
-        bandwidth: [rad per gait cycle]; 0 leaves the estimate unchanged.
-        cycles: length of a step [gait cycles]; limited to `LONGEST_STEP_CYCLES`.
+        bandwidth: Bandwidth [rad per gait cycle]; with 0, the estimate is unchanged.
+        cycles: Length of a step [gait cycles]; limited to `LONGEST_STEP_CYCLES`.
 
     Returns:
-        of (value, unexplained rate dt), the observers in the last axis, and real and imaginary part of each harmonic's,
-        the observers in the first.
+        Gains of (value, unexplained rate * dt), shape (2, observers), and real and imaginary parts of the gain of each
+        harmonic, shape (observers, harmonics, 2).
     """
     step = jnp.minimum(cycles, LONGEST_STEP_CYCLES)
     decay = jnp.exp(-bandwidth * step)
@@ -422,7 +440,7 @@ def observer_gains(
         ratio0 = (closed**2 + decay * d) / d
         ratio1 = (2.0 * closed + decay * d - ratio0 * d) / d
         series = (series[0] * ratio0, series[1] * ratio0 + series[0] * ratio1)
-    # The coefficients are those of the gains before the step; the step itself, (1, 1; 0, 1), is taken out of them.
+    # The coefficients are the gains before the step; subtracting the step itself, the matrix (1, 1; 0, 1), gives the gains.
     course = jnp.stack([series[1] - series[0], series[0]])
 
     turn = jnp.exp(1j * angle)
@@ -440,19 +458,27 @@ def observer_gains(
 
 
 def correction(pilot: Pilot, state: Guidance, speed: Array, curvature: Array) -> Scalar:
-    """Curvature to add to the path's [1/m]: poles at 1 / look-ahead along the path, unexplained turning compensated.
+    """Return the curvature [1/m] that is added to the curvature of the path, so that the robot returns to the path.
 
-    The look-ahead is `look_ahead` on a line, and at most `BEND_RADIUS_SHARE` times the radius on a bend: if the robot turns less
-    than expected, it leaves the path faster the tighter the bend is.
+    The return is a damped oscillator along the path with poles at 1 / look-ahead; the unexplained yaw rate is compensated.
+    The look-ahead is `look_ahead` on a line, and at most `BEND_RADIUS_SHARE` times the radius on a bend: a robot that turns
+    less than expected leaves the path faster if the bend is tighter.
 
-    It is ramped up over the 2 / `bandwidth` gait cycles in which the observers learn the sway: until then, apparent
-    errors are mostly sway. `speed` is that of the walk [m/s], `curvature` that of the path [1/m].
+    The curvature is ramped up over the 2 / `bandwidth` gait cycles in which the observers learn the sway, because until then
+    most of the apparent error is sway.
+
+    Args:
+        pilot: Parameters of the pilot.
+        state: Estimate of position and heading.
+        speed: Speed of the walk [m/s].
+        curvature: Curvature of the path [1/m].
     """
-    per_way = jnp.sqrt(1.0 / pilot.look_ahead**2 + (curvature / BEND_RADIUS_SHARE) ** 2)
-    per_speed = 1.0 / jnp.maximum(speed, 0.01)
+    inverse_look_ahead = jnp.sqrt(1.0 / pilot.look_ahead**2 + (curvature / BEND_RADIUS_SHARE) ** 2)
+    inverse_speed = 1.0 / jnp.maximum(speed, 0.01)
     error, heading = state.course
-    drift, turn = state.unexplained * per_speed
-    spring = error * per_way**2
-    damper = 2.0 * pilot.damping * (jnp.sin(heading) + drift) * per_way
-    learned = jnp.clip(pilot.bandwidth * state.cycles / 2.0, 0.0, 1.0)
-    return -learned * (spring + damper + turn)
+    # Unexplained lateral speed and yaw rate per distance: a slope, and a curvature [1/m].
+    drift, turn = state.unexplained * inverse_speed
+    spring = error * inverse_look_ahead**2
+    damper = 2.0 * pilot.damping * (jnp.sin(heading) + drift) * inverse_look_ahead
+    ramp = jnp.clip(pilot.bandwidth * state.cycles / 2.0, 0.0, 1.0)
+    return -ramp * (spring + damper + turn)

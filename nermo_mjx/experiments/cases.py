@@ -1,4 +1,4 @@
-"""What experiments share: their settings, the cases that they simulate, the batch of worlds, and its outcome."""
+"""Settings, cases, batches of worlds and outcomes, which all experiments use."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from nermo_mjx.rollout.setup import WorldParameters
 from nermo_mjx.specs.reading import read_file
 from nermo_mjx.sweep.spec import START_SPREAD
 
-#: Profiles of the published simulation, which experiments show side by side.
+#: Profiles of the published simulation; figures show both.
 SIMULATED: Final = PROFILES[:2]
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
 AMPLITUDE: Final = 0.4
@@ -47,7 +47,7 @@ def clock(profile: str) -> float:
 
 @functools.cache
 def texts(part: str) -> Any:
-    """A part of `experiments.yaml`: how each experiment is described, what the columns mean, or the maze's course."""
+    """A part of `experiments.yaml`, for example `catalogue`, `columns` or `maze_course`."""
     return read_file(Path(__file__).with_name("experiments.yaml")).data[part]
 
 
@@ -60,7 +60,7 @@ class Column:
 
 
 def columns_about(experiment: str) -> dict[str, Column]:
-    """Unit and meaning of the columns that an experiment may have: its labels, metrics, and what it measures itself."""
+    """Unit and meaning of the columns that an experiment can have: labels, metrics, and its own measurements."""
     own_columns, labels = (
         {name: Column(*fields) for name, fields in texts("columns").get(key, {}).items()}
         for key in (experiment, "labels")
@@ -77,11 +77,11 @@ class CaseRuns:
     """All worlds of one experiment, all profiles in one table.
 
     Attributes:
-        experiment: its name, as on the command line.
-        columns: name -> (n,) values; the cases' columns (`profile`, `gait`, ..., `repeat`) first, then the measured
-            ones.
-        about: name -> unit and meaning, for every column.
-        recordings: runs by name, for plots and videos.
+        experiment: Name of the experiment, as on the command line.
+        columns: Name -> values (n,). The columns of the cases (`profile`, `gait`, ..., `repeat`) precede the measured
+            columns.
+        about: Name -> unit and meaning of the column.
+        recordings: Name -> recording of a run, for plots and videos.
     """
 
     experiment: str
@@ -129,12 +129,12 @@ class CaseRuns:
 
 @dataclasses.dataclass(frozen=True)
 class ReplacementPolicy:
-    """A policy in place of the published controller, upon which it acts; the cases set that one's parameters.
+    """A policy that acts on top of the published controller; the cases set the parameters of the latter.
 
     Attributes:
-        acts: the policy.
-        name: of its file, and the hash of its content, as in the settings of a run.
-        content: of its file.
+        acts: Policy.
+        name: Name of the file of the policy, and the hash of its content, as in the settings of a run.
+        content: Content of the file.
     """
 
     acts: ActsUpon
@@ -143,10 +143,10 @@ class ReplacementPolicy:
 
     @classmethod
     def of(cls, where: str) -> ReplacementPolicy:
-        """The controller that a text names.
+        """The policy in a file.
 
         Raises:
-            ParameterError: there is none, or it does not act upon the published controller.
+            ParameterError: The file contains no policy, or the policy does not act on top of the published controller.
         """
         acts = load_controller(where)
         if not isinstance(acts, ActsUpon):
@@ -162,13 +162,13 @@ class ReplacementPolicy:
 
     @property
     def file(self) -> str:
-        """Name of its copy in a directory of experiments, another for each content."""
+        """Name of the copy in a directory of experiments; it depends on the content."""
         name, digest = self.name.rsplit(" ", 1)
         return f"{Path(name).stem}-{digest[:8]}{Path(name).suffix}"
 
     @property
     def needs_path(self) -> bool:
-        """Whether it cannot walk without a path."""
+        """Whether the policy requires a path."""
         try:
             self.acts.upon(pilot="open_loop")
         except ParameterError:
@@ -181,19 +181,19 @@ class Settings:
     """Settings of an experiment; the first six determine its numbers.
 
     Attributes:
-        profiles: of `PROFILES`, in their order.
-        repeats: worlds of each case, from starts that differ by a seeded shift.
-        seed: of the shifts.
-        quick: fewer cases.
-        values: parameters for all worlds, by name.
-        controller: what walks instead of the published controller; None is that.
-        engine: of the simulations.
-        bodies: parameter name -> (n,) values of n bodies, each of which runs all cases; they override `values` and the
-            profile's, and no run is recorded.
-        progress: called with the share done.
+        profiles: Names from `PROFILES`, in their order.
+        repeats: Number of worlds of each case; their initial states differ by random shifts.
+        seed: Seed of the shifts.
+        quick: Whether fewer cases are run.
+        values: Name of a parameter -> its value in all worlds.
+        controller: Policy on top of the published controller, or None.
+        engine: Engine of the simulations.
+        bodies: Name of a parameter -> its values (n,) in n parameter sets, each of which runs all cases. They take
+            precedence over `values` and the profile, and no run is recorded.
+        progress: Function that receives the completed share.
 
     Raises:
-        ParameterError: an unknown name, or a number out of range.
+        ParameterError: A name is unknown, or a number is out of range.
     """
 
     profiles: Sequence[str] = PROFILES
@@ -238,10 +238,10 @@ class Settings:
         }
 
     def setup(self, scene: str, **choices: Any) -> Setup:
-        """The setup of a walk in a scene, with choices of the published controller, upon which another may act.
+        """The setup of a walk in a scene, with choices of the published controller, and the policy on top of it if any.
 
         Raises:
-            ParameterError: the controller cannot act upon such a one.
+            ParameterError: The policy does not support these choices.
         """
         if self.controller is None:
             profile: Any = self.profiles[0]
@@ -250,31 +250,31 @@ class Settings:
 
     @property
     def robot(self) -> dict[str, Any]:
-        """Robot that the first profile has; see `in_each_robot`."""
+        """Choices of the robot in the first profile; see `in_each_robot`."""
         return {name: str(option) for name, option in robot_choices(self.profiles[0]).items()}
 
     def but(self, **changes: Any) -> Settings:
-        """The same, except for what is named."""
+        """The settings with some changes."""
         return dataclasses.replace(self, **changes)
 
     @property
     def body_count(self) -> int:
-        """Number of bodies; 0 if there is only the default one."""
+        """Number of parameter sets in `bodies`; 0 without `bodies`."""
         return len(next(iter(self.bodies.values()))) if self.bodies else 0
 
 
 def check_whole(name: str, value: Any, least: int) -> None:
-    """Reject what is not a whole number of at least `least`.
+    """Check that a value is a whole number of at least `least`.
 
     Raises:
-        ParameterError: it is not.
+        ParameterError: The value is not such a number.
     """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ParameterError(f"{name} is {value!r}: allowed is a whole number of at least {least}.")
 
 
 def in_each_robot(run: Callable[[Settings], CaseRuns], settings: Settings) -> CaseRuns:
-    """An experiment in all profiles; those that have different robots are simulated one after the other."""
+    """Run an experiment in all profiles; profiles with different robots are simulated one after the other."""
     alike: dict[str, list[str]] = {}
     for profile in settings.profiles:
         alike.setdefault(str(robot_choices(profile)), []).append(profile)
@@ -300,13 +300,13 @@ def in_each_robot(run: Callable[[Settings], CaseRuns], settings: Settings) -> Ca
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One case before repeats: a named row of an experiment's design.
+    """One case of an experiment, before repeats.
 
     Attributes:
-        labels: what distinguishes it from the others, by column.
-        gait, steering: named choices of `published_values`; by default the steering is the profile's.
-        values: parameters by name, on top of those.
-        profiles: in which it is walked.
+        labels: Column -> value that identifies the case.
+        gait, steering: Named choices of `published_values`; by default, the profile determines the steering.
+        values: Name of a parameter -> its value, which takes precedence over these choices.
+        profiles: Profiles in which the case is simulated.
     """
 
     labels: Mapping[str, Label]
@@ -318,27 +318,33 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class Worlds:
-    """A batch of n worlds: the cases' columns with `profile` and `repeat`, and parameter name -> (n,)."""
+    """A batch of n worlds.
+
+    Attributes:
+        labels: Column of the cases, `profile` or `repeat` -> values (n,).
+        values: Name of a parameter -> values (n,).
+    """
 
     labels: dict[str, np.ndarray]
     values: dict[str, np.ndarray]
 
     def all_values(self, defaults: Mapping[str, float]) -> dict[str, np.ndarray]:
-        """`values`, completed with the defaults of all other parameters, (n,) each."""
+        """`values` and the defaults of all other parameters, (n,) each."""
         n = len(next(iter(self.labels.values())))
         return {name: np.full(n, value) for name, value in defaults.items()} | self.values
 
 
 def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Settings) -> Worlds:
-    """Every case in each of its profiles, `repeats` times from starts that differ by a seeded shift, for every body.
+    """The worlds of all cases in each of their profiles, with `repeats` initial states, for all parameter sets.
 
-    The shift of a repeat is the same for all cases, so that cases are compared from equal starts; the first repeat is
-    shifted, too. Each body has a start of its own, so that their spread contains that of the starts.
+    The initial states of the repeats differ by random shifts. The shift of a repeat is the same for all cases, so that
+    cases are compared from equal initial states. Each parameter set has its own shift, so that the range over parameter
+    sets includes the range over initial states.
 
     Args:
-        cases: all with the same labels.
-        defaults: value of every parameter that no case names.
-        settings: of the experiment; of several bodies, the column `BODY` numbers them from 1.
+        cases: Cases with the same labels.
+        defaults: Value of every parameter that no case names.
+        settings: Settings of the experiment. The column `BODY` numbers several parameter sets from 1.
     """
 
     def shift(repeat: int) -> dict[str, float]:
@@ -374,13 +380,13 @@ def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Setti
 
 
 def world_count(cases: Sequence[Case], settings: Settings) -> int:
-    """How many worlds `worlds` has."""
+    """Number of the worlds that `worlds` returns."""
     walked = sum(len({*case.profiles} & {*settings.profiles}) for case in cases)
     return max(settings.body_count, 1) * settings.repeats * walked
 
 
 def settable(cases: Sequence[Case]) -> frozenset[str]:
-    """Parameters that may be set for all worlds of an experiment: those that neither a case nor a repeat sets."""
+    """Parameters that can be set for all worlds of an experiment, because neither a case nor a repeat sets them."""
     decided = set(START_SPREAD)
     for case in cases:
         decided |= {*published_values(case.gait, profile="exact"), *case.values}
@@ -395,7 +401,7 @@ def measured(batch: Worlds, result: RunResult) -> dict[str, np.ndarray]:
 def recordings_of(
     simulator: Simulator, batch: Worlds, result: RunResult, names: Mapping[int, str]
 ) -> dict[str, Recording]:
-    """The recordings of the worlds whose name is given."""
+    """Recordings of worlds, by name; `names` maps the index of a world to its name."""
     recordings = {}
     for world, name in names.items():
         metrics = {key: float(column[world]) for key, column in result.metrics.items()}

@@ -1,7 +1,7 @@
 """How each published figure is measured: a function of one profile of an experiment's outcome.
 
-Angles are in degrees, speeds in mm/s, other lengths in metres unless the figure says another unit; times and speeds are
-in the controller's clock. What the figures are compared with stands beside them, in `published.yaml`.
+Angles are in degrees, speeds in mm/s, and other lengths in metres, unless the figure has another unit. Times and speeds
+are measured by the controller's clock. `published.yaml` lists the published values with which the figures are compared.
 """
 
 from __future__ import annotations
@@ -29,11 +29,14 @@ _ANGLE: Final = re.compile(r"(roll|pitch|yaw)_(mean|std|min|max)|pitch_peak_up")
 
 
 class NotMeasured(Exception):
-    """There is no such case, or no number: the figure is not measured."""
+    """The outcome does not contain the case of a figure, or a finite number for it."""
 
 
 class ProfileOutcome:
-    """An outcome in one profile. A method that finds no such case, or no number, raises `NotMeasured`."""
+    """The outcome of an experiment in one profile.
+
+    A method raises `NotMeasured` if the outcome does not contain the case, or no finite number for it.
+    """
 
     def __init__(self, outcome: CaseRuns, profile: str) -> None:
         self._outcome, self._profile = outcome, profile
@@ -79,15 +82,15 @@ class ProfileOutcome:
         return 1e3 * self._clock * self.walk("speed", *case)
 
     def theory_speed(self, *case: Any) -> Number:
-        """The same without slip."""
+        """Speed of a walk without slip [mm/s]; arguments as for `walk`."""
         return 1e3 * self._clock * self.walk("theory_speed", *case)
 
     def gain(self, gait: str, frequency: float) -> Number:
-        """Speed with the spine over that without."""
+        """Speed with the spine, divided by the speed without it."""
         return self.speed(gait, frequency, True) / self.speed(gait, frequency)
 
     def below_simulation(self, gait: str, spine: bool = False) -> Number:
-        """By what share the speed at 0.67 Hz is below that of the published simulation."""
+        """Share by which the speed at 0.67 Hz is below the speed in the published simulation."""
         simulated = ProfileOutcome(self._outcome, "as_published").speed(gait, 0.67, spine)
         return 1 - self.speed(gait, 0.67, spine) / simulated
 
@@ -100,7 +103,7 @@ class ProfileOutcome:
         return [self.gain(gait, frequency) for frequency in frequencies]
 
     def ratio(self, column: str, gait: str = "trot", frequency: float = 0.8) -> Number:
-        """A column with the spine over that without."""
+        """A column with the spine, divided by the column without it."""
         return self.walk(column, gait, frequency, True) / self.walk(column, gait, frequency)
 
     def ratios(self, column: str) -> list[Number]:
@@ -122,7 +125,7 @@ class ProfileOutcome:
         return max(abs(self.walk(end, "trot", 0.8, spine)) for end in ("roll_min", "roll_max"))
 
     def compensated(self, column: str) -> Number:
-        """A column with offset compensation over that without, trot at 0.67 Hz with the spine."""
+        """A column with offset compensation, divided by the column without it: trot at 0.67 Hz with the spine."""
         return self.walk(column, "trot", 0.67, True, compensated=True) / self.walk(
             column, "trot", 0.67, True
         )
@@ -165,13 +168,17 @@ class ProfileOutcome:
         return self.turn("time", "trot", 0.67, 0.5, strategy) / self._clock
 
     def lock(self, gait: str, strategy: str, frequency: float = 0.67) -> Number:
-        """Smallest radius: that of the path at full lock [m]."""
+        """Smallest radius: the radius of the path at full lock [m]."""
         return self.turn("turning_radius", gait, frequency, FULL_LOCK, strategy)
+
+    def theory_lock(self, strategy: str) -> Number:
+        """Smallest radius of the trot without slip [m]."""
+        return self.turn("theory_radius", "trot", 0.67, FULL_LOCK, strategy)
 
     def tighter(
         self, gait: str, strategy: str, other_strategy: str, frequency: float = 0.67
     ) -> Number:
-        """By what share a strategy's smallest radius is below another's."""
+        """Share by which a strategy's smallest radius is below the radius of another strategy."""
         return 1 - self.lock(gait, strategy, frequency) / self.lock(gait, other_strategy, frequency)
 
     def followed(
@@ -211,7 +218,7 @@ class ProfileOutcome:
         return "; ".join(texts) or "none"
 
     def compared(self, *strategies: str) -> list[tuple[Number, ...]]:
-        """Speeds of strategies on every quarter circle that all of them followed."""
+        """Speeds of strategies, a row for each quarter circle that all strategies followed."""
         rows = [
             tuple(self.turn("speed", *circle, strategy) for strategy in strategies)
             for circle in self._circles()
@@ -244,7 +251,7 @@ class ProfileOutcome:
     # balance
 
     def verdict(self, limb: str, sbc: bool) -> str:
-        """Whether a leg passed in all repeats: pass, fail, or the share that did."""
+        """Whether a leg passed in all repeats: pass, fail, or the share of the repeats that passed."""
         passed = self.lift("passed", limb, sbc)
         return {1.0: "pass", 0.0: "fail"}.get(float(passed), f"{passed:.0%} pass")
 
@@ -280,7 +287,7 @@ class ProfileOutcome:
         return np.degrees(value) if column.endswith("_std") else value
 
     def maze_ratio(self, column: str) -> Number:
-        """With the spine over without."""
+        """A column with the spine, divided by the column without it; see `maze`."""
         return self.maze(column, True) / self.maze(column, False)
 
     # the stand of the leg
@@ -315,16 +322,87 @@ def on_a_line(x: Sequence[float], y: Sequence[Number]) -> bool:
 
 
 def every(values: Iterable[Any]) -> bool:
-    """Whether all are true. All are asked for, so that a figure of which a part is missing is not measured."""
+    """Whether all values are true.
+
+    All values are computed, so that a figure is not measured if a part of it is missing.
+    """
     return all(list(values))
 
 
 # --- the figures
 
 Measure = Callable[[ProfileOutcome], float | bool | str | np.generic]
-#: By experiment and figure, as in `published.yaml`.
+
+
+def _spoken(*names: str) -> dict[str, str]:
+    """The names by their display forms."""
+    return {name.replace("_", " "): name for name in names}
+
+
+#: Spine of a walk through the maze -> whether it is active.
+_SPINE: Final = {"without": False, "with": True}
+#: Lift of a leg -> the leg, and whether the spine compensates the balance.
+_LIFTS: Final = {
+    f"{text} lifted, {word}": (limb, sbc)
+    for word, sbc in _SPINE.items()
+    for text, limb in _spoken(*LIMBS).items()
+}
+#: Columns of the maze whose values are published, and a column without and with the spine.
+_MAZE_COLUMNS: Final = ("time", "mean_speed", "roll_std", "pitch_std")
+_MAZE_CASES: Final = {
+    f"{text} {word}": (column, spine)
+    for text, column in _spoken(*_MAZE_COLUMNS).items()
+    for word, spine in _SPINE.items()
+}
+
+
+def _family(
+    figure: str, measure: Callable[..., Any], arguments: Mapping[str, Any]
+) -> dict[str, Measure]:
+    """Figures that differ in one argument of their measure.
+
+    Args:
+        figure: Name of the figures, with {} in place of the text of the argument.
+        measure: Function of a `ProfileOutcome` and the argument.
+        arguments: Text -> argument.
+    """
+
+    def with_argument(argument: Any) -> Measure:
+        return lambda measured: measure(measured, argument)
+
+    return {figure.format(text): with_argument(argument) for text, argument in arguments.items()}
+
+
+#: The measures by experiment and figure, as in `published.yaml`.
 MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
     "straight-line": {
+        **_family(
+            "speed of {} over its theory, mean of the frequencies",
+            lambda measured, gait: np.mean(
+                [measured.speed(gait, f) / measured.theory_speed(gait, f) for f in FREQUENCIES]
+            ),
+            _spoken(*WALK_GAITS[1:]),
+        ),
+        **_family(
+            "{} faster with the spine at each frequency",
+            lambda measured, gait: min(measured.gains(gait)) > 1,
+            _spoken(*SPINE_GAITS),
+        ),
+        **_family(
+            "speed of {} linear in frequency",
+            lambda measured, gait: on_a_line(FREQUENCIES, measured.speeds(gait)),
+            _spoken(*SPINE_GAITS),
+        ),
+        **_family(
+            "{} std higher with the spine",
+            lambda measured, angle: min(measured.ratios(f"{angle}_std")) > 1,
+            _spoken("roll", "pitch", "yaw"),
+        ),
+        **_family(
+            "largest roll of trot, 0.8 Hz, {}",
+            ProfileOutcome.largest_roll,
+            {"spine": True, "no spine": False},
+        ),
         "theory: speed of trot, 0.8 Hz, no spine": lambda measured: measured.theory_speed(
             "trot", 0.8
         ),
@@ -342,26 +420,8 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "speed of trot over its theory, 0.8 Hz": lambda measured: (
             measured.speed("trot", 0.8) / measured.theory_speed("trot", 0.8)
         ),
-        "speed of walking trot over its theory, mean of the frequencies": lambda measured: np.mean(
-            [
-                measured.speed("walking_trot", f) / measured.theory_speed("walking_trot", f)
-                for f in FREQUENCIES
-            ]
-        ),
-        "speed of lateral walk over its theory, mean of the frequencies": lambda measured: np.mean(
-            [
-                measured.speed("lateral_walk", f) / measured.theory_speed("lateral_walk", f)
-                for f in FREQUENCIES
-            ]
-        ),
         "trot > walking trot > lateral walk at each frequency": lambda measured: every(
             falls(measured.speed(g, f) for g in WALK_GAITS) for f in FREQUENCIES
-        ),
-        "trot faster with the spine at each frequency": lambda measured: (
-            min(measured.gains("trot")) > 1
-        ),
-        "walking trot faster with the spine at each frequency": lambda measured: (
-            min(measured.gains("walking_trot")) > 1
         ),
         "speed of trot, 0.5 and 0.67 Hz, spine over none": lambda measured: farthest(
             measured.gains("trot", FREQUENCIES[:2]), 1.05, 1.22
@@ -372,12 +432,6 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         ),
         "speed of trot with spine over lateral walk, 0.8 Hz": lambda measured: (
             measured.speed("trot", 0.8, True) / measured.speed("lateral_walk", 0.8)
-        ),
-        "speed of trot linear in frequency": lambda measured: on_a_line(
-            FREQUENCIES, measured.speeds("trot")
-        ),
-        "speed of walking trot linear in frequency": lambda measured: on_a_line(
-            FREQUENCIES, measured.speeds("walking_trot")
         ),
         "speed of lateral walk saturates with frequency": lambda measured: saturates(
             FREQUENCIES, measured.speeds("lateral_walk")
@@ -390,9 +444,6 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
                 for s in (0.0, 0.5, 0.8, 1.0)
             )
         ),
-        "roll std higher with the spine": lambda measured: min(measured.ratios("roll_std")) > 1,
-        "pitch std higher with the spine": lambda measured: min(measured.ratios("pitch_std")) > 1,
-        "yaw std higher with the spine": lambda measured: min(measured.ratios("yaw_std")) > 1,
         "roll std, spine over none, trot and walking trot at each frequency": lambda measured: (
             farthest(measured.ratios("roll_std"), 1.25, 1.4)
         ),
@@ -413,8 +464,6 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "yaw follows the spine's angle": lambda measured: (
             measured.walk("yaw_spine_correlation", "trot", 0.8, True) >= 0.7
         ),
-        "largest roll of trot, 0.8 Hz, spine": lambda measured: measured.largest_roll(True),
-        "largest roll of trot, 0.8 Hz, no spine": lambda measured: measured.largest_roll(False),
         "roll std falls with duty, 0.8 Hz: trot > walking trot > lateral walk": lambda measured: (
             falls(measured.walk("roll_std", g, 0.8) for g in WALK_GAITS)
         ),
@@ -500,6 +549,56 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         ),
     },
     "turning": {
+        **_family(
+            "time for 0.5 m, trot, 0.67 Hz, {}-based",
+            ProfileOutcome.turn_time,
+            _spoken(*STRATEGIES),
+        ),
+        **_family(
+            "hardware: time for 0.5 m, trot, 0.67 Hz, {}-based",
+            ProfileOutcome.turn_time,
+            _spoken(*STRATEGIES),
+        ),
+        **_family(
+            "hardware: 0.5 m, trot, 0.67 Hz, followed, {}-based",
+            ProfileOutcome.followed,
+            _spoken(*STRATEGIES),
+        ),
+        **_family(
+            "time for 0.5 m, trot, 0.67 Hz, {}- over leg-based",
+            lambda measured, strategy: measured.turn_time(strategy) / measured.turn_time("leg"),
+            _spoken("spine", "mix"),
+        ),
+        **_family(
+            "smallest radius of trot, {}-based",
+            lambda measured, strategy: measured.lock("trot", strategy),
+            _spoken("leg", "mix"),
+        ),
+        **_family(
+            "smallest radius of trot above theory, {}-based",
+            lambda measured, strategy: (
+                measured.lock("trot", strategy) / measured.theory_lock(strategy) - 1
+            ),
+            _spoken("leg", "mix"),
+        ),
+        **_family(
+            "smallest radius of {}, mix-based below leg-based",
+            lambda measured, gait: measured.tighter(gait, "mix", "leg"),
+            _spoken(*WALK_GAITS),
+        ),
+        **_family(
+            "theory: smallest radius, {}-based",
+            ProfileOutcome.theory_lock,
+            _spoken("leg", "mix"),
+        ),
+        **_family(
+            "speed, spine- over mix-based, {}, 1.0 m, 0.5 Hz",
+            lambda measured, gait: (
+                measured.turn("speed", gait, 0.5, 1.0, "spine")
+                / measured.turn("speed", gait, 0.5, 1.0, "mix")
+            ),
+            _spoken(*SPINE_GAITS),
+        ),
         "spine-based turning fastest wherever it follows the path": lambda measured: every(
             a > b
             for other_steering in ("leg", "mix")
@@ -522,26 +621,7 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             for g in WALK_GAITS
             for f in FREQUENCIES
         ),
-        "speed, spine- over mix-based, trot, 1.0 m, 0.5 Hz": lambda measured: (
-            measured.turn("speed", "trot", 0.5, 1.0, "spine")
-            / measured.turn("speed", "trot", 0.5, 1.0, "mix")
-        ),
-        "speed, spine- over mix-based, walking trot, 1.0 m, 0.5 Hz": lambda measured: (
-            measured.turn("speed", "walking_trot", 0.5, 1.0, "spine")
-            / measured.turn("speed", "walking_trot", 0.5, 1.0, "mix")
-        ),
-        "time for 0.5 m, trot, 0.67 Hz, spine- over leg-based": lambda measured: (
-            measured.turn_time("spine") / measured.turn_time("leg")
-        ),
-        "time for 0.5 m, trot, 0.67 Hz, mix- over leg-based": lambda measured: (
-            measured.turn_time("mix") / measured.turn_time("leg")
-        ),
         "paths not followed": ProfileOutcome.lost,
-        "time for 0.5 m, trot, 0.67 Hz, spine-based": lambda measured: measured.turn_time("spine"),
-        "time for 0.5 m, trot, 0.67 Hz, leg-based": lambda measured: measured.turn_time("leg"),
-        "time for 0.5 m, trot, 0.67 Hz, mix-based": lambda measured: measured.turn_time("mix"),
-        "smallest radius of trot, leg-based": lambda measured: measured.lock("trot", "leg"),
-        "smallest radius of trot, mix-based": lambda measured: measured.lock("trot", "mix"),
         "smallest radius of all, mix-based": lambda measured: np.nanmin(
             measured.worlds("turning_radius", strategy="mix", radius=0.0)
         ),
@@ -560,34 +640,9 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "smallest radius of lateral walk, 0.8 Hz, mix- below spine-based": lambda measured: (
             measured.tighter("lateral_walk", "mix", "spine", 0.8)
         ),
-        "theory: smallest radius, leg-based": lambda measured: measured.turn(
-            "theory_radius", "trot", 0.67, 0.0, "leg"
-        ),
-        "theory: smallest radius, mix-based": lambda measured: measured.turn(
-            "theory_radius", "trot", 0.67, 0.0, "mix"
-        ),
-        "theory: spine-based full lock (5.43)": lambda measured: measured.turn(
-            "theory_radius", "trot", 0.67, 0.0, "spine"
-        ),
+        "theory: spine-based full lock (5.43)": lambda measured: measured.theory_lock("spine"),
         "theory: spine-based full lock, two feet with equal strides": lambda measured: (
             measured.turn("theory_equal_strides", "trot", 0.67, 0.0, "spine")
-        ),
-        "smallest radius of trot, mix-based below leg-based": lambda measured: measured.tighter(
-            "trot", "mix", "leg"
-        ),
-        "smallest radius of walking trot, mix-based below leg-based": lambda measured: (
-            measured.tighter("walking_trot", "mix", "leg")
-        ),
-        "smallest radius of lateral walk, mix-based below leg-based": lambda measured: (
-            measured.tighter("lateral_walk", "mix", "leg")
-        ),
-        "smallest radius of trot above theory, leg-based": lambda measured: (
-            measured.lock("trot", "leg") / measured.turn("theory_radius", "trot", 0.67, 0.0, "leg")
-            - 1
-        ),
-        "smallest radius of trot above theory, mix-based": lambda measured: (
-            measured.lock("trot", "mix") / measured.turn("theory_radius", "trot", 0.67, 0.0, "mix")
-            - 1
         ),
         "smallest radius off theory, mean of all cases": lambda measured: np.mean(
             abs(
@@ -597,55 +652,27 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             )
         ),
         "right turns as left turns": ProfileOutcome.mirrored,
-        "hardware: time for 0.5 m, trot, 0.67 Hz, spine-based": lambda measured: measured.turn_time(
-            "spine"
-        ),
-        "hardware: time for 0.5 m, trot, 0.67 Hz, leg-based": lambda measured: measured.turn_time(
-            "leg"
-        ),
-        "hardware: time for 0.5 m, trot, 0.67 Hz, mix-based": lambda measured: measured.turn_time(
-            "mix"
-        ),
-        "hardware: 0.5 m, trot, 0.67 Hz, followed, spine-based": lambda measured: measured.followed(
-            "spine"
-        ),
-        "hardware: 0.5 m, trot, 0.67 Hz, followed, leg-based": lambda measured: measured.followed(
-            "leg"
-        ),
-        "hardware: 0.5 m, trot, 0.67 Hz, followed, mix-based": lambda measured: measured.followed(
-            "mix"
-        ),
     },
     "balance": {
-        "front left lifted, without balance compensation": lambda measured: measured.verdict(
-            "front_left", False
+        **_family(
+            "{} balance compensation",
+            lambda measured, lift: measured.verdict(*lift),
+            _LIFTS,
         ),
-        "front right lifted, without balance compensation": lambda measured: measured.verdict(
-            "front_right", False
+        **_family(
+            "hardware: {} compensation",
+            lambda measured, lift: measured.verdict(*lift),
+            _LIFTS,
         ),
-        "rear left lifted, without balance compensation": lambda measured: measured.verdict(
-            "rear_left", False
+        **_family(
+            "resting pitch reduced by compensation, {} legs",
+            lambda measured, pair: 1 - measured.rest(pair, True) / measured.rest(pair, False),
+            _spoken("front", "rear"),
         ),
-        "rear right lifted, without balance compensation": lambda measured: measured.verdict(
-            "rear_right", False
-        ),
-        "front left lifted, with balance compensation": lambda measured: measured.verdict(
-            "front_left", True
-        ),
-        "front right lifted, with balance compensation": lambda measured: measured.verdict(
-            "front_right", True
-        ),
-        "rear left lifted, with balance compensation": lambda measured: measured.verdict(
-            "rear_left", True
-        ),
-        "rear right lifted, with balance compensation": lambda measured: measured.verdict(
-            "rear_right", True
-        ),
-        "resting pitch reduced by compensation, front legs": lambda measured: (
-            1 - measured.rest("front", True) / measured.rest("front", False)
-        ),
-        "resting pitch reduced by compensation, rear legs": lambda measured: (
-            1 - measured.rest("rear", True) / measured.rest("rear", False)
+        **_family(
+            "impact of the {} foot without compensation",
+            lambda measured, leg: measured.lift("impact", leg, False),
+            _spoken("rear_right", "rear_left"),
         ),
         "height of the centre of mass": lambda measured: (
             1e3
@@ -668,82 +695,53 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             > measured.force("front_right", "rear_left", True)
             + measured.force("rear_left", "rear_left", True)
         ),
-        "impact of the rear right foot without compensation": lambda measured: measured.lift(
-            "impact", "rear_right", False
-        ),
-        "impact of the rear left foot without compensation": lambda measured: measured.lift(
-            "impact", "rear_left", False
-        ),
-        "hardware: front left lifted, without compensation": lambda measured: measured.verdict(
-            "front_left", False
-        ),
-        "hardware: front right lifted, without compensation": lambda measured: measured.verdict(
-            "front_right", False
-        ),
-        "hardware: rear left lifted, without compensation": lambda measured: measured.verdict(
-            "rear_left", False
-        ),
-        "hardware: rear right lifted, without compensation": lambda measured: measured.verdict(
-            "rear_right", False
-        ),
-        "hardware: front left lifted, with compensation": lambda measured: measured.verdict(
-            "front_left", True
-        ),
-        "hardware: front right lifted, with compensation": lambda measured: measured.verdict(
-            "front_right", True
-        ),
-        "hardware: rear left lifted, with compensation": lambda measured: measured.verdict(
-            "rear_left", True
-        ),
-        "hardware: rear right lifted, with compensation": lambda measured: measured.verdict(
-            "rear_right", True
-        ),
     },
     "maze": {
-        "end reached without spine": lambda measured: measured.maze("reached", False) == 1,
-        "end reached with spine": lambda measured: measured.maze("reached", True) == 1,
-        "no box touched without spine": lambda measured: measured.maze("touched", False) == 0,
-        "no box touched with spine": lambda measured: measured.maze("touched", True) == 0,
-        "time without spine": lambda measured: measured.maze("time", False),
-        "time with spine": lambda measured: measured.maze("time", True),
-        "time with spine over without": lambda measured: measured.maze_ratio("time"),
-        "mean speed without spine": lambda measured: measured.maze("mean_speed", False),
-        "mean speed with spine": lambda measured: measured.maze("mean_speed", True),
-        "mean speed with spine over without": lambda measured: measured.maze_ratio("mean_speed"),
-        "roll std higher with the spine": lambda measured: measured.maze_ratio("roll_std") > 1,
-        "pitch std higher with the spine": lambda measured: measured.maze_ratio("pitch_std") > 1,
-        "roll std without spine": lambda measured: measured.maze("roll_std", False),
-        "roll std with spine": lambda measured: measured.maze("roll_std", True),
-        "roll std with spine over without": lambda measured: measured.maze_ratio("roll_std"),
-        "pitch std without spine": lambda measured: measured.maze("pitch_std", False),
-        "pitch std with spine": lambda measured: measured.maze("pitch_std", True),
-        "pitch std with spine over without": lambda measured: measured.maze_ratio("pitch_std"),
+        **_family(
+            "end reached {} spine",
+            lambda measured, spine: measured.maze("reached", spine) == 1,
+            _SPINE,
+        ),
+        **_family(
+            "no box touched {} spine",
+            lambda measured, spine: measured.maze("touched", spine) == 0,
+            _SPINE,
+        ),
+        **_family("{} spine", lambda measured, case: measured.maze(*case), _MAZE_CASES),
+        **_family(
+            "{} with spine over without",
+            ProfileOutcome.maze_ratio,
+            _spoken(*_MAZE_COLUMNS),
+        ),
+        **_family(
+            "{} higher with the spine",
+            lambda measured, column: measured.maze_ratio(column) > 1,
+            _spoken("roll_std", "pitch_std"),
+        ),
         "hardware: time saved with the spine": lambda measured: 1 - measured.maze_ratio("time"),
     },
     "body": {
-        "mass": lambda measured: 1e3 * measured.mean("mass"),
+        **_family(
+            "{}",
+            lambda measured, column: 1e3 * measured.mean(column),
+            _spoken("mass", "length", "height", "width") | {"shoulder to hip": "scapula_pelvis"},
+        ),
         "servos": lambda measured: measured.mean("servos"),
-        "length": lambda measured: 1e3 * measured.mean("length"),
-        "height": lambda measured: 1e3 * measured.mean("height"),
-        "width": lambda measured: 1e3 * measured.mean("width"),
-        "shoulder to hip": lambda measured: 1e3 * measured.mean("scapula_pelvis"),
         "bend of a front knee under load": lambda measured: measured.mean("bend_front_knee"),
         "bend of a rear knee under load": lambda measured: measured.mean("bend_rear_knee"),
         "bend of the spine under load": lambda measured: measured.mean("bend_spine"),
         "largest angle of a spine joint": lambda measured: measured.mean("spine_joint_limit"),
     },
     "leg-stand": {
-        "bend of a front knee under load, 4 hinges": lambda measured: measured.mean(
-            "bend", pair="front", routing="type3", hinges=4
+        **_family(
+            "bend of a {} knee under load, 4 hinges",
+            lambda measured, pair: measured.mean("bend", pair=pair, routing="type3", hinges=4),
+            _spoken("front", "rear"),
         ),
-        "bend of a rear knee under load, 4 hinges": lambda measured: measured.mean(
-            "bend", pair="rear", routing="type3", hinges=4
-        ),
-        "routing type 2 has a shorter lever arm on the knee than type 1": lambda measured: (
-            measured.shortens("type2", "type1")
-        ),
-        "routing type 3 has a shorter lever arm on the knee than type 1": lambda measured: (
-            measured.shortens("type3", "type1")
+        **_family(
+            "routing {} has a shorter lever arm on the knee than type 1",
+            lambda measured, routing: measured.shortens(routing, "type1"),
+            {"type 2": "type2", "type 3": "type3"},
         ),
         "adjusted type 3 has the shortest lever arm": lambda measured: measured.shortens(
             "type3_idler", "type3"

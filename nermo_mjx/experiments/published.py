@@ -1,26 +1,26 @@
-"""The published figures, how they are measured and judged, and the lines of the report that result.
+"""The published figures, the rules by which they are judged, and the lines of the report.
 
-The figures are data, in `published.yaml`: value, rule, kind, the sentence of the thesis that the rule stands for, its
-section, and what the author's own model and code give, with their settings. How each is measured: `measures`.
+`published.yaml` lists for each figure its value, rule and kind, the sentence and section of the thesis, and the value
+that the author's own model and code give, with their settings. `measures` contains the functions that measure figures.
 
-How a figure is judged, its `rule`:
+The `rule` of a figure determines whether a value agrees with it:
 
-- `number`: within 25 % of the published one;
+- `number`: within 25 % of the published number;
 - `effect`: a ratio that says how much something changes; within 25 % of its size, the ratio minus 1. A spine without
   any effect has the ratio 1, which is within 25 % of 1.22, but is not a gain of 22 %. `gain`: the change itself;
-- `range`: inside of the published interval, `at_most`: below a bound; neither is widened, except by rounding;
-- `outcome`: the same truth, word or count;
-- `none`: shown only.
+- `range`: inside of the published interval; `at_most`: below a bound. Neither is widened, except by rounding;
+- `outcome`: the same truth value, word or count;
+- `none`: shown, but not judged.
 
-All count half a unit of the last published digit (`digits`) as rounding. A `tolerance` of a figure's own replaces the
-25 %, where the author's model would fail them. The value of a line as evidence depends on what was known when the twin
-was made, its kind:
+For all rules, half a unit of the last published digit (`digits`) counts as rounding. The `tolerance` of a figure replaces
+the 25 % if the author's model would not agree within them. The `kind` of a figure determines whether it is evidence for
+the twin:
 
 - `fitted`: a term of the objective (`identification`), or a figure that those terms decide;
-- `theory`: a formula of the publication against the same formula here; nothing is simulated;
-- `chosen`: something was decided with this figure, or one of its group, in view;
+- `theory`: a formula of the publication, compared with the same formula here, without a simulation;
+- `chosen`: this figure, or a figure of its group, was used in a modelling decision;
 - `rewritten`: the rule of this figure was changed after the author's own model had failed it;
-- `predicted`: none of these. Only predicted lines are evidence. In case of doubt, a line does not count as predicted.
+- `predicted`: all other figures. Only they are evidence. In case of doubt, a figure does not count as predicted.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LINE_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 Value = float | bool | str | None
 #: A number, or the size of an effect, agrees with the publication within this share of it.
 AGREES: Final = 0.25
-#: The share of bodies and starts that an interval holds.
+#: Probability of the intervals over bodies and initial states.
 INTERVAL: Final = 0.90
 #: Tolerance for rounding errors in comparisons of numbers near 1.
 _ROUNDING_TOLERANCE: Final = 1e-9
@@ -56,17 +56,18 @@ class Figure:
     """A published figure and how it is measured; see the module.
 
     Attributes:
-        figure: its name, for display.
-        kind, rule: see the module.
-        published: value; of a range two numbers; None for one that is compared with the author's model alone.
-        measure: of a profile's outcome; see `measures`.
-        profile: the set-up in which it is judged: that which made it.
-        unit: of a number as it is shown.
-        digits: decimals that were published; None for a number that is not rounded.
-        tolerance: in place of `AGREES`, or of a range the share by which its effects may go beyond; see `reason`.
-        author: what the author's own model and code give; settings: name of their settings in `set_ups`.
-        section: place in the publication; sentence: what it says there.
-        reason: why the rule is what it is, and why a line does not hold, as far as tests have shown it.
+        figure: Name of the figure, for display.
+        kind, rule: See the module.
+        published: Published value, or the two ends of a range; None if only the author's model has a value.
+        measure: Function that measures the figure in a `ProfileOutcome`; see `measures`.
+        profile: Profile in which the figure is judged.
+        unit: Unit in which a number is shown.
+        digits: Number of published decimals; None for a number that is not rounded.
+        tolerance: Replaces `AGREES`; for a range, the share by which its effects may exceed it. See `reason`.
+        author: Value of the author's own model and code.
+        settings: Name of the settings of the author's model in `set_ups`.
+        section, sentence: Section of the publication, and its statement.
+        reason: Reason for the rule, and known reason for a disagreement.
     """
 
     figure: str
@@ -97,7 +98,7 @@ class Figure:
 
     @property
     def reference(self) -> Any:
-        """What a value is compared with: the publication, or else the author's model."""
+        """The value of the publication, or else of the author's model."""
         return self.author if self.published is None else self.published
 
     @property
@@ -111,11 +112,11 @@ class Figure:
         return 1.0 if self.rule == "effect" else 0.0
 
     def measured(self, outcome: CaseRuns, profile: str) -> Value:
-        """The figure in a profile; None where it was not measured."""
+        """The value of the figure in a profile; None if it was not measured."""
         if profile not in set(outcome.columns["profile"]):
             return None
         try:
-            # A quick run has no cases for some figures: the mean of nothing is not finite, so not measured.
+            # A quick run lacks the cases of some figures; the mean of an empty array is not finite, so it is not measured.
             with (
                 np.errstate(all="ignore"),
                 warnings.catch_warnings(action="ignore", category=RuntimeWarning),
@@ -128,7 +129,7 @@ class Figure:
         return float(value) if math.isfinite(value) else None
 
     def holds(self, value: Value | Sequence[float]) -> bool | None:
-        """Whether a value agrees; None if there is none, or it is not judged."""
+        """Whether a value agrees with the figure; None without a value, or if the figure is not judged."""
         if value is None or self.rule == "none":
             return None
         if isinstance(value, list | tuple):  # of the author's model, over several cases
@@ -153,7 +154,10 @@ class Figure:
         )
 
     def ratio(self, value: Value) -> float | None:
-        """Measured over published; of an effect, the sizes; of an interval, over its nearer end, or 1 inside of it."""
+        """Measured value relative to the published value.
+
+        For an effect, it is the ratio of the sizes; for an interval, the ratio to its nearer end, or 1 inside.
+        """
         if value is None or self.reference is None or isinstance(value, bool | str):
             return None
         if isinstance(self.reference, bool | str):
@@ -168,7 +172,7 @@ class Figure:
         return float(quotient) if math.isfinite(quotient) else None
 
     def covered(self, low: float | None, high: float | None) -> bool | None:
-        """Whether the published value lies in an interval; of a published interval, whether both overlap."""
+        """Whether an interval contains the published value, or overlaps the published interval."""
         if low is None or high is None or self.rule in ("none", "outcome"):
             return None
         if self.rule == "at_most":
@@ -207,10 +211,10 @@ class Shot:
     """The content of a video.
 
     Attributes:
-        recording: part of the recording's name; if none matches, the last recording is shown.
-        camera: a following view.
-        speed: 1 is real time; a run that has an end is shown faster if it would take too long.
-        until: column with the simulated time at which the run reached its end, if it has one.
+        recording: Part of the name of the recording; if no name matches, the last recording is shown.
+        camera: Name of the camera.
+        speed: Speed relative to real time; a long run is shown faster.
+        until: Column with the simulated time at which the run reached its end, if there is one.
     """
 
     recording: str = ""
@@ -231,18 +235,18 @@ class Experiment:
     """A published experiment; its texts are in `experiments.yaml`.
 
     Attributes:
-        name: as on the command line.
-        run: simulates all its cases.
-        rows: how many worlds these are.
-        settable: parameters that may be set for all its worlds.
-        title: for the report.
-        description: what is done and when it counts, in sentences.
-        quick: what a quick run omits.
-        metrics: columns shown in the report for every case, with theory next to simulation.
-        needs: column -> the column that must be a number for it to be meaningful.
-        shot: the view of the video.
-        walks: whether another controller can take the place of the published one.
-        own_figures: in place of those of `published.yaml`.
+        name: Name, as on the command line.
+        run: Function that simulates all cases.
+        rows: Function that returns the number of worlds.
+        settable: Parameters that can be set for all worlds.
+        title: Title in the report.
+        description: Procedure and criteria, in sentences.
+        quick: Difference between a quick and a full run.
+        metrics: Columns that the report shows for every case, with theory next to simulation.
+        needs: Column -> the column that must be a number, so that the former is meaningful.
+        shot: View of the video.
+        walks: Whether a policy can act on top of the published controller.
+        own_figures: Figures that replace the figures of `published.yaml`.
     """
 
     name: str
@@ -260,7 +264,7 @@ class Experiment:
 
     @property
     def figures(self) -> tuple[Figure, ...]:
-        """Published figures, and how they are measured here."""
+        """The figures of the experiment."""
         return published_figures(self.name) if self.own_figures is None else self.own_figures
 
 
@@ -270,15 +274,15 @@ class Line:
 
     Attributes:
         experiment, figure, kind, rule, unit, section, sentence, reason: see `Figure`.
-        published, author, settings: the publication's value, the author's model's, and its settings.
-        author_holds: whether that would hold: a criterion that the original fails is none.
-        as_published, exact, as_built: the figure in the profiles; None where it was not measured.
-        judged_in: the profile that is judged.
-        ratio: of that to the reference.
-        low, high: the 90 % interval over identified bodies and starts; None without bodies.
-        covered: whether the published value lies in it.
-        ensemble: share of those in which the line holds; None if unknown.
-        holds: None where it was not measured, or is not judged.
+        published, author, settings: Value of the publication, value of the author's model, and its settings.
+        author_holds: Whether the author's model agrees; a rule that the original fails is not a criterion.
+        as_published, exact, as_built: Value in each profile; None if it was not measured.
+        judged_in: Profile that is judged.
+        ratio: Value in this profile relative to the reference.
+        low, high: Ends of the 90 % interval over identified bodies and initial states; None without bodies.
+        covered: Whether the interval contains the published value.
+        ensemble: Share of bodies and initial states in which the line holds; None if unknown.
+        holds: Whether the value agrees; None if it was not measured, or is not judged.
     """
 
     experiment: str
@@ -311,10 +315,10 @@ def published_lines(
     """The lines of one experiment.
 
     Args:
-        outcome: of the run; a profile that was not run gives None.
-        bodies: of the identified bodies in it, if they were run: each of these with its start, and each start of the
-            experiment's own body, is then a sample of the interval.
-        figures: figures, by default those of the experiment.
+        outcome: Outcome of the run. The values of a profile that was not run are None.
+        bodies: Outcome of identified bodies, if they were run. Each body, and each initial state of the default body, is
+            then a sample of the interval.
+        figures: Figures, by default all figures of the experiment.
     """
     samples: list[CaseRuns] = []
     if bodies is not None:
@@ -361,10 +365,10 @@ def published_lines(
 
 
 def line_counts(lines: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    """Number of lines, of those that hold, and of those that were not measured or are not judged; coverage.
+    """Count lines: all, by `holds` (None: not measured or not judged), and by `covered`.
 
     Args:
-        lines: of report.json.
+        lines: Lines of report.json.
     """
     holds, covered = ([line[name] for line in lines] for name in ("holds", "covered"))
     counted = {

@@ -1,8 +1,8 @@
-"""Run the published experiments into a directory: each one's results are stored as soon as it is done.
+"""The job that runs the published experiments into a directory, and its resumption.
 
-A directory is resumed where it was interrupted: an experiment in it, run with the same settings, is not run again.
-Experiments of one directory may have been run with different settings; each keeps its own, and the report says so.
-Its files: `nermo_mjx.experiments.store`.
+The results of an experiment are stored as soon as it is complete. A later call with the same settings keeps them, so that
+an interrupted run continues where it stopped. The experiments of a directory can have different settings; the report
+lists the differences. `nermo_mjx.experiments.store` describes the files.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
     experiment.name: experiment for experiment in _catalogue()
 }
 
-# --- a directory: how far it is, and its figures
+# --- a directory: its status and its figures
 
 
 def experiments_status(out: Path) -> Status:
@@ -152,7 +152,7 @@ def experiments_status(out: Path) -> Status:
 
 
 def experiment_status(out: Path) -> Status:
-    """How many rows of one experiment a directory holds; those of bodies are in a directory of their own."""
+    """The number of rows of an experiment in its directory; identified bodies have a separate directory."""
     name = out.name.removesuffix("-bodies")
     stored = Directory(out.parent).load(name, bodies=name != out.name)
     rows = None if stored is None else len(stored.outcome)
@@ -161,10 +161,10 @@ def experiment_status(out: Path) -> Status:
 
 
 def images(out: Path) -> Figures:
-    """The figures of all experiments that a directory holds, by name.
+    """The figures of all experiments in a directory, by name.
 
     Raises:
-        DirectoryError: it contains no readable experiment.
+        DirectoryError: The directory contains no readable experiment.
     """
     from nermo_mjx.experiments.plots import figures_of_experiment
 
@@ -194,12 +194,13 @@ class ExperimentResult:
     """The result of one experiment.
 
     Attributes:
-        name: of the experiment; out: the directory.
-        outcome: its table, and recordings, which are loaded on first access.
-        lines: of the report.
-        table, plots, recordings, videos: its files.
-        kept: whether it was already in the directory, so that nothing was simulated.
-        notes: sentences on outputs that could not be made.
+        name: Name of the experiment.
+        out: Directory.
+        outcome: Table, and recordings, which are loaded on first access.
+        lines: Lines of the report.
+        table, plots, recordings, videos: Files of the experiment.
+        kept: Whether the directory already contained the result, so that nothing was simulated.
+        notes: Sentences about outputs that could not be made.
     """
 
     name: str
@@ -216,7 +217,7 @@ class ExperimentResult:
 
 @dataclasses.dataclass(frozen=True)
 class ExperimentsResult:
-    """The results of several experiments in the order run, and the content of report.json."""
+    """The results of several experiments in their order, and the content of report.json."""
 
     out: Path
     results: tuple[ExperimentResult, ...]
@@ -228,7 +229,6 @@ def run_experiment(name: str, out: str | os.PathLike[str], **options: Any) -> Ex
     return run_experiments([name], out, **options).results[0]
 
 
-# The options of the command, each a keyword: a record of them would only rename them.
 @shows_progress("experiments")
 # Long because the job passes through all its stages in one place.
 # Many parameters because each is an option of the job, most by keyword only.
@@ -254,32 +254,33 @@ def run_experiments(
     """Run experiments; each is stored when it finishes, and the report is rewritten after each.
 
     Args:
-        names: of `EXPERIMENTS`.
-        out: the directory; see the module.
-        engine: `auto`, `c` or `mjx`; `auto` is the one that the directory was started with, if any.
-        profiles: of `PROFILES`.
-        repeats: worlds of each case, from starts that differ by a seeded shift; by default 3, or 1 in a quick run.
-        seed: of the shifts.
-        quick: run fewer cases, without video.
-        values: parameters for all worlds, by name, such as another friction.
-        controller: file of a policy (`nermo-mjx train`), which walks in every case in place of the published controller
-            and acts upon it; full lock is left out if it observes a path. A copy is kept in the directory.
-        bodies: members of the identified ensemble to run as well, once each and each from a start of its own, in the
-            profiles that are judged; the report then gives each line's 90 % interval over bodies and starts. None uses
-            those in the directory.
-        video: whether to make the videos.
-        again: rerun and replace the directory's results of these experiments, regardless of the code that made them.
-        accept_new_code: resume a directory that other code started; the tables' column `code` tells the rows apart.
-        watch: is told what is at work (`Progress.what`) and its finished share, and anything unusual.
-        progress: whether it is shown where somebody looks, if there is no watch.
-        workers: what simulates; by default this process, one experiment after the other, else
-            `nermo_mjx.runs.ray_workers.RayWorkers`. The numbers are the same.
+        names: Names from `EXPERIMENTS`.
+        out: Directory; see `nermo_mjx.experiments.store`.
+        engine: `auto`, `c` or `mjx`; `auto` is the engine of the first call in the directory, if there was one.
+        profiles: Names from `PROFILES`.
+        repeats: Number of worlds of each case, with randomly shifted initial states; by default 3, or 1 in a quick run.
+        seed: Seed of the shifts.
+        quick: Whether to run fewer cases, without video.
+        values: Name of a parameter -> its value in all worlds, for example another friction.
+        controller: File of a policy (`nermo-mjx train`), which acts on top of the published controller in every case;
+            full lock is omitted if the policy observes a path. The directory contains a copy.
+        bodies: Number of parameter sets of the identified ensemble that run as well, once each and with different
+            initial states, in the profiles that are judged. The report then lists the 90 % interval of each line over
+            parameter sets and initial states. None uses the parameter sets in the directory.
+        video: Whether to make the videos.
+        again: Whether to rerun these experiments and to replace their results in the directory, made by any code.
+        accept_new_code: Whether to resume a directory that other code started; the column `code` identifies the code.
+        watch: Functions that receive the present part (`Progress.what`), its completed share, and warnings.
+        progress: Whether a terminal shows the progress if there is no watch.
+        workers: Processes that simulate; by default this process, one experiment after the other. With
+            `nermo_mjx.runs.ray_workers.RayWorkers`, the results are the same.
 
     Raises:
-        ParameterError: wrong arguments, or a directory that holds one of them with other settings; nothing has run.
-        OtherCode: other code made what the directory holds; nothing has run.
-        JobFailed: an experiment failed, or all workers are lost; what was done before is kept.
-        DirectoryError: the directory holds something else, is in use, or cannot be written.
+        ParameterError: Arguments are wrong, or the directory contains an experiment with other settings. No simulation
+            has run.
+        OtherCode: Other code made the results in the directory. No simulation has run.
+        JobFailed: An experiment failed, or all workers are lost. Earlier results are kept.
+        DirectoryError: The directory contains other files, is in use, or cannot be written.
         Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     requested = [
@@ -309,7 +310,7 @@ def run_experiments(
         call = _Call(
             Written(run_directory), directory, settings, several, again, video and not quick, watch
         )
-        # All are looked up before anything runs, so that an error costs no simulation.
+        # All experiments are loaded before the first simulation, so that an error costs no simulation.
         stored = {
             experiment.name: None if again else call.stored(experiment) for experiment in requested
         }
@@ -339,7 +340,7 @@ def run_experiments(
 
 
 def _check_values(requested: Sequence[Experiment], settings: Settings) -> None:
-    """Refuse a controller or values that do not apply to an experiment."""
+    """Reject a controller or values that do not apply to an experiment."""
     for experiment in requested:
         if settings.controller is not None and not experiment.walks:
             walking = ", ".join(name for name, candidate in EXPERIMENTS.items() if candidate.walks)
@@ -353,17 +354,17 @@ def _check_values(requested: Sequence[Experiment], settings: Settings) -> None:
                 )
 
 
-# --- simulation: a worker's task is an experiment with its own body, or with a batch of identified ones
+# --- simulation: the task of a worker is an experiment with the default parameters, or with a batch of identified ones
 
-#: Bodies per batch: their recordings in the maze and the balance test take half a gigabyte.
+#: Number of bodies in a batch, whose recordings in the maze and the balance test need half a gigabyte.
 BATCH_BODIES: Final = 16
 
 
 def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
-    """Bodies that walk as published in the set-up of the tests, for all profiles: parameter name -> (bodies,) values.
+    """Sample parameter sets of the identified ensemble: name of a parameter -> values (bodies,).
 
     Raises:
-        ParameterError: not a whole number of at least 1, or there are fewer.
+        ParameterError: `bodies` is not a whole number of at least 1, or the ensemble is smaller.
     """
     from nermo_mjx.robot import identified
 
@@ -378,7 +379,7 @@ class Simulation:
     engine: str
 
     def warm(self) -> None:
-        """Each experiment makes its own simulator."""
+        """Do nothing, because each experiment makes its own simulator."""
 
     def stamp(self, structure: int = 0) -> CodeStamp:
         """Stamp of the code, the model and the engine that simulate here."""
@@ -390,7 +391,7 @@ class Simulation:
         /,
         progress: Callable[[float], None] | None = None,
     ) -> tuple[CaseRuns, float]:
-        """The result of a part, and its duration [s]."""
+        """Simulate a part, and return its outcome and duration [s]."""
         begun = time.monotonic()
         run, settings = task
         outcome = run(settings.but(engine=self.engine, progress=progress or (lambda share: None)))
@@ -398,13 +399,13 @@ class Simulation:
 
 
 def _set_aside(path: Path) -> None:
-    """Rename a file of rows that are replaced, so that an interruption loses no result."""
+    """Rename a file of rows as a backup, so that an interruption loses no result."""
     path.replace(path.with_suffix(".replaced"))
 
 
 @dataclasses.dataclass(frozen=True)
 class _Call:
-    """What all experiments of one call share; `bodies` if any are requested."""
+    """The data that all experiments of one call share; `bodies` is empty if none are requested."""
 
     written: Written
     directory: Directory
@@ -415,7 +416,7 @@ class _Call:
     watch: Watch
 
     def stored(self, experiment: Experiment) -> Stored | None:
-        """The directory's results of an experiment, if they match the request; raises otherwise."""
+        """The results of an experiment in the directory, or None; raises `ParameterError` if their settings differ."""
         stored = self.directory.load(experiment.name)
         if stored is not None and (
             differing := differences(stored.about["settings"], self.settings.as_dict())
@@ -429,7 +430,7 @@ class _Call:
     def works(
         self, experiment: Experiment, stored: Stored | None, stack: contextlib.ExitStack
     ) -> Iterator[Work]:
-        """The rows of an experiment to simulate: its own, those of identified bodies, both or neither."""
+        """The work that remains for an experiment: its rows, and the rows of identified bodies."""
         record = session() | {"settings": self.settings.as_dict()}
         if stored is None:
             yield self._work(experiment, [self.settings], record, stack)
@@ -444,7 +445,7 @@ class _Call:
             yield self._work(experiment, self._body_parts(experiment), record, stack)
 
     def _body_parts(self, experiment: Experiment) -> list[Settings]:
-        """Each body runs once in the profiles in which the figures are judged, in batches."""
+        """Batches of bodies, in the profiles in which figures are judged; each body runs once."""
         judged = {figure.profile for figure in experiment.figures}
         profiles = [name for name in self.settings.profiles if name in judged]
         return [
@@ -472,7 +473,7 @@ class _Call:
         run_directory = stack.enter_context(RunDirectory(rows.folder, "experiment"))
         rows.write_record()
         work = Work(rows, run_directory.out, rows.size, watch=self.watch, directory=run_directory)
-        if self.again or not len(work.unfinished):  # replaced, or without their recordings
+        if self.again or not len(work.unfinished):  # to replace, or without recordings
             for part in (*work.runs.parts, *work.runs.other_parts):
                 _set_aside(part.path)
             work.runs.survey()
@@ -491,7 +492,7 @@ class _Call:
     def result(
         self, experiment: Experiment, former_result: Stored | None, code: CodeStamp
     ) -> ExperimentResult:
-        """Everything derived from new or stored results."""
+        """Write the files that are derived from new or stored results, and return the result."""
         written_files, out, name = self.written, self.directory.out, experiment.name
         stored = former_result or self.directory.load(name)
         if stored is None:
@@ -506,7 +507,7 @@ class _Call:
         )
         if stored.about["settings"].get(
             "controller"
-        ):  # reasons were found for the published controller
+        ):  # the reasons apply to the published controller
             lines = [dataclasses.replace(line, reason="") for line in lines]
         former = (self.directory.entry(name) if former_result is not None else None) or {}
         # The files derived from the results are added once they exist.
@@ -541,7 +542,7 @@ class _Call:
         )
 
     def _warn_of_code(self, name: str, former: Stored, code: CodeStamp) -> None:
-        """Say that results are kept, and of which code they are, if of another."""
+        """Report that results are kept, and whether other code made them."""
         former_code = codes_of(self.directory.out).get(former.about["code"])
         unlike = "" if former_code is None else former_code.unlike(code)
         code_note = f" by other code ({unlike})" if unlike else ""
@@ -596,7 +597,8 @@ class _Call:
         return [{"file": self.written.name(path), "shows": shows, "speed": speed}], []
 
 
-#: A frame takes 0.1 to 0.15 s of one core without a graphics card, so that a video takes 25 s at most.
+#: Frames per second, size in pixels, and maximum duration of a video [s]. Without a graphics card, a frame needs 0.1 to
+#: 0.15 s of one core, so that a video needs at most 25 s.
 FPS, WIDTH, HEIGHT, LONGEST = 20, 480, 360, 8.0
 
 
@@ -606,8 +608,8 @@ def shoot(
     """Render the video of an experiment that has a recording, and return its speed.
 
     Raises:
-        VideoError: this machine cannot draw or encode.
-        RecordingError: the recording was made with another version of the model.
+        VideoError: This machine cannot render or encode.
+        RecordingError: The recording was made with another version of the model.
     """
     name = shot.choose(outcome)
     assert name is not None

@@ -1,8 +1,9 @@
-"""What is measured without a walk: the body's dimensions, and its parts on test stands in MuJoCo C without gravity.
+"""Experiments without a walk: dimensions of the robot, and test stands of its parts in MuJoCo C without gravity.
 
-The load case is that of the publication's finite elements (A.1), 0.125 N m on a joint; the springs have the published
-stiffnesses, so this checks their modelling, with one hinge and with chains of hinges. The stand of the leg compares the
-routings of the knee's tendon, of which section 5.1.2 says how lever arm and coupling differ.
+The load case is 0.125 N m on a joint, as in the finite element analysis of the publication (A.1). The springs have the
+published stiffnesses, so that this experiment checks the model of the joints, with one hinge and with chains of hinges.
+The stand of the leg compares the routings of the knee's tendon; section 5.1.2 of the publication describes how their
+lever arms and couplings differ.
 """
 
 from __future__ import annotations
@@ -40,29 +41,29 @@ from nermo_mjx.robot.quantity import (
 
 #: Torque of the published load case [N m].
 TORQUE: Final = 0.125
-#: Parameters that may be set: of the body, and on the stands without those of motors and gears, which they do not have.
+#: Parameters that can be set for the body, and for the stands, which have no motors and gears.
 BODY_SETTABLE: Final = frozenset(
     name for name, _ in quantities(ModelParameters) if not name.startswith("geometry.")
 )
 STAND_SETTABLE: Final = BODY_SETTABLE - {
     f"servo.{name}" for name in ("supply_voltage", "back_emf", "dead_band", "backlash")
 }
-#: Time in which a stand comes to rest, so often at most where damping is low; and in which a motion or a load is slow:
-#: inertia and damping hardly matter [s].
+#: Time in which a stand usually comes to rest [s]; maximum number of these times, for low damping; and duration of a slow
+#: motion or a slowly growing load, with little effect of inertia and damping [s].
 REST, PATIENCE, SLOW = 2.0, 15, 8.0
 #: Speed of joints below which a stand is at rest [rad/s].
 RESTING_SPEED: Final = 2e-3
-#: A servo saturates at this share of its torque limit, which it only approaches.
+#: A servo counts as saturated at this share of its torque limit.
 _SATURATED: Final = 0.999
 #: Numbers of hinges whose bend is compared.
 HINGES: Final = (1, 2, 4)
 
 
 class Stand:
-    """A part on its stand, stepped: servos that hold or move, and loads that grow.
+    """A simulation of a part on its test stand.
 
     Args:
-        spec: of `assemble_leg` or `assemble_spine`.
+        spec: Result of `assemble_leg` or `assemble_spine`.
     """
 
     def __init__(self, spec: Any) -> None:
@@ -71,10 +72,14 @@ class Stand:
         self.data = mujoco.MjData(self.model)
 
     def settle(self, servo: Any, times: int = 1) -> Stand:
-        """Command the servos, and wait until all is at rest, at least so many times `REST`.
+        """Command the servos, and simulate until the part is at rest.
+
+        Args:
+            servo: Servo angles [rad].
+            times: Minimum duration, as a multiple of `REST`.
 
         Raises:
-            ParameterError: it does not come to rest.
+            ParameterError: The part does not come to rest.
         """
         self.data.ctrl[:] = servo
         for waited in range(1, PATIENCE + 1):
@@ -92,19 +97,19 @@ class Stand:
         )
 
     def site(self, name: str) -> np.ndarray:
-        """Where a site is [m]."""
+        """Position of a site [m]."""
         return np.array(self.data.site(name).xpos)
 
     def angle(self, joint: str) -> float:
-        """Of a joint, the sum over its hinges [rad]."""
+        """Angle of a joint, the sum over its hinges [rad]."""
         model = self.model
         joint_ids = [i for i in range(model.njnt) if chain_of(model.joint(i).name) == joint]
         return float(sum(self.data.qpos[model.jnt_qposadr[i]] for i in joint_ids))
 
     def held(self, site: str, direction: Sequence[float], largest_force: float) -> float:
-        """The force along a direction at a site [N], growing slowly, at which a servo reaches its torque limit.
+        """Force at a site, along a direction, at which a servo reaches its torque limit [N].
 
-        NaN if none does up to `most` [N].
+        The force grows slowly up to `largest_force` [N]; NaN if no servo reaches its limit.
         """
         model, data, site_id = self.model, self.data, self.model.site(site).id
         body, steps = int(model.site_bodyid[site_id]), self._steps(SLOW)
@@ -119,8 +124,11 @@ class Stand:
         return float("nan")
 
     def work(self, path: Callable[[float], Any]) -> tuple[float, float]:
-        """Slow motion along a path of servo angles, from 0 to 1: work that all servos do, and the part of it that is
-        not returned to them, the sum where they drive [J]."""
+        """Simulate a slow motion along a path of servo angles, from 0 to 1.
+
+        Returns:
+            Work of all servos [J], and the sum of their positive work alone [J].
+        """
         model, data, done, driving = self.model, self.data, 0.0, 0.0
         steps = self._steps(SLOW)
         for step in range(steps):
@@ -135,7 +143,7 @@ class Stand:
 
 
 def bend(spec: Any, joints: Sequence[str], torque: float = TORQUE) -> float:
-    """By how much joints bend together under a moment on each of them [rad], without tendons and servos."""
+    """Total change of the angles of joints under a moment on each of them [rad], without tendons and servos."""
     for tendon in list(spec.tendons):
         spec.delete(tendon)
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
@@ -155,13 +163,17 @@ def _measured(
     measure: Any,
     settable: frozenset[str],
 ) -> CaseRuns:
-    """All cases, once for each profile, with the same values; there are no repeats, and the engine is MuJoCo C.
+    """Measure all cases with MuJoCo C, without repeats; all profiles have the same values.
 
     Args:
-        measure: the columns of the body's parameters and a case.
+        name: Name of the experiment.
+        settings: Settings of the experiment.
+        cases: Labels of the cases.
+        measure: Function of the parameters of the body and the labels of a case, which returns the measured columns.
+        settable: Parameters that can be set.
 
     Raises:
-        ParameterError: a parameter that does not apply, or values with which a stand does not come to rest.
+        ParameterError: A parameter does not apply, or a stand does not come to rest.
     """
     for parameter in {**settings.values, **(settings.bodies or {})}:
         choice("values", parameter, sorted(settable))
@@ -192,7 +204,7 @@ def _measured(
 
 
 def world_counter(cases: Sequence[Mapping[str, Any]]) -> Callable[[Settings], int]:
-    """How many worlds an experiment of these cases has."""
+    """A function that returns the number of worlds of these cases."""
     return lambda settings: max(settings.body_count, 1) * len(cases) * len(settings.profiles)
 
 
@@ -256,13 +268,13 @@ def _dimensions() -> dict[str, float]:
     }
 
 
-# --- one leg: what its tendon's routing does to force, speed and work of the knee's servo
+# --- one leg: the effect of the tendon's routing on force, speed and work of the knee's servo
 
 #: The foot is pulled down, and the spine's end pushed, by up to this force [N].
 _MOST_LEG, _MOST_SPINE = 20.0, 40.0
-#: Changes of the servos' angles from which speed and coupling (of the hip) follow [rad].
+#: Changes of servo angles from which the speed, and the coupling of the hip, are computed [rad].
 _STEP, _SWING = 0.05, 0.2
-#: The foot of a swing, as long and as high as in the experiments [m].
+#: Length and height of a swing of the foot, as in the experiments [m].
 _STRIDE, _LIFT = 0.060, 0.010
 LEG_CASES: Final = tuple(
     {"pair": pair, "routing": routing, "hinges": hinges}
@@ -312,7 +324,7 @@ def servo_angles(pair: str, foot: np.ndarray, routing: str) -> np.ndarray:
 
 
 def swing_of(pair: str, routing: str) -> Any:
-    """The servo angles of a swing, from 0 to 1: the foot goes forward by the longest stride, on a parabola."""
+    """A function from 0 to 1 with the servo angles of a swing: the foot moves along a parabola by the longest stride."""
     share = np.linspace(0.0, 1.0, 101)
     foot = np.stack([_STRIDE * (0.5 - share), 4.0 * _LIFT * share * (1.0 - share)], axis=-1)
     servo = servo_angles(pair, foot + LEGS[pair].neutral_foot, routing)
@@ -322,7 +334,7 @@ def swing_of(pair: str, routing: str) -> Any:
 # --- the spine: lateral, vertical and combined bends of both robots
 
 _VERTICAL: Final = tuple(f"spine_vertical_{i}" for i in range(1, 5))
-#: Share of each of the servos in a plane, the lateral and the vertical one; the joints, and the way of the force.
+#: Plane -> shares of the lateral and the vertical servo, joints that bend, and direction of the force.
 PLANES: Final = {
     "lateral": ((1.0, 0.0), _LATERAL, (-1.0, 0.0, 0.0)),
     "vertical": ((0.0, 1.0), _VERTICAL, (0.0, 0.0, -1.0)),
@@ -340,7 +352,7 @@ def run_spine(settings: Settings) -> CaseRuns:
     def measure(
         parameters: ModelParameters, robot: Any, plane: str, hinges: int
     ) -> dict[str, float]:
-        # The robot's masses, unless they are set.
+        # The masses of the robot, unless they are set.
         default, now = dict(values_of(ModelParameters())), dict(values_of(parameters))
         parameters_of_case = {
             name: np.asarray(value)

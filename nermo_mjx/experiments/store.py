@@ -1,14 +1,14 @@
-"""The rows of published experiments, and their directories.
+"""The directories of published experiments, and their rows.
 
-DIR/run.json                        the kind, which codes made the rows, each session, the program's files
+DIR/run.json                        kind, code stamps, sessions, and files of the program
 DIR/report.json, DIR/report.md      all experiments that the directory holds
 DIR/plots/, DIR/videos/             made from the rows and the recordings
-DIR/<experiment>/                   its rows, one per world; open to `view`, `compare` and `plot`
-DIR/<experiment>-bodies/            those of identified bodies, if they were requested
+DIR/<experiment>/                   rows, one per world, for `view`, `compare` and `plot`
+DIR/<experiment>-bodies/            rows of identified bodies, if they were requested
     results/                        see `nermo_mjx.runs.rows`
-    recordings/row-000012.npz       runs shown in plots and videos; of a case that has no row, by its name
+    recordings/row-000012.npz       runs of plots and videos; the file of a case without a row has the name of the case
     experiment.json                 the settings of the run, and its recordings by name
-    report.json                     its lines of the report
+    report.json                     lines of the report
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from nermo_mjx.runs.rows import PartFile, keys_of, opened_part, part_files
 from nermo_mjx.runs.work import RowBatch, RowJob
 from nermo_mjx.sweep.table import read_table
 
-#: What a directory of rows says of its run, and of the lines that follow from them.
+#: Names of the files with the record of a run, and with the lines of the report.
 RECORD: Final = "experiment.json"
 REPORT: Final = "report.json"
 
@@ -49,9 +49,10 @@ class Record(SessionRecord):
     """The content of `RECORD`.
 
     Attributes:
-        settings: of the run; bodies, drawn: how many, and their digest.
-        rows: when it is complete.
-        recordings: name -> file.
+        settings: Settings of the run.
+        bodies, drawn: Number of identified bodies, and their digest.
+        rows: Number of rows of the complete run.
+        recordings: Name of a recording -> its file.
     """
 
     settings: dict[str, Any]
@@ -80,9 +81,10 @@ class Stored:
     """An experiment stored in a directory.
 
     Attributes:
-        outcome: its table; recordings are read on demand.
-        about: the record of the run, and `engine`, `code` and `wall_seconds` of its rows.
-        table: the folder of its table; recordings: files of the recordings.
+        outcome: Table of the experiment; recordings are read on demand.
+        about: Record of the run, and `engine`, `code` and `wall_seconds` of its rows.
+        table: Folder of the table.
+        recordings: Files of the recordings.
     """
 
     outcome: CaseRuns
@@ -98,14 +100,14 @@ class Directory:
         self.out = Path(out)
 
     def folder(self, experiment: str, *, bodies: bool = False) -> Path:
-        """The directory of an experiment's rows, or of those of the identified bodies in it."""
+        """The directory of the rows of an experiment, or of the rows of identified bodies in it."""
         return self.out / f"{experiment}{'-bodies' if bodies else ''}"
 
     def refuse_former_layout(self) -> None:
-        """Refuse a directory of a former release.
+        """Reject a directory of a former release.
 
         Raises:
-            DirectoryError: it holds tables of a former release.
+            DirectoryError: The directory contains tables of a former release.
         """
         if any((self.out / "results").glob("*.parquet")):
             raise DirectoryError(
@@ -114,13 +116,13 @@ class Directory:
             )
 
     def record(self, experiment: str, *, bodies: bool = False) -> dict[str, Any]:
-        """The record of a run; empty without one."""
+        """The record of a run; empty if there is none."""
         return stored_json(self.folder(experiment, bodies=bodies) / RECORD, Record) or {}
 
     def load(self, experiment: str, *, bodies: bool = False) -> Stored | None:
         """The complete results of an experiment, or of the identified bodies in it; None if absent or damaged.
 
-        Those of bodies belong to a run of the experiment with the same settings.
+        The results of bodies count only if the settings are those of the run of the experiment.
         """
         folder = self.folder(experiment, bodies=bodies)
         record = self.record(experiment, bodies=bodies)
@@ -147,7 +149,7 @@ class Directory:
         """Store an experiment's lines, its settings, and whether all derived files exist (`finished`).
 
         Raises:
-            DirectoryError: it cannot be written.
+            DirectoryError: The file cannot be written.
         """
         with clear_errors(self.out):
             replace_file(self.folder(experiment) / REPORT, to_json(entry))
@@ -158,7 +160,7 @@ class Directory:
         return entry or None
 
     def report(self, written: Written, experiments: Mapping[str, Experiment]) -> dict[str, Any]:
-        """Write the report of all experiments that the directory holds, and return the content of report.json."""
+        """Write the report of all experiments in the directory, and return the content of report.json."""
         entries = {name: entry for name in experiments if (entry := self.entry(name)) is not None}
         content = collect(entries)
         outcomes = {
@@ -175,18 +177,18 @@ def _part(path: Path) -> PartFile:
         return PartFile.of(path, file.metadata.num_rows, file.schema_arrow.metadata)
 
 
-# --- the rows of an experiment as a job asks for them
+# --- the rows of an experiment that a job requests
 
 
 class ExperimentRows(RowJob):
     """The rows of an experiment, or of identified bodies in it; a `nermo_mjx.runs.work.RowJob`.
 
     Args:
-        experiment: whose rows.
-        parts: settings of what is simulated together, except for the engine; of bodies, each has some of them.
-        directory: where the rows are.
-        written: the files of the directory.
-        record: of the run.
+        experiment: Experiment of the rows.
+        parts: Settings of the worlds that are simulated together, without the engine; each part has some of the bodies.
+        directory: Directory of experiments.
+        written: Files of the directory.
+        record: Record of the run.
     """
 
     command = "experiment"
@@ -215,7 +217,7 @@ class ExperimentRows(RowJob):
         self._record = dict(record) | {"rows": len(self.structures), "recordings": {}}
 
     def write_record(self) -> None:
-        """Say what the directory of the rows is for."""
+        """Write the record of the run into the directory of the rows."""
         with clear_errors(self.folder):
             replace_file(self.folder / RECORD, to_json(self._record))
 
@@ -224,13 +226,13 @@ class ExperimentRows(RowJob):
         return keys_of(self.group, {"row": index}, len(index))
 
     def task(self, batch: RowBatch) -> tuple[Callable[[Settings], CaseRuns], Settings]:
-        """See `RowJob`: what `Simulation` takes."""
+        """See `RowJob`; the task of a `Simulation`."""
         return self._run, self._parts[batch.structure]
 
     def tables(
         self, index: np.ndarray, result: tuple[CaseRuns, float], stamp: CodeStamp
     ) -> tuple[pa.Table, None]:
-        """See `RowJob`; the recordings are written before the rows, which make them valid."""
+        """See `RowJob`; recordings are written before the rows, because only rows make them valid."""
         outcome, seconds = result
         part_index = int(self.structures[index[0]])
         part, begin = self._parts[part_index], int(self._begins[part_index])
@@ -249,7 +251,7 @@ class ExperimentRows(RowJob):
         return table.take(index - begin), None
 
     def failure(self, index: np.ndarray, error: BaseException, out: Path) -> Exception:
-        """See `RowJob`: errors of this package become `JobFailed`, those of users and of the code remain."""
+        """See `RowJob`; errors of this package become `JobFailed`, all other errors remain."""
         text = f"{self.name} failed: {error} What was done before is kept in {self._directory.out}."
         assert isinstance(error, Exception)
         if isinstance(error, ParameterError) or not isinstance(
@@ -262,7 +264,7 @@ class ExperimentRows(RowJob):
         return error
 
     def _keep(self, outcome: CaseRuns) -> None:
-        """Write the recordings of an outcome, in the place of those of earlier results, and of their lines."""
+        """Write the recordings of an outcome, and remove the recordings and lines of earlier results."""
         written, folder = self._written, self.folder / "recordings"
         self._directory.write_entry(self.name, {})
         former = (f"{written.name(folder)}/", f"videos/{self.name}")

@@ -1,6 +1,6 @@
-"""The publication's theory for a case: speed and turning radii.
+"""Theoretical speeds and turning radii of the publication.
 
-All of it assumes feet that do not slip; the formulas are those of `control.turning` and `kinematics`.
+All formulas assume feet that do not slip; `control.turning` and `kinematics` contain them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 
 #: Number of times in a stance over which `equal_stride_radius` averages.
 _MOMENTS: Final = 41
-#: The theory is that of the published robot.
+#: Geometry of the published robot.
 _ROBOT: Final = Geometry()
 #: The feet of each diagonal, front first, by their indices in `LIMBS`.
 _DIAGONALS: Final = ((0, 3), (1, 2))

@@ -1,4 +1,4 @@
-"""Models and their parameters that may be estimated: any MJCF, or Nermo."""
+"""Models with parameters that can be estimated: any MJCF, or Nermo."""
 
 from __future__ import annotations
 
@@ -23,46 +23,47 @@ from nermo_mjx.robot.quantity import did_you_mean, replace_quantities
 from nermo_mjx.robot.scene import read_mjcf
 from nermo_mjx.specs.reading import read_file
 
-#: Of a servo without load [rad/s].
-MOTOR_SPEED: Final = 15.0
-#: Worlds simulated together, which bounds memory.
-LANES: Final = 32
-#: Parameters that are no fields of MuJoCo's model: of the commands.
+#: Speed of a servo without load [rad/s].
+NO_LOAD_SPEED: Final = 15.0
+#: Number of worlds that are simulated together; it limits memory.
+BATCH_WORLDS: Final = 32
+#: Parameters that affect commands and servos, and are not fields of MuJoCo's model.
 COMMAND_PARAMETERS: Final = ("delay", "bias", "dead_band", "backlash")
 _TEXTS: Final[dict[str, Any]] = read_file(Path(__file__).with_name("parameters.yaml")).data
 #: Kinds of parameters and their ranges; see `parameters.yaml`.
 PARAMETER_KINDS: Final[dict[str, dict[str, Any]]] = _TEXTS["kinds"]
 #: Advice for a model without a servo.
-_SERVO: Final = (
+_SERVO_ADVICE: Final = (
     'write <position name="{}" joint="{}" kp="..." kv="..."/> into a copy of it,'
     " with the robot's own gains"
 )
 
 
 class Body:
-    """A model and those of its parameters that may be estimated.
+    """A model, and its parameters that can be estimated.
 
     Attributes:
-        model: compiled.
-        parameters: by name.
-        notes: what was assumed, in sentences.
+        model: Compiled model.
+        parameters: Parameters by name.
+        notes: Assumptions, in sentences.
+        fixed: Values of parameters that are not estimated.
+        robot_values: Values of Nermo's parameters that differ from the defaults of `ModelParameters`.
+        dofs: Name of a parameter that acts on one kinematic tree -> a degree of freedom of this tree.
     """
 
     def __init__(self, model: mujoco.MjModel, free: Iterable[str]) -> None:
         """
         Args:
             model: Compiled model.
-            free: Kinds of parameters that are estimated, of `KINDS`.
+            free: Kinds of parameters that are estimated, from `PARAMETER_KINDS`.
         """
         self.model, self._free = copy.copy(model), frozenset(free)
         self.model.opt.tolerance = min(model.opt.tolerance, 1e-10)
         self.parameters: dict[str, Parameter] = {}
         self.notes: list[str] = []
-        #: Values of parameters that are not estimated, and what Nermo's own parameters are where they are not named.
         self.fixed: dict[str, float] = {}
-        self.standing: dict[str, float] = {}
-        self._places: dict[str, tuple[str, int]] = {}
-        #: Parameters that act on one kinematic tree alone, and a degree of freedom of it.
+        self.robot_values: dict[str, float] = {}
+        self._elements: dict[str, tuple[str, int]] = {}
         self.dofs: dict[str, int] = {}
 
     def _add(
@@ -75,7 +76,7 @@ class Body:
         scale: float = 1.0,
         dof: int = -1,
     ) -> None:
-        """Add a parameter if its kind is free, with a range about its default, or about a scale without a default."""
+        """Add a parameter if its kind is free; the range is relative to the default, or to the scale without a default."""
         if kind not in self._free:
             return
         description, name, default = (
@@ -90,13 +91,13 @@ class Body:
         self.parameters[name] = Parameter(
             name, kind, unit, value, low, high, description["why"], neutral
         )
-        self._places[name], self.dofs[name] = (kind, i), dof
+        self._elements[name], self.dofs[name] = (kind, i), dof
 
     def joint(self, name: str) -> int:
-        """Id of the joint of this name, or that an actuator of this name turns.
+        """Id of the joint with this name, or of the joint of the actuator with this name.
 
         Raises:
-            ParameterError: there is none.
+            ParameterError: The model has no such element.
         """
         model = self.model
         if (joint_id := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)) >= 0:
@@ -104,10 +105,10 @@ class Body:
         return int(model.actuator_trnid[self.actuator(name), 0])
 
     def actuator(self, name: str) -> int:
-        """Id of the actuator of this name, or that turns the joint of this name.
+        """Id of the actuator with this name, or of the actuator of the joint with this name.
 
         Raises:
-            ParameterError: there is none.
+            ParameterError: The model has no such element.
         """
         model = self.model
         for candidate in (name, f"{name}_servo"):
@@ -120,22 +121,22 @@ class Body:
             return joints.index(name)
         if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0:
             raise ParameterError(
-                f"no actuator of the model turns the joint {name!r}: {_SERVO.format(name, name)}."
+                f"no actuator of the model turns the joint {name!r}: {_SERVO_ADVICE.format(name, name)}."
             )
         actuator_names = [model.actuator(i).name for i in range(model.nu)]
         raise ParameterError(
             f"the model has no servo or joint {name!r}{did_you_mean(name, actuator_names)}"
         )
 
-    def commanded(self, channel: Channel) -> int:
-        """Id of the actuator that a channel commands.
+    def commanded_actuator(self, channel: Channel) -> int:
+        """Id of the actuator that follows the commands of a channel.
 
         Raises:
-            ParameterError: There is none, or it accepts a force while the channel commands positions.
+            ParameterError: The model has no such actuator, or the actuator accepts forces instead of positions.
         """
         a, model = self.actuator(channel.of), self.model
         if channel.unit in ("rad", "m") and not self.servos[a]:
-            servo = _SERVO.format(
+            servo = _SERVO_ADVICE.format(
                 model.actuator(a).name, model.joint(int(model.actuator_trnid[a, 0])).name
             )
             raise ParameterError(
@@ -150,7 +151,7 @@ class Body:
         return (self.model.actuator_biasprm[:, 1] < 0) & (self.model.actuator_gainprm[:, 0] > 0)
 
     def fields(self, names: Sequence[str], values: np.ndarray) -> dict[str, np.ndarray]:
-        """Model fields of bodies with values (k, p) of named parameters: (k, ...) each."""
+        """Fields of MuJoCo's model (k, ...) for values (k, p) of named parameters."""
         model, fields = self.model, dict[str, np.ndarray]()
 
         def field(name: str) -> np.ndarray:
@@ -161,7 +162,7 @@ class Body:
         for name, column in zip(names, values.T, strict=True):
             if name in COMMAND_PARAMETERS or name.startswith("bias."):
                 continue
-            kind, i = self._places[name]
+            kind, i = self._elements[name]
             if kind in ("armature", "damping", "frictionloss"):
                 field(f"dof_{kind}")[:, i] = column
             elif kind == "stiffness":
@@ -183,7 +184,7 @@ class Body:
         return fields
 
     def play(self, names: Sequence[str], values: np.ndarray) -> Play | None:
-        """Dead band and backlash of the position servos, with leading axis k; None without."""
+        """Dead band and backlash of the position servos, with leading axis k; None if neither is a named parameter."""
         column = dict(zip(names, values.T, strict=True))
         if not {"dead_band", "backlash"} & column.keys():
             return None
@@ -193,8 +194,8 @@ class Body:
             for i in range(model.nu)
         ]
         force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], 1e6)
-        # Where no torque limit tells it, the motor crosses its play at its full speed with an error of 0.1 rad.
-        speed = MOTOR_SPEED * np.where(
+        # Without a torque limit, the motor crosses its play at full speed if the error is 0.1 rad.
+        speed = NO_LOAD_SPEED * np.where(
             model.actuator_forcelimited, 1.0, 1e6 / (0.1 * model.actuator_gainprm[:, 0])
         )
         dead_band, backlash = (
@@ -209,29 +210,29 @@ class Body:
             speed,
         )
 
-    def at(self, values: Mapping[str, float]) -> Body:
-        """The body with other values of named parameters."""
+    def with_values(self, values: Mapping[str, float]) -> Body:
+        """A copy of the body with fixed values of named parameters."""
         body = copy.copy(self)
         body.fixed = self.fixed | dict(values)
         return body
 
-    def start(self) -> np.ndarray:
+    def rest_positions(self) -> np.ndarray:
         """Positions of the model at rest (nq,)."""
         return np.array(self.model.key_qpos[0] if self.model.nkey else self.model.qpos0)
 
 
 class MjcfBody(Body):
-    """Any MJCF."""
+    """A model from any MJCF."""
 
     def __init__(self, path: Path, log: Sequence[Log], free: Iterable[str]) -> None:
         """
         Args:
-            path: of the MJCF.
-            log: of the robot; its channels tell what moves and what is seen.
-            free: kinds of parameters that are estimated, of `KINDS`.
+            path: Path of the MJCF.
+            log: Logs of the robot; their channels determine the driven actuators, and whether the base is measured.
+            free: Kinds of parameters that are estimated, from `PARAMETER_KINDS`.
 
         Raises:
-            ParameterError: a file that MuJoCo cannot compile, or channels of parts that it does not have.
+            ParameterError: MuJoCo cannot compile the file, or the model lacks a part that a channel names.
         """
         try:
             spec = read_mjcf(path)
@@ -267,7 +268,7 @@ class MjcfBody(Body):
         """Add the parameters of driven actuators, bodies, tendons, the ground and the commands."""
         model = self.model
         data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-        data.qpos[:] = self.start()
+        data.qpos[:] = self.rest_positions()
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, mass)
         for a in driven:
@@ -307,8 +308,8 @@ class MjcfBody(Body):
         if servo:
             add("bias", name, a, unit)
 
-    def written(self, names: Sequence[str], values: np.ndarray) -> str:
-        """The MJCF with values (p,) of named parameters."""
+    def mjcf_text(self, names: Sequence[str], values: np.ndarray) -> str:
+        """Text of the MJCF with values (p,) of named parameters."""
         spec = self._spec.copy()
         model = spec.compile()
         freed = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
@@ -324,7 +325,7 @@ class MjcfBody(Body):
 
 
 def _hold(spec: mujoco.MjSpec) -> bool:
-    """Hold the bases of a model where it puts them; whether it has one."""
+    """Fix the bases of a model at their initial poses, and return whether the model has a free base."""
     free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
     if not free:
         return False
@@ -333,7 +334,8 @@ def _hold(spec: mujoco.MjSpec) -> bool:
     bases = [int(model.jnt_bodyid[joint.id]) for joint in free]
     for body in spec.bodies:
         body.name = body.name or f"body_{body.id}"
-    # A parent that moves never touches its children, but one that stands still does; one that hangs is above ground.
+    # MuJoCo excludes contacts between a moving parent and its children, but not those of a fixed parent; and a fixed base
+    # does not touch the ground.
     for first_body in spec.bodies:
         for second_body in spec.bodies:
             child = (
@@ -353,14 +355,14 @@ class NermoBody(Body):
     def __init__(self, robot: Any, free: Iterable[str]) -> None:
         """
         Args:
-            robot: its name.
-            free: kinds of parameters that are estimated.
+            robot: Name of the robot.
+            free: Kinds of parameters that are estimated, from `PARAMETER_KINDS`.
         """
         nermo, self.robot = load_robot(robot), robot
         super().__init__(nermo.physical, free)
-        self._variation, self.standing = Variation(nermo), dict(mass_values(robot))
+        self._variation, self.robot_values = Variation(nermo), dict(mass_values(robot))
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-        parameters = replace_quantities(ModelParameters(), self.standing)
+        parameters = replace_quantities(ModelParameters(), self.robot_values)
         for name, description in _TEXTS["nermo"].items():
             if description["kind"] not in self._free:
                 continue
@@ -376,7 +378,8 @@ class NermoBody(Body):
             self._add("bias", servo, i, "rad")
 
     def _named(self, names: Sequence[str], values: np.ndarray) -> dict[str, Any]:
-        return self.standing | {
+        """Values of the named parameters of `ModelParameters`, with the robot's own values of the others."""
+        return self.robot_values | {
             n: c
             for n, c in zip(names, values.T, strict=True)
             if n in self.parameters and "." in n and not n.startswith("bias.")
@@ -384,7 +387,7 @@ class NermoBody(Body):
 
     def fields(self, names: Sequence[str], values: np.ndarray) -> dict[str, np.ndarray]:
         """See `Body.fields`."""
-        worlds, lanes = len(values), max(len(values), LANES)
+        worlds, lanes = len(values), max(len(values), BATCH_WORLDS)
         padded = np.concatenate([values, np.repeat(values[:1], lanes - worlds, axis=0)])
         named = self._named(names, padded)
         parameters = replace_quantities(ModelParameters(), named)
@@ -404,12 +407,12 @@ class NermoBody(Body):
         return Play(*leaves)
 
     def joint(self, name: str) -> int:
-        """See `Body.joint`: knees and the spine are named after their servos, whose pulleys a log sees."""
+        """See `Body.joint`; a log measures the pulleys of knees and spine, under the names of their servos."""
         return int(self.model.actuator_trnid[self.actuator(name), 0])
 
 
-def body_of(model: str | os.PathLike[str], logs: Sequence[Log], free: Sequence[str]) -> Body:
-    """The body of an MJCF file, or of a robot of the package by its name; see `MjcfBody` and `NermoBody`."""
+def load_body(model: str | os.PathLike[str], logs: Sequence[Log], free: Sequence[str]) -> Body:
+    """Load the body of an MJCF file, or of a robot of the package by its name; see `MjcfBody` and `NermoBody`."""
     return (
         MjcfBody(Path(model), logs, free)
         if str(model).endswith(".xml")

@@ -1,4 +1,4 @@
-"""What data determine of named parameters, in words, and which model classes the data support."""
+"""Determined parameters and combinations in words, and the model classes that the data support."""
 
 from __future__ import annotations
 
@@ -8,19 +8,26 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.identify.estimation import CHANCE, DETERMINED, Fit, LoggedSamples, floor, rms
+from nermo_mjx.identify.estimation import (
+    CHANCE_DEVIATIONS,
+    DETERMINED_SHARE,
+    Fit,
+    LoggedSamples,
+    noise_floor,
+    rms,
+)
 
-#: A ratio or a product is determined if it is known this much better than each of its parameters.
-BETTER: Final = 3.0
-#: Exponents of products that are tried.
+#: A ratio or a product is reported if its deviation is smaller than the deviation of each parameter by this factor.
+IMPROVEMENT_FACTOR: Final = 3.0
+#: Exponents of the second parameter of a product.
 _EXPONENTS: Final = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
 
 
-def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
-    """Ratios and products that are determined though their parameters are not.
+def find_combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
+    """Find ratios and products that are determined although their parameters are not.
 
     Returns:
-        Formula, relative standard deviation, and the names in it; the best known first.
+        Formula, relative standard deviation, and names of the parameters; the smallest deviation first.
     """
     space, compensations = fit.space, list[tuple[str, float, tuple[str, ...]]]()
     logs = fit.draws * space.deviation
@@ -34,12 +41,12 @@ def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
                 single_deviation = min(
                     float(np.std(logs[:, i])), abs(exponent) * float(np.std(logs[:, j]))
                 )
-                narrow = 3.29 * deviation < DETERMINED * space.width[i]
-                if narrow and deviation * BETTER < single_deviation:
+                narrow = 3.29 * deviation < DETERMINED_SHARE * space.width[i]
+                if narrow and deviation * IMPROVEMENT_FACTOR < single_deviation:
                     pairs.append((deviation, i, j, exponent))
     for deviation, i, j, exponent in sorted(
         pairs
-    ):  # the best known ones, each of which says something new
+    ):  # the smallest deviations, one for each independent combination
         if group[i] == group[j]:
             continue
         group = {k: group[i] if g == group[j] else g for k, g in group.items()}
@@ -56,18 +63,18 @@ def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
 
 
 def percent(share: float) -> str:
-    """A share as per cent with two digits."""
+    """A share in per cent, with two digits."""
     return f"{100 * share:.2g} %"
 
 
-def determinacy_sentences(fit: Fit) -> list[str]:
-    """What the data determine, in words."""
+def describe_determinacy(fit: Fit) -> list[str]:
+    """Describe in sentences what the data determine."""
     space, sentences = fit.space, list[str]()
     names = np.array([parameter.name for parameter in space.parameters])
     bound = fit.at_bound
     determined_names = [names[i] for i in range(len(names)) if fit.determined[i]]
     loose = [names[i] for i in range(len(names)) if not fit.determined[i]]
-    products = combinations(fit)
+    products = find_combinations(fit)
     if determined_names:
         sentences.append(f"Determined: {', '.join(determined_names)}.")
     if products:
@@ -93,13 +100,13 @@ def determinacy_sentences(fit: Fit) -> list[str]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Judgement:
-    """Whether residuals are noise.
+class ResidualEvaluation:
+    """A test whether residuals are white noise.
 
     Attributes:
-        rms, noise: of each channel (channels,): residuals, and their white part.
-        white: the ratio of von Neumann of each channel (channels,): 1 if residuals are white, 0 if they are smooth.
-        right: whether the model explains the data to the noise.
+        rms, noise: Root mean square of the residuals of each channel, and of their white part (channels,).
+        white: Von Neumann's ratio of each channel (channels,): 1 for white residuals, 0 for smooth residuals.
+        right: Whether the residuals of all channels are white, so that the model explains the data.
     """
 
     rms: np.ndarray
@@ -108,27 +115,30 @@ class Judgement:
     right: bool
 
 
-#: Residuals that exceed their white part by this share are no noise, if that is not chance.
-EXCESS: Final = 0.05
+#: Residuals are not noise if they exceed their white part by this share, and significantly.
+EXCESS_SHARE: Final = 0.05
 
 
-def judge(measured: LoggedSamples, residual: np.ndarray) -> Judgement:
-    """Compare residuals (n,) with their white part, channel by channel."""
+def evaluate_residuals(measured: LoggedSamples, residual: np.ndarray) -> ResidualEvaluation:
+    """Compare the residuals (n,) of each channel with their white part."""
     size = measured.by_channel(lambda channel_values, i: rms(channel_values), residual)
     noise = measured.by_channel(
-        lambda channel_values, i: floor(channel_values, measured.quantum[i]), residual
+        lambda channel_values, i: noise_floor(channel_values, measured.quantum[i]), residual
     )
     counts = np.bincount(measured.channel, minlength=len(measured.quantum))
     with np.errstate(divide="ignore", invalid="ignore"):
         white = np.where(size > 0, np.minimum((noise / size) ** 2, 1.0), 1.0)
-    beyond = (size > (1 + EXCESS) * noise) & (1 - white > CHANCE / np.sqrt(np.maximum(counts, 1)))
-    return Judgement(size, noise, white, not bool(beyond.any()))
+    beyond = (size > (1 + EXCESS_SHARE) * noise) & (
+        1 - white > CHANCE_DEVIATIONS / np.sqrt(np.maximum(counts, 1))
+    )
+    return ResidualEvaluation(size, noise, white, not bool(beyond.any()))
 
 
-def dispensable(fit: Fit) -> list[str]:
-    """Kinds of parameters that the data do not ask for, those that matter least first.
+def find_dispensable_kinds(fit: Fit) -> list[str]:
+    """Find the kinds of parameters that the data do not require, the least important first.
 
-    A kind is left out if the mean square rises by less than chance lets it (Wald, with the posterior's covariance).
+    A kind is dispensable if the mean square does not increase significantly without it (Wald test with the covariance
+    of the posterior).
     """
     space, left_out = fit.space, list[str]()
     kinds = list(dict.fromkeys(parameter.kind for parameter in space.parameters))
@@ -156,20 +166,26 @@ def dispensable(fit: Fit) -> list[str]:
     return left_out
 
 
-def gain_of(fit: Fit, extra: np.ndarray, white: np.ndarray) -> float:
-    """The share of the squares that further parameters would remove, by one linear step.
+def compute_gain(fit: Fit, extra: np.ndarray, white: np.ndarray) -> float:
+    """Compute the share of the squared residuals that additional parameters would remove, by one linear step.
 
     Args:
-        extra: derivatives of the whitened residuals to them (n, q).
-        white: the residuals (n,).
+        fit: The estimate.
+        extra: Derivatives (n, q) of the whitened residuals with respect to the additional parameters.
+        white: Whitened residuals (n,).
     """
     columns = np.concatenate([fit.jacobian, extra], axis=1)
     step, *_ = np.linalg.lstsq(columns, white, rcond=1e-8)
     return float(1 - np.sum((white - columns @ step) ** 2) / np.sum(white**2))
 
 
-def contribution(jacobian: np.ndarray, fit: Fit) -> float:
-    """Share of the least known direction's deviation that is left after another experiment, jacobian (n, p)."""
+def compute_remaining_share(jacobian: np.ndarray, fit: Fit) -> float:
+    """Compute the share of the deviation along the least determined direction that remains after another experiment.
+
+    Args:
+        jacobian: Derivatives (n, p) of the whitened residuals of the experiment.
+        fit: The estimate.
+    """
     before = (fit.directions * fit.share**2) @ fit.directions.T
     after = np.linalg.inv(np.linalg.inv(before) + jacobian.T @ jacobian)
     worst: Any = fit.directions[:, int(np.argmax(fit.share))]

@@ -1,9 +1,10 @@
-"""What data determine of named parameters: values by Gauss-Newton, intervals, and determined directions in words.
+"""Estimation of named parameters from measured samples: values by Gauss-Newton, intervals, and determined directions.
 
-Coordinates are logarithms of positive parameters and values of others, over the standard deviation of a uniform
-distribution over the range; 0 is the default. The prior is normal with that deviation, so directions that the data do
-not determine stay at the default. With the Jacobian J of the whitened residuals, a direction's share of the prior's
-width is 1 / sqrt(1 + s^2), with the singular values s of J.
+A coordinate is the value of a parameter, or the logarithm of a positive parameter, minus its default, divided by the
+standard deviation of a uniform distribution over the range. The prior is normal with this standard deviation, so that
+the estimate stays at the default in directions that the data do not determine. Let J be the Jacobian of the whitened
+residuals, with the singular values s. The standard deviation of the posterior along a singular direction, relative to
+the prior, is 1 / sqrt(1 + s^2).
 """
 
 from __future__ import annotations
@@ -19,28 +20,29 @@ from scipy.stats import qmc
 
 from nermo_mjx.optimize.search_methods import strategy
 
-#: Returns the array that a function computes from an array of inputs, computed now or stored before.
+#: Returns the array that a function computes from an array of inputs, or the stored result of an earlier call.
 Cache: TypeAlias = Callable[[Callable[[], np.ndarray], np.ndarray], np.ndarray]
 #: A parameter is determined if its 90 % interval is narrower than this share of its range.
-DETERMINED: Final = 0.1
-#: Draws of the posterior, and replicates of the bootstrap.
-DRAWS: Final = 1000
-#: Ends of a 90 % interval.
-ENDS: Final = (0.05, 0.95)
-#: Points of a generation of CMA-ES.
-POPULATION: Final = 24
-#: Fewest blocks of a bootstrap.
-BLOCKS: Final = 10
-#: Width of the differences in Gauss-Newton steps, and half-width of those at the result [standard deviations of the
-#: prior]: wide enough for commands that are held and for contacts.
+DETERMINED_SHARE: Final = 0.1
+#: Number of samples of the posterior, and of replicates of the bootstrap.
+POSTERIOR_SAMPLES: Final = 1000
+#: Quantiles at the ends of a 90 % interval.
+INTERVAL_QUANTILES: Final = (0.05, 0.95)
+#: Number of points in a generation of CMA-ES.
+POPULATION_SIZE: Final = 24
+#: Minimum number of blocks of a bootstrap.
+MIN_BLOCKS: Final = 10
+#: Width of the one-sided differences in Gauss-Newton steps, and half-width of the central differences at the result
+#: [standard deviations of the prior]. Both are wide enough for stepwise commands and for contacts.
 DIFFERENCE_WIDTH: Final = 1e-4
-CENTRAL: Final = 1e-3
-#: Parts of a model whose parameters change each other's channels by less, as a share, do not act on each other.
-ACTS: Final = 1e-3
-#: Distance from the result at which searches begin again [standard deviations of the prior].
-BESIDE: Final = 0.3
-#: A deviation of more standard deviations than this is not chance.
-CHANCE: Final = 4.0
+CENTRAL_DIFFERENCE_WIDTH: Final = 1e-3
+#: Parts of a model are independent if their parameters change the channels of other parts by less than this share.
+INTERACTION_SHARE: Final = 1e-3
+#: Standard deviation of the distance between the result and the starting points of repeated searches [standard
+#: deviations of the prior].
+RESTART_DISTANCE: Final = 0.3
+#: A deviation is significant if it exceeds this number of standard deviations.
+CHANCE_DEVIATIONS: Final = 4.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,12 +50,12 @@ class Parameter:
     """A parameter that is estimated.
 
     Attributes:
-        name, unit: what it is called, and its unit.
-        kind: those of one kind are one part of a model class.
-        value: default, and centre of the prior.
-        low, high: its range; positive ranges are logarithmic.
-        why: reason for the range.
-        neutral: value of a model class without this kind.
+        name, unit: Name and unit of the parameter.
+        kind: Kind of the parameter. A model class contains all parameters of a kind, or none.
+        value: Default, and centre of the prior.
+        low, high: Range of the parameter. A positive range is logarithmic.
+        why: Reason for the range.
+        neutral: Value in a model class without this kind; NaN if there is no such value.
     """
 
     name: str
@@ -67,7 +69,7 @@ class Parameter:
 
     @property
     def absent(self) -> float:
-        """Its value where its kind is left out, in the range."""
+        """Value within the range, for a model class without this kind."""
         return (
             min(max(self.neutral, self.low), self.high)
             if math.isfinite(self.neutral)
@@ -76,12 +78,20 @@ class Parameter:
 
     @property
     def logarithmic(self) -> bool:
-        """Whether its coordinate is a logarithm."""
+        """Whether the coordinate is a logarithm."""
         return self.low > 0
 
 
 class ParameterSpace:
-    """Coordinates of parameters."""
+    """Coordinates of parameters; see the module.
+
+    Attributes:
+        parameters: The parameters.
+        log: Whether each coordinate is a logarithm (p,).
+        width: Widths of the ranges, in logarithms for logarithmic coordinates (p,).
+        deviation: Standard deviations of the prior, in the same unit (p,).
+        low, high: Coordinates of the ends of the ranges (p,).
+    """
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
         self.parameters = tuple(parameters)
@@ -113,13 +123,13 @@ class ParameterSpace:
 
 @dataclasses.dataclass(frozen=True)
 class LoggedSamples:
-    """Numbers that a model predicts, of all logs one after the other.
+    """Measured values that a model predicts; the logs follow each other.
 
     Attributes:
-        values: (n,), in the units of their channels.
-        channel: index of each one's channel (n,).
-        time: of each [s], growing over all logs, so that a block of time is a part of one log.
-        quantum: smallest step of each channel's values; 0 if they are fine.
+        values: Values (n,), in the units of their channels.
+        channel: Index of the channel of each value (n,).
+        time: Time of each value (n,) [s]. It increases over all logs, so that a block of time belongs to one log.
+        quantum: Resolution of each channel (channels,); 0 if it is fine.
     """
 
     values: np.ndarray
@@ -130,36 +140,39 @@ class LoggedSamples:
     def by_channel(
         self, statistic: Callable[[np.ndarray, int], float], residual: np.ndarray
     ) -> np.ndarray:
-        """A number for each channel from its residuals and its index (channels,)."""
+        """Values (channels,) of a function of the residuals of a channel and its index."""
         return np.array(
             [statistic(residual[self.channel == i], i) for i in range(len(self.quantum))]
         )
 
 
 def rms(residual: np.ndarray) -> float:
-    """Root mean square; 0 of nothing."""
+    """Root mean square; 0 for an empty array."""
     return float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
 
 
-def floor(residual: np.ndarray, quantum: float = 0.0) -> float:
-    """The white part of residuals: from their changes, which smooth errors hardly have (von Neumann, 1941)."""
+def noise_floor(residual: np.ndarray, quantum: float = 0.0) -> float:
+    """Root mean square of the white part of residuals.
+
+    It is computed from differences of successive residuals, which smooth errors hardly affect (von Neumann, 1941).
+    """
     return max(rms(np.diff(residual)) / math.sqrt(2), quantum / math.sqrt(12))
 
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """The estimate.
+    """The estimate of parameters.
 
     Attributes:
-        space: of the parameters.
-        x: their coordinates (p,).
-        residual: prediction minus measurement (n,), without what `project` removes.
-        sigma: standard deviation of each channel's residuals (channels,).
-        jacobian: of the whitened residuals to the coordinates (n, p).
-        share: standard deviation of the posterior along each of the directions, as a share of the prior's (p,).
-        directions: orthonormal columns (p, p), the best determined one first.
-        draws: of the posterior (draws, p), in coordinates.
-        others: coordinates of other ends that explain the data as well, which the posterior is over (k, p).
+        space: Space of the parameters.
+        x: Coordinates of the estimate (p,).
+        residual: Prediction minus measurement (n,), without the part that `EstimationProblem.project` removes.
+        sigma: Standard deviation of the residuals of each channel (channels,).
+        jacobian: Derivatives of the whitened residuals with respect to the coordinates (n, p).
+        share: Standard deviation of the posterior along each direction, relative to the prior (p,).
+        directions: Orthonormal columns (p, p), the best determined direction first.
+        draws: Samples of the posterior, as coordinates (samples, p).
+        others: Coordinates (k, p) of other results that explain the data equally well; the posterior covers them.
     """
 
     space: ParameterSpace
@@ -174,12 +187,15 @@ class Fit:
 
     @property
     def values(self) -> np.ndarray:
-        """Of the parameters (p,)."""
+        """Estimated values of the parameters (p,)."""
         return self.space.values(self.x)
 
     @property
     def bodies(self) -> np.ndarray:
-        """Values of the draws inside the ranges (n, p): cut at an end, one would lose what is determined together."""
+        """Parameter values (n, p) of the posterior samples within the ranges.
+
+        Samples outside are omitted, because clipping one parameter would change determined combinations.
+        """
         free = [not is_bound for is_bound in self.at_bound]
         inside = ((self.draws >= self.space.low) & (self.draws <= self.space.high))[:, free].all(
             axis=1
@@ -188,18 +204,18 @@ class Fit:
 
     @property
     def intervals(self) -> np.ndarray:
-        """Ends of the 90 % intervals of the values (p, 2)."""
-        return self.space.values(np.quantile(self.draws, ENDS, axis=0)).T
+        """Ends (p, 2) of the 90 % intervals of the values."""
+        return self.space.values(np.quantile(self.draws, INTERVAL_QUANTILES, axis=0)).T
 
     @property
     def determined(self) -> np.ndarray:
-        """Whether each parameter is (p,)."""
-        low, high = np.quantile(self.draws, ENDS, axis=0) * self.space.deviation
-        return (high - low) < DETERMINED * self.space.width
+        """Whether each parameter is determined (p,)."""
+        low, high = np.quantile(self.draws, INTERVAL_QUANTILES, axis=0) * self.space.deviation
+        return (high - low) < DETERMINED_SHARE * self.space.width
 
     @property
     def at_bound(self) -> list[str]:
-        """`lower`, `upper` or nothing for each parameter."""
+        """Bound at which each parameter is: `lower`, `upper`, or an empty text."""
         near = 1e-3 * (self.space.high - self.space.low)
         low, high = self.x < self.space.low + near, self.x > self.space.high - near
         return [
@@ -208,8 +224,8 @@ class Fit:
         ]
 
 
-def computed(compute: Callable[[], np.ndarray], inputs: np.ndarray) -> np.ndarray:
-    """The `Cache` that stores nothing."""
+def compute_uncached(compute: Callable[[], np.ndarray], inputs: np.ndarray) -> np.ndarray:
+    """Compute an array; a `Cache` without storage."""
     return compute()
 
 
@@ -231,26 +247,26 @@ class EstimationProblem(Protocol):
         """Predictions (k, n) of the samples for values (k, p); NaN where the model fails."""
         ...
 
-    def renew(self, values: np.ndarray) -> None:
+    def linearize(self, values: np.ndarray) -> None:
         """Linearize the effects of unknown initial states at values (p,)."""
         ...
 
     def project(self, residual: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Whitened residuals (n, k) without the effects of unknown initial states, see `without`."""
+        """Whitened residuals (n, k) without the effects of unknown initial states, see `projection_without`."""
         ...
 
 
 class Estimation:
-    """Fits parameters to measured numbers.
+    """Fits parameters to measured samples.
 
     Args:
-        space: of the parameters.
+        space: Space of the parameters.
         problem: The model and the samples.
         cache: Stores the results of searches. The searches of the same data have the same order and inputs.
     """
 
     def __init__(
-        self, space: ParameterSpace, problem: EstimationProblem, cache: Cache = computed
+        self, space: ParameterSpace, problem: EstimationProblem, cache: Cache = compute_uncached
     ) -> None:
         self.space, self.problem, self.measured = space, problem, problem.measured
         self._cache = cache
@@ -258,14 +274,17 @@ class Estimation:
     def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Whitened residuals (n, k) at coordinates (p, k)."""
         difference = self.problem.predict(self.space.values(x.T)) - self.measured.values
-        # A model that fails is far away, but not so far that the derivatives beside it are lost.
+        # The residuals of a failed model are large, but small enough for derivatives at nearby points.
         white = np.nan_to_num(
             difference / sigma[self.measured.channel], nan=1e3, posinf=1e3, neginf=-1e3
         )
         return self.problem.project(np.clip(white, -1e3, 1e3).T, sigma)
 
-    def minimum(self, x: np.ndarray, sigma: np.ndarray, iterations: int) -> np.ndarray:
-        """Coordinates (p,) of the least squares from a start, by `mujoco.minimize`, as `mujoco.sysid` does."""
+    def minimize(self, x: np.ndarray, sigma: np.ndarray, iterations: int) -> np.ndarray:
+        """Minimize the sum of squares from a starting point (p,), and return the coordinates (p,).
+
+        `mujoco.minimize` computes the steps, as in `mujoco.sysid`.
+        """
 
         def posterior(x: np.ndarray) -> np.ndarray:
             return np.concatenate([self.residual(x, sigma), x])
@@ -281,26 +300,27 @@ class Estimation:
                 [self._changes(x[:, 0], sigma, step, r[: -len(x)]) / step, np.eye(len(x))]
             )
 
-        def found() -> np.ndarray:
+        def solve() -> np.ndarray:
             start, bounds = (
                 np.clip(x, self.space.low, self.space.high),
                 [self.space.low, self.space.high],
             )
-            # Less regularization than the prior's own changes no step, and each try is a simulation.
+            # The prior regularizes already: smaller values of mu change no step, and each trial needs simulations.
             least, _ = minimize.least_squares(
                 start, posterior, bounds, slopes, mu_min=1.0, mu_factor=10.0, xtol=1e-4, max_iter=iterations,
                 verbose=minimize.Verbosity.SILENT,
             )  # fmt: skip
             return np.asarray(least).ravel()
 
-        return self._cache(found, np.concatenate([x, sigma]))
+        return self._cache(solve, np.concatenate([x, sigma]))
 
     def _changes(
         self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, base_residual: np.ndarray
     ) -> np.ndarray:
-        """Of the residuals (n, 1) at x (p,), by a step (p,) of each parameter alone (n, p), in one batch.
+        """Differences (n, p) of the residuals, with respect to the residuals (n, 1) at x (p,), for a step (p,) of each
+        parameter alone, from one batch of simulations.
 
-        Parameters of parts of the model that do not act on each other share simulations.
+        Parameters of independent parts of the model share simulations.
         """
         part_of_parameter, part_of_channel = self.problem.parts
         if len(np.unique(part_of_channel)) > 1 and part_of_channel.min() >= 0:
@@ -320,8 +340,9 @@ class Estimation:
             )
             single_parts = np.abs(differences[:, len(turns) :])
             if (
-                single_parts[part_of_sample != parts].max(initial=0.0) <= ACTS * single_parts.max()
-            ):  # they do not touch each other
+                single_parts[part_of_sample != parts].max(initial=0.0)
+                <= INTERACTION_SHARE * single_parts.max()
+            ):  # the parts are independent
                 return np.where(
                     (part_of_parameter < 0) | (part_of_sample == part_of_parameter),
                     differences[:, np.searchsorted(turns, turn)],
@@ -329,8 +350,8 @@ class Estimation:
                 )
         return self.residual(x[:, None] + np.diag(step), sigma) - base_residual
 
-    def spread(self) -> np.ndarray:
-        """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
+    def initial_sigma(self) -> np.ndarray:
+        """Initial standard deviations of the residuals (channels,): a tenth of the standard deviations of the channels."""
         values = self.measured.values
         wide = self.measured.by_channel(
             lambda channel_values, i: (
@@ -340,18 +361,21 @@ class Estimation:
         )
         return np.maximum(wide, 1e-9)
 
-    def scanned(self, number: int, seed: int) -> np.ndarray:
-        """Coordinates (number, p) of a Sobol sequence in the ranges, the best first."""
+    def scan(self, number: int, seed: int) -> np.ndarray:
+        """Evaluate a Sobol sequence in the ranges, and return its coordinates (number, p), the best first."""
         space = self.space
         shares = qmc.Sobol(len(space), rng=seed).random_base2((number - 1).bit_length())[:number]
         points = space.low + shares * (space.high - space.low)
         return points[np.argsort(self.costs(points))]
 
     def costs(self, points: np.ndarray) -> np.ndarray:
-        """Of coordinates (k, p): the sum of the logarithms of the channels' residuals, whose least needs no weights."""
-        samples, floor = self.measured, self.spread() * 1e-6
+        """Costs (k,) of coordinates (k, p): sums of the logarithms of the residuals of the channels.
 
-        def found() -> np.ndarray:
+        Their minimum does not depend on weights.
+        """
+        samples, floor = self.measured, self.initial_sigma() * 1e-6
+
+        def compute() -> np.ndarray:
             difference = np.nan_to_num(
                 self.problem.predict(self.space.values(points)) - samples.values, nan=1e6
             )
@@ -369,19 +393,24 @@ class Estimation:
                 ]
             )
 
-        return self._cache(found, points)
+        return self._cache(compute, points)
 
-    def sought(self, generations: int, every: int, seed: int) -> Iterator[np.ndarray]:
-        """Best coordinates (p,) so far of CMA-ES over the whole ranges, which local minima of contacts do not stop.
+    def search_globally(self, generations: int, every: int, seed: int) -> Iterator[np.ndarray]:
+        """Search the whole ranges by CMA-ES, which escapes local minima due to contacts.
 
         Args:
-            generations: at most.
-            every: how many come before each of what is found.
-            seed: of the draws.
+            generations: Maximum number of generations.
+            every: Number of generations between two results.
+            seed: Seed of the random numbers.
+
+        Yields:
+            The best coordinates (p,) so far.
         """
         low, wide = self.space.low, self.space.high - self.space.low
         middle, random = np.full(len(wide), 0.5), np.random.default_rng(seed)
-        search = strategy(middle, 0.3, POPULATION, random, bounds=[0.0, 1.0], maxiter=generations)
+        search = strategy(
+            middle, 0.3, POPULATION_SIZE, random, bounds=[0.0, 1.0], maxiter=generations
+        )
         while not search.stop():
             shares = search.ask()
             search.tell(shares, self.costs(low + np.array(shares) * wide).tolist())
@@ -389,12 +418,12 @@ class Estimation:
                 yield low + np.asarray(search.best.x) * wide
 
     def weights(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Each channel's residuals, but no less than what its values can tell (channels,)."""
+        """Root mean square of the residuals of each channel (channels,), but at least its resolution."""
         difference = self.residual(x[:, None], sigma)[:, 0] * sigma[self.measured.channel]
         coarse = self.measured.quantum / math.sqrt(12)
         return np.maximum(
             self.measured.by_channel(lambda channel_values, i: rms(channel_values), difference),
-            np.maximum(coarse, 1e-3 * self.spread()),
+            np.maximum(coarse, 1e-3 * self.initial_sigma()),
         )
 
     def search(
@@ -404,17 +433,21 @@ class Estimation:
         iterations: int = 15,
         rounds: int = 3,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates (p,) and weights (channels,) from a start, with each channel weighted by its own residuals.
+        """Search from a starting point, with the weights of the channels from their residuals.
 
         Args:
-            start: coordinates (p,).
-            sigma: first weights (channels,).
-            iterations: of Gauss-Newton, at most, in each of the rounds; weights are renewed after each.
+            start: Coordinates of the starting point (p,).
+            sigma: Initial standard deviations of the residuals (channels,), by default `initial_sigma`.
+            iterations: Maximum number of Gauss-Newton steps in each round.
+            rounds: Maximum number of rounds; each one updates the weights.
+
+        Returns:
+            The coordinates (p,), and the standard deviations of the residuals (channels,).
         """
-        x, sigma = start, self.spread() if sigma is None else sigma
+        x, sigma = start, self.initial_sigma() if sigma is None else sigma
         for _ in range(rounds):
-            self.problem.renew(self.space.values(x))
-            before, x = sigma, self.minimum(x, sigma, iterations)
+            self.problem.linearize(self.space.values(x))
+            before, x = sigma, self.minimize(x, sigma, iterations)
             sigma = self.weights(x, sigma)
             if np.all(np.abs(np.log(sigma / before)) < 0.02):
                 break
@@ -429,10 +462,10 @@ class Estimation:
         seed: int = 0,
         others: Sequence[np.ndarray] = (),
     ) -> Fit:
-        """The estimate from a start, by default the defaults, with its uncertainty; see `search` and `Fit`.
+        """Estimate the parameters and their uncertainty; the arguments are described in `search` and `Fit`.
 
-        Where other ends explain the data as well, the parameters are taken for one more such end: those of the
-        posterior have the mean of all, their covariance, and the tails of Student's t.
+        If other results explain the data equally well, the true parameters are regarded as one more such result: the
+        posterior has the mean and the covariance of all results, and the tails of Student's t.
         """
         x, sigma = self.search(
             np.zeros(len(self.space)) if start is None else start, sigma, iterations, rounds
@@ -442,14 +475,14 @@ class Estimation:
         values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
         share = self._shares(jacobian @ vectors, white, values, seed)
         random = np.random.default_rng(seed)
-        draws = x + (random.standard_normal((DRAWS, len(x))) * share) @ vectors.T
+        draws = x + (random.standard_normal((POSTERIOR_SAMPLES, len(x))) * share) @ vectors.T
         if len(others):
             ends = np.stack([x, *others])
             free = len(others)
-            tails = np.sqrt(free / random.chisquare(free, (DRAWS, 1)))
+            tails = np.sqrt(free / random.chisquare(free, (POSTERIOR_SAMPLES, 1)))
             weights = (
                 tails
-                * random.standard_normal((DRAWS, len(ends)))
+                * random.standard_normal((POSTERIOR_SAMPLES, len(ends)))
                 * math.sqrt((1 + 1 / len(ends)) / free)
             )
             centre = ends.mean(axis=0)
@@ -472,8 +505,11 @@ class Estimation:
         )
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Of the whitened residuals (n, p), by central differences within the bounds."""
-        up, down = np.minimum(CENTRAL, self.space.high - x), np.minimum(CENTRAL, x - self.space.low)
+        """Derivatives (n, p) of the whitened residuals, by central differences within the bounds."""
+        up, down = (
+            np.minimum(CENTRAL_DIFFERENCE_WIDTH, self.space.high - x),
+            np.minimum(CENTRAL_DIFFERENCE_WIDTH, x - self.space.low),
+        )
         before = self.residual(x[:, None], sigma)
         return (self._changes(x, sigma, up, before) - self._changes(x, sigma, -down, before)) / (
             up + down
@@ -484,13 +520,13 @@ class Estimation:
     ) -> np.ndarray:
         """Standard deviation of the posterior along each direction (p,).
 
-        The white residuals' one and that of a bootstrap over blocks of time are compared, and the larger taken: with
-        few blocks the bootstrap alone would call what it cannot see certain.
+        It is the larger one of two estimates: from white residuals, and from a bootstrap over blocks of time. With few
+        blocks, the bootstrap alone would underestimate the uncertainty.
         """
         number = self.blocks(white)
         scores, precision = np.zeros((number.max() + 1, along.shape[1])), np.diag(values + 1.0)
         for block in range(len(scores)):
-            # Of a fit without this block: what it has fitted itself does not tell how much it scatters (CR3).
+            # The score of a fit without this block (CR3), because a fit reduces the residuals of its own data.
             block_rows = along[number == block]
             scores[block] = precision @ np.linalg.solve(
                 precision - block_rows.T @ block_rows, block_rows.T @ white[number == block]
@@ -498,7 +534,7 @@ class Estimation:
         scores -= scores.mean(axis=0)
         blocks = len(scores)
         random = np.random.default_rng((seed, 1))
-        times = random.multinomial(blocks, np.full(blocks, 1 / blocks), DRAWS)
+        times = random.multinomial(blocks, np.full(blocks, 1 / blocks), POSTERIOR_SAMPLES)
         jackknife = (times - 1) @ scores * math.sqrt(blocks / max(blocks - 1, 1))
         bootstrap = jackknife.var(axis=0)
         small = 1.0 + 2.0 / max(blocks - 3, 1)  # variance of Student's t
@@ -507,7 +543,7 @@ class Estimation:
         )
 
     def blocks(self, white: np.ndarray) -> np.ndarray:
-        """Number of the block of time that each residual is in (n,): blocks are long against their correlation."""
+        """Index (n,) of the block of time of each residual; blocks are longer than the correlation of the residuals."""
         time, channel = self.measured.time, self.measured.channel
         span = float(np.ptp(time)) or 1.0
         memory = 0.0
@@ -522,11 +558,11 @@ class Estimation:
                 reach = until[0] if len(until) else lags
                 step = float(np.median(np.diff(time[channel == i])))
                 memory = max(memory, step * float(1 + 2 * product[1 : reach + 1].sum()))
-        length = min(max(0.1, 4 * memory), span / BLOCKS)
+        length = min(max(0.1, 4 * memory), span / MIN_BLOCKS)
         return np.minimum(((time - time.min()) / length).astype(int), math.ceil(span / length) - 1)
 
 
-def repeated(
+def repeat_searches(
     stages: Sequence[Estimation],
     x: np.ndarray,
     sigma: np.ndarray,
@@ -535,18 +571,19 @@ def repeated(
     seed: int = 0,
     report: Callable[[int], None] = lambda done: None,
 ) -> Fit:
-    """The estimate from a start on a piece of the data, on longer pieces, and again from beside the result.
+    """Estimate the parameters on longer and longer pieces of the data, and repeat the search near the result.
 
-    Searches that end at the result again show that it is the minimum. If others explain the data as well, each of
-    their ends may be the truth, and the posterior is over all of them. A better end becomes the result.
+    The result is confirmed if repeated searches return to it. If they return different results that explain the data
+    equally well, each one may be the true result, and the posterior covers all of them. A better result replaces the
+    first one.
 
     Args:
-        stages: of pieces, each longer than the one before.
-        x, sigma: coordinates (p,) and weights (channels,) on the first piece.
-        steps: of Gauss-Newton, at most.
-        times: that the search is repeated, at most.
-        seed: of the starts and of draws.
-        report: is told how many searches are done.
+        stages: Estimations on pieces of the data, each piece longer than the one before.
+        x, sigma: Coordinates (p,) and standard deviations of the residuals (channels,) on the first piece.
+        steps: Maximum number of Gauss-Newton steps in a round.
+        times: Maximum number of repeated searches.
+        seed: Seed of the starting points and samples.
+        report: Function that receives the number of completed searches.
     """
     full_stage = stages[-1]
     for stage in stages[1:-1]:
@@ -560,22 +597,22 @@ def repeated(
     )
 
     def excess(estimation: Estimation, x: np.ndarray) -> float:
-        """How much worse a body explains a piece than the result, in standard deviations of what noise would do."""
+        """Excess of the squared residuals over those of the result, in standard deviations due to noise."""
         squares = np.sum(estimation.residual(np.stack([fit.x, x], axis=1), fit.sigma) ** 2, axis=0)
         return float((squares[1] / squares[0] - 1) * math.sqrt(len(estimation.measured.values) / 2))
 
     for k in range(times):
         report(k)
-        end, weights = fit.x + BESIDE * random.standard_normal(len(fit.x)), None
+        end, weights = fit.x + RESTART_DISTANCE * random.standard_normal(len(fit.x)), None
         for stage in stages:
             end, weights = stage.search(end, weights, steps, 2)
-            if excess(stage, end) > CHANCE:
+            if excess(stage, end) > CHANCE_DEVIATIONS:
                 break
         else:
             ends.append(end)
             if excess(full_stage, end) < 0:
                 ends[-1], fit = fit.x, full_stage.fit(end, weights, rounds=0, seed=seed)
-            others = [stage for stage in ends if excess(full_stage, stage) < CHANCE]
+            others = [stage for stage in ends if excess(full_stage, stage) < CHANCE_DEVIATIONS]
             near = 3.29 * fit.draws.std(axis=0)  # their intervals of 90 % touch
             alike = all(np.all(np.abs(stage - fit.x) < near) for stage in others)
             if alike and len(others) > 1:
@@ -583,8 +620,11 @@ def repeated(
     return fit if alike else full_stage.fit(fit.x, fit.sigma, rounds=0, seed=seed, others=others)
 
 
-def without(jacobian: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """What removes from residuals (n, k) all that a linear change of unknown starts explains, jacobian (n, m)."""
+def projection_without(jacobian: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Projection of residuals (n, k) onto the complement of the columns of a Jacobian (n, m).
+
+    It removes the effects of unknown initial states, to first order.
+    """
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     basis = left[:, singular > 1e-9 * max(singular.max(initial=0.0), 1e-30)]
     return lambda residual: residual - basis @ (basis.T @ residual)

@@ -1,8 +1,8 @@
-"""Identification of a robot from its own logs: `nermo-mjx identify --log`, its directory and its report.
+"""Identification of a robot from its logs, as `nermo-mjx identify --log` does; `nermo_mjx.identify.run` adds a directory.
 
-The first three quarters of each log are fitted, from the best of several starts on a short piece; the
-rest, or another log, is the judge. Other classes are one without the kinds of parameters that the data do not ask for,
-and those with one more kind.
+The fit uses the first three quarters of each log; the rest, or other logs, validate it. It begins on a short piece of
+the logs, with several starting points. The fitted model class is compared with the class without dispensable kinds of
+parameters, and with classes that have one more kind.
 """
 
 from __future__ import annotations
@@ -20,85 +20,87 @@ import numpy as np
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.hardware.signals import channel_differences
 from nermo_mjx.identify import determinacy
-from nermo_mjx.identify.body import PARAMETER_KINDS, Body, body_of
-from nermo_mjx.identify.determinacy import Judgement, judge, percent
+from nermo_mjx.identify.body import PARAMETER_KINDS, Body, load_body
+from nermo_mjx.identify.determinacy import ResidualEvaluation, evaluate_residuals, percent
 from nermo_mjx.identify.estimation import (
-    ENDS,
+    INTERVAL_QUANTILES,
     Cache,
     Estimation,
     Fit,
     Parameter,
     ParameterSpace,
-    computed,
-    repeated,
+    compute_uncached,
+    repeat_searches,
     rms,
 )
-from nermo_mjx.identify.twin import LoggedTwin, until
+from nermo_mjx.identify.twin import LoggedTwin, truncate_log
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import require
 
-#: Share of a log that is fitted where no other log judges.
-FITTED: Final = 0.75
-#: Numbers of a channel that are needed in each of the parts.
+#: Share of a log that is fitted if no other log validates the result.
+FITTED_SHARE: Final = 0.75
+#: Minimum number of values of a channel in each part.
 MIN_SAMPLES: Final = 5
-#: Piece on which starts are compared: share of a log, but no less than this [s].
-PIECE: Final = (0.2, 2.5)
-#: Gauss-Newton begins at the default, then at the best points of a Sobol sequence (a delay has local minima), then, of
-#: a robot on the ground (contacts have many), at the best of so many generations of CMA-ES each time, until the piece
-#: is explained, or two ends are alike.
-STARTS: Final = 3
-SCANNED: Final = 96
+#: Piece on which starting points are compared: share of a log, and minimum duration [s].
+MIN_PIECE: Final = (0.2, 2.5)
+#: Gauss-Newton starts at the default, then at the best points of a Sobol sequence, because a delay has local minima. For
+#: a robot on the ground, whose contacts have many local minima, it also starts at the best points of CMA-ES. It stops if
+#: the model explains the piece, or if two results are alike.
+START_COUNT: Final = 3
+SCANNED_POINTS: Final = 96
 SEARCH_GENERATIONS: Final = 150
-EVERY: Final = 25
-#: The search of a robot on the ground is repeated so often: contacts give a log minima as deep as that of the truth.
+GENERATIONS_PER_START: Final = 25
+#: Number of repeated searches for a robot on the ground: with contacts, other minima can be as deep as the true one.
 SEARCH_REPEATS: Final = 6
-#: Steps of Gauss-Newton, at most.
-STEPS: Final = 14
-#: Ends are one minimum if the mean logarithm of their channels' residuals differs by less.
-ALIKE: Final = 1e-3
-#: A class is within noise of a larger one if its error on seconds that were not fitted is larger by less.
-WITHIN: Final = 0.02
-#: A class that leaves out a kind which would remove this share of the residuals is wrong.
+#: Maximum number of Gauss-Newton steps.
+MAX_STEPS: Final = 14
+#: Two results are the same minimum if the mean logarithms of their residuals differ by less.
+SAME_MINIMUM_TOLERANCE: Final = 1e-3
+#: A smaller class is accepted if its error on validation samples exceeds the error of the larger class by less.
+SIMPLEST_CLASS_TOLERANCE: Final = 0.02
+#: A class is wrong if a missing kind of parameters would remove this share of the squared residuals.
 MISSING_SHARE: Final = 0.1
-#: Coordinate that a kind which was left out is tried at [standard deviations of its prior].
+#: Coordinate at which the effect of a missing kind is computed [standard deviations of the prior].
 _TRIED_COORDINATE: Final = 0.5
-#: What is estimated by default: every kind but the play of servos, which makes simulations slow.
-FREE: Final = tuple(kind for kind in PARAMETER_KINDS if kind not in ("dead_band", "backlash"))
+#: Kinds that are estimated by default: all except the play of servos, which makes simulations slow.
+FREE_KINDS: Final = tuple(kind for kind in PARAMETER_KINDS if kind not in ("dead_band", "backlash"))
 
 
 @dataclasses.dataclass(frozen=True)
 class BodyResidual:
-    """A body beside samples.
+    """The residuals of a parameter set.
 
     Attributes:
-        twin: of the samples.
-        residual: prediction minus measurement (n,), without what unknown starts explain.
-        judgement: on them.
+        twin: Predictions and samples.
+        residual: Prediction minus measurement (n,), without the effects of unknown initial states.
+        evaluation: Comparison of the residuals with noise.
     """
 
     twin: LoggedTwin
     residual: np.ndarray
-    judgement: Judgement
+    evaluation: ResidualEvaluation
 
     def error(self, sigma: np.ndarray) -> float:
-        """Root mean square over the channels in their noise."""
+        """Root mean square of the residuals, relative to the noise (channels,) of their channels."""
         return rms(self.residual / sigma[self.twin.measured.channel])
 
 
 @dataclasses.dataclass(frozen=True)
 class Identification:
-    """The result.
+    """The result of an identification.
 
     Attributes:
-        body: that was fitted.
-        fit: of the whole class.
-        simplest: of the simplest class within noise; the whole class if none is simpler.
-        left_out: kinds that it leaves out.
-        missing: kind that was left out -> share of the squared residuals that it would remove.
-        before, after, fitted: the default and the identified body on what was not fitted, and the latter on what was.
-        errors: name of a body -> its error on what was not fitted [noise].
-        repeatability: of two logs with one command, by channel; empty if there are none.
-        seconds: wall time.
+        body: Model with the parameters that were fitted.
+        fit: Fit of the whole class.
+        simplest: Fit of the simplest class within noise; `fit` if no class is simpler.
+        left_out: Kinds that the simplest class omits.
+        missing: Missing kind -> share of the squared residuals that it would remove.
+        before, after: Residuals of the default and of the identified parameters on the validation samples.
+        fitted: Residuals of the identified parameters on the fitted samples.
+        errors: Name of a parameter set -> its error on the validation samples, relative to noise.
+        repeatability: Channel -> difference of two logs with the same commands, relative to noise; empty without such
+            logs.
+        seconds: Wall time [s].
     """
 
     body: Body
@@ -115,32 +117,32 @@ class Identification:
 
     @property
     def right(self) -> bool:
-        """Whether the class explains the data to the noise."""
-        return self.fitted.judgement.right or (not self.missing and self.after.judgement.right)
+        """Whether the residuals of the class are noise."""
+        return self.fitted.evaluation.right or (not self.missing and self.after.evaluation.right)
 
     @property
-    def _own(self) -> list[int]:
-        """Places of the simplest class's parameters among all."""
+    def _simplest_columns(self) -> list[int]:
+        """Indices of the parameters of the simplest class among all parameters."""
         names = [parameter.name for parameter in self.fit.space.parameters]
         return [names.index(parameter.name) for parameter in self.simplest.space.parameters]
 
     @property
     def values(self) -> np.ndarray:
-        """Of the class that is nearer to what was not fitted (p,): the whole one may follow the noise of what was."""
+        """Values (p,) of the class with the smaller error on the validation samples, because the whole class may overfit."""
         if self.simplest is self.fit or self.errors["simplest class"] > self.errors["identified"]:
             return self.fit.values
         values = np.array([parameter.absent for parameter in self.fit.space.parameters])
-        values[self._own] = self.simplest.values
+        values[self._simplest_columns] = self.simplest.values
         return values
 
     @property
     def bodies(self) -> np.ndarray:
-        """Values of bodies drawn from the posterior, as many of each of both classes (n, p)."""
+        """Parameter values (n, p) sampled from the posterior, equally many from the whole and the simplest class."""
         full_bodies, simplest_bodies = self.fit.bodies, self.simplest.bodies
         simple = np.tile(
             [parameter.absent for parameter in self.fit.space.parameters], (len(simplest_bodies), 1)
         )
-        simple[:, self._own] = simplest_bodies
+        simple[:, self._simplest_columns] = simplest_bodies
         parameter = min(len(full_bodies), len(simple))
         return (
             full_bodies
@@ -150,21 +152,21 @@ class Identification:
 
     @property
     def intervals(self) -> np.ndarray:
-        """Ends of the 90 % intervals over both classes (p, 2); of what one leaves out, those of the other."""
+        """Ends (p, 2) of the 90 % intervals over both classes; a parameter of one class alone has the interval of this class."""
         sampled_values = self.fit.space.values(self.fit.draws)
         if self.simplest is not self.fit:
             half = len(sampled_values) // 2
-            sampled_values[half:, self._own] = self.simplest.space.values(self.simplest.draws)[
-                half:
-            ]
-        return np.quantile(sampled_values, ENDS, axis=0).T
+            sampled_values[half:, self._simplest_columns] = self.simplest.space.values(
+                self.simplest.draws
+            )[half:]
+        return np.quantile(sampled_values, INTERVAL_QUANTILES, axis=0).T
 
-    # Long because each finding of the report is one statement.
+    # Long because each sentence of the report has its own condition.
     def sentences(self) -> list[str]:
-        """The verdict in words."""
+        """The result in sentences."""
         sentences = list(self.body.notes)
-        worst = int(np.argmax(self.fitted.judgement.rms / self.fitted.judgement.noise))
-        label, judged = self.fitted.twin.labels[worst], self.fitted.judgement
+        worst = int(np.argmax(self.fitted.evaluation.rms / self.fitted.evaluation.noise))
+        label, judged = self.fitted.twin.labels[worst], self.fitted.evaluation
         if self.right:
             sentences.append("The model explains the log to its noise: what is left is white.")
         else:
@@ -190,7 +192,7 @@ class Identification:
                 lambda channel_values, i: float(np.std(channel_values)) or math.inf, measured.values
             )
             shares = [
-                100 * channel_values.judgement.rms / signal
+                100 * channel_values.evaluation.rms / signal
                 for channel_values in (self.after, self.before)
             ]
             best, default = (
@@ -205,14 +207,17 @@ class Identification:
                 f"{len(self.fit.others) + 1} searches end at different bodies that explain the log as well: "
                 "intervals are over all of them."
             )
-        sentences += determinacy.determinacy_sentences(self.fit)
+        sentences += determinacy.describe_determinacy(self.fit)
         if self.left_out:
             sentences.append(
                 f"The simplest class within noise leaves out {', '.join(self.left_out)}."
             )
         errors = ", ".join(f"{name} {value:.3g}" for name, value in self.errors.items())
         sentences.append(f"Error on what was not fitted, in noise: {errors}.")
-        if self.errors.get("simplest class", math.inf) < (1 - WITHIN) * self.errors["identified"]:
+        if (
+            self.errors.get("simplest class", math.inf)
+            < (1 - SIMPLEST_CLASS_TOLERANCE) * self.errors["identified"]
+        ):
             sentences.append(
                 "The whole class follows the noise of what was fitted: values are those of the simplest class."
             )
@@ -231,26 +236,26 @@ class LogSplit:
     Attributes:
         fitted: Logs that are fitted.
         validation: Logs of the other samples.
-        chosen: Which samples of `validation` count, see `LoggedTwin`.
+        selection: Selection of samples of `validation`, see `LoggedTwin`.
     """
 
     fitted: Sequence[Log]
     validation: Sequence[Log]
-    chosen: Callable[[np.ndarray, float], np.ndarray] | None = None
+    selection: Callable[[np.ndarray, float], np.ndarray] | None = None
 
     @classmethod
     def of(cls, logs: Sequence[Log], judges: Sequence[Log]) -> LogSplit:
-        """All logs and the judges, or without judges the first part of each log and the rest."""
+        """Split the logs: all logs and the judges, or without judges the first part of each log and its rest."""
         if judges:
             return cls(logs, judges)
-        heads = [until(log, FITTED * log.duration) for log in logs]
-        return cls(heads, logs, lambda times, duration: times >= FITTED * duration)
+        heads = [truncate_log(log, FITTED_SHARE * log.duration) for log in logs]
+        return cls(heads, logs, lambda times, duration: times >= FITTED_SHARE * duration)
 
     def check(self, body: Body, names: Sequence[str]) -> None:
         """Raise a `ParameterError` if a channel has too few samples in one of the parts."""
         twins = {
             "fitted": LoggedTwin(body, self.fitted, names),
-            "not fitted": LoggedTwin(body, self.validation, names, self.chosen),
+            "not fitted": LoggedTwin(body, self.validation, names, self.selection),
         }
         for part, twin in twins.items():
             counts = np.bincount(twin.measured.channel, minlength=len(twin.labels)).tolist()
@@ -264,38 +269,38 @@ class LogSplit:
         self, body: Body, names: Sequence[str], values: np.ndarray, sigma: np.ndarray
     ) -> BodyResidual:
         """The residual of a body with values (p,) of named parameters on the validation samples."""
-        twin = LoggedTwin(body, self.validation, names, self.chosen)
-        twin.renew(values)
+        twin = LoggedTwin(body, self.validation, names, self.selection)
+        twin.linearize(values)
         weights = sigma[twin.measured.channel]
         difference = twin.predict(values[None])[0] - twin.measured.values
         residual = twin.project((difference / weights)[:, None], sigma)[:, 0] * weights
-        return BodyResidual(twin, residual, judge(twin.measured, residual))
+        return BodyResidual(twin, residual, evaluate_residuals(twin.measured, residual))
 
 
 def identify_log(
     logs: Sequence[Log],
     model: str | os.PathLike[str] = "nermo_lite",
-    free: Sequence[str] = FREE,
+    free: Sequence[str] = FREE_KINDS,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     judges: Sequence[Log] = (),
     seed: int = 0,
     report: Callable[[float], None] = lambda share: None,
-    cache: Cache = computed,
+    cache: Cache = compute_uncached,
 ) -> Identification:
-    """Fit a body to logs, as `run_identification` does, without a directory.
+    """Fit the parameters of a model to logs, as `run_identification` does, without a directory.
 
     Args:
-        logs: to fit, see `read_log`.
+        logs: Logs to fit, see `read_log`.
         model: MJCF file, or `nermo_lite` or `nermo_41`.
-        free: kinds of parameters that are estimated.
-        ranges: name or kind of a parameter -> (low, high), inside which it is searched.
-        judges: other logs that judge; by default the last quarter of each.
-        seed: of starts and draws.
-        report: is told the share done.
+        free: Kinds of parameters that are estimated.
+        ranges: Name or kind of a parameter -> (low, high), the range of the search.
+        judges: Logs that validate the result; by default the last quarter of each log does.
+        seed: Seed of the starting points and samples.
+        report: Function that receives the completed share.
         cache: Stores results of searches, see `Estimation`.
 
     Raises:
-        ParameterError: the log and the model do not fit together, no parameter is free, or cma is not installed.
+        ParameterError: The logs and the model do not fit together, no parameter is free, or cma is not installed.
     """
     require("identify", "cma", "cma")
     began = time.monotonic()
@@ -304,32 +309,33 @@ def identify_log(
         raise ParameterError(
             f"{unknown[0]!r} is no kind of parameters: allowed is {', '.join(PARAMETER_KINDS)}."
         )
-    make = functools.partial(body_of, model, [*logs, *judges])
+    make = functools.partial(load_body, model, [*logs, *judges])
     body = make(free)
-    space = ParameterSpace(_narrowed(list(body.parameters.values()), ranges or {}))
+    space = ParameterSpace(_narrow(list(body.parameters.values()), ranges or {}))
     if not len(space):
         raise ParameterError(f"the model has no parameter of {', '.join(free)}: nothing is free.")
     names, split = [parameter.name for parameter in space.parameters], LogSplit.of(logs, judges)
     split.check(body, names)
     fit, full_twin = _fit(body, space, split, seed, report, cache)
-    fitted_residual = BodyResidual(full_twin, fit.residual, judge(full_twin.measured, fit.residual))
+    evaluation = evaluate_residuals(full_twin.measured, fit.residual)
+    fitted_residual = BodyResidual(full_twin, fit.residual, evaluation)
     held_out_after = split.residual(body, names, fit.values, fit.sigma)
     default = [
         parameter.neutral if math.isfinite(parameter.neutral) else parameter.low
         for parameter in space.parameters
     ]
     held_out_before = split.residual(body, names, np.array(default), fit.sigma)
-    noise = held_out_after.judgement.noise
+    noise = held_out_after.evaluation.noise
     errors = {
         "default body": held_out_before.error(noise),
         "identified": held_out_after.error(noise),
     }
-    left_out, simplest = tuple(determinacy.dispensable(fit)), fit
-    if reduced := _reduced(body, fit, left_out, split, seed, cache):
+    left_out, simplest = tuple(determinacy.find_dispensable_kinds(fit)), fit
+    if reduced := _fit_reduced(body, fit, left_out, split, seed, cache):
         candidate, error = reduced[0], reduced[1].error(noise)
-        if error < (1 + WITHIN) * errors["identified"]:
+        if error < (1 + SIMPLEST_CLASS_TOLERANCE) * errors["identified"]:
             simplest, errors["simplest class"] = candidate, error
-    missing_kinds = {} if fitted_residual.judgement.right else _missing(make, free, fit, full_twin)
+    missing_kinds = {} if evaluation.right else _missing_gains(make, free, fit, full_twin)
     report(1.0)
     return Identification(
         body,
@@ -354,25 +360,30 @@ def _fit(
     report: Callable[[float], None],
     cache: Cache,
 ) -> tuple[Fit, LoggedTwin]:
-    """The fit of the whole class, from a piece of each log to longer pieces and whole logs, and the twin of these."""
+    """Fit the whole class on a piece of each log, longer pieces and whole logs; return the fit and the twin of the logs."""
     names, logs = [parameter.name for parameter in space.parameters], split.fitted
-    # Starts are compared on a piece, where wrong ones are told from right ones as well.
-    pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in logs]
-    longer = [until(log, 2 * piece.duration) for log, piece in zip(logs, pieces, strict=True)]
+    # A piece of the logs suffices to compare starting points.
+    pieces = [
+        truncate_log(log, min(log.duration, max(MIN_PIECE[0] * log.duration, MIN_PIECE[1])))
+        for log in logs
+    ]
+    longer = [
+        truncate_log(log, 2 * piece.duration) for log, piece in zip(logs, pieces, strict=True)
+    ]
     twins = [LoggedTwin(body, part, names) for part in (pieces, longer, logs)]
     stages = [Estimation(space, twin, cache) for twin in twins]
-    starts, repeats = STARTS, 0
-    if twins[0].stands:
-        starts, repeats = STARTS + SEARCH_GENERATIONS // EVERY, SEARCH_REPEATS
+    starts, repeats = START_COUNT, 0
+    if twins[0].has_free_base:
+        starts, repeats = START_COUNT + SEARCH_GENERATIONS // GENERATIONS_PER_START, SEARCH_REPEATS
     total = starts + repeats + 3
-    x, sigma = _start(
-        stages[0], twins[0].stands, seed, lambda done_count: report(done_count / total)
+    x, sigma = _find_start(
+        stages[0], twins[0].has_free_base, seed, lambda done_count: report(done_count / total)
     )
-    fit = repeated(
+    fit = repeat_searches(
         stages,
         x,
         sigma,
-        STEPS,
+        MAX_STEPS,
         repeats,
         seed,
         lambda done_count: report((starts + 1 + done_count) / total),
@@ -381,41 +392,46 @@ def _fit(
     return fit, twins[-1]
 
 
-def _start(
-    piece: Estimation, stands: bool, seed: int, report: Callable[[int], None]
+def _find_start(
+    piece: Estimation, has_free_base: bool, seed: int, report: Callable[[int], None]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (p,) and weights (channels,) of the best of several searches, see `STARTS`.
+    """Search from several starting points, and return the best coordinates (p,) and weights (channels,); see
+    `START_COUNT`.
 
     Args:
         piece: Estimation on a piece of the logs.
-        stands: Whether the base of the robot is free.
+        has_free_base: Whether the base of the robot is free.
         seed: Seed of the starting points.
         report: Function that receives the number of searches that are done.
     """
 
     def starts() -> Iterator[np.ndarray]:
         yield np.zeros(len(piece.space))
-        yield from piece.scanned(SCANNED, seed)[: STARTS - 1]
-        if stands:
-            yield from piece.sought(SEARCH_GENERATIONS, EVERY, seed)
+        yield from piece.scan(SCANNED_POINTS, seed)[: START_COUNT - 1]
+        if has_free_base:
+            yield from piece.search_globally(SEARCH_GENERATIONS, GENERATIONS_PER_START, seed)
 
     ends = list[tuple[np.ndarray, np.ndarray]]()
     for i, start in enumerate(starts()):
-        ends.append(piece.search(start, iterations=STEPS, rounds=2))
+        ends.append(piece.search(start, iterations=MAX_STEPS, rounds=2))
         costs = [float(np.sum(np.log(sigma))) for _, sigma in ends]
         x, sigma = ends[int(np.argmin(costs))]
         report(i + 1)
         residual = piece.residual(x[:, None], sigma)[:, 0] * sigma[piece.measured.channel]
-        alike = sum(cost < min(costs) + ALIKE * len(sigma) for cost in costs) > 1
-        if alike or judge(piece.measured, residual).right:
+        alike = sum(cost < min(costs) + SAME_MINIMUM_TOLERANCE * len(sigma) for cost in costs) > 1
+        if alike or evaluate_residuals(piece.measured, residual).right:
             break
     return x, sigma
 
 
-def _reduced(
+def _fit_reduced(
     body: Body, fit: Fit, left_out: Sequence[str], split: LogSplit, seed: int, cache: Cache
 ) -> tuple[Fit, BodyResidual] | None:
-    """The fit of the class without some kinds, and its residual on the validation samples; None if there is none."""
+    """Fit the class without some kinds, and compute its residual on the validation samples.
+
+    Returns:
+        None if no kind is omitted, or no parameter remains.
+    """
     parameters = fit.space.parameters
     columns = [i for i, parameter in enumerate(parameters) if parameter.kind not in left_out]
     if not 0 < len(columns) < len(parameters):
@@ -423,21 +439,21 @@ def _reduced(
     absent = {
         parameter.name: parameter.absent for parameter in parameters if parameter.kind in left_out
     }
-    body, space = body.at(absent), ParameterSpace([parameters[i] for i in columns])
+    body, space = body.with_values(absent), ParameterSpace([parameters[i] for i in columns])
     names = [parameter.name for parameter in space.parameters]
     estimation = Estimation(space, LoggedTwin(body, split.fitted, names), cache)
     start, others = space.coordinates(fit.values[columns]), list(fit.others[:, columns])
-    reduced = estimation.fit(start, fit.sigma, STEPS, 1, seed, others)
+    reduced = estimation.fit(start, fit.sigma, MAX_STEPS, 1, seed, others)
     return reduced, split.residual(body, names, reduced.values, fit.sigma)
 
 
-def _narrowed(
+def _narrow(
     parameters: list[Parameter], ranges: Mapping[str, tuple[float, float]]
 ) -> list[Parameter]:
-    """Parameters inside the ranges that were given.
+    """Restrict parameters to ranges, by their names or kinds.
 
     Raises:
-        ParameterError: a range of no parameter, or an empty one.
+        ParameterError: A range does not belong to a parameter, or is empty.
     """
     for name, (low, high) in ranges.items():
         indices = [
@@ -460,17 +476,17 @@ def _narrowed(
     return parameters
 
 
-def _missing(
+def _missing_gains(
     make: Callable[[Sequence[str]], Body],
     free: Sequence[str],
     fit: Fit,
     full_twin: LoggedTwin,
 ) -> dict[str, float]:
-    """Share of the squared residuals that each kind that was left out would remove, together with all that is free."""
+    """Share of the squared residuals that each missing kind would remove, together with the free parameters."""
     others = tuple(kind for kind in (*PARAMETER_KINDS, "torque") if kind not in free)
     wider, gains = make((*free, *others)), dict[str, float]()
     names = [parameter.name for parameter in fit.space.parameters]
-    full_twin.renew(fit.values)
+    full_twin.linearize(fit.values)
     white = Estimation(fit.space, full_twin).residual(fit.x[:, None], fit.sigma)[:, 0]
     for kind in others:
         added = [parameter for parameter in wider.parameters.values() if parameter.kind == kind]
@@ -493,19 +509,19 @@ def _missing(
         tried = LoggedTwin(
             wider, full_twin.logs, [*names, *(parameter.name for parameter in added)]
         )
-        tried.renew(still[0])
+        tried.linearize(still[0])
         change = (
             tried.predict(np.concatenate([still, rows])) / fit.sigma[tried.measured.channel]
         ).T
         change = tried.project(np.nan_to_num(change), fit.sigma)
-        gains[kind] = determinacy.gain_of(fit, (change[:, 1:] - change[:, :1]) / step, white)
+        gains[kind] = determinacy.compute_gain(fit, (change[:, 1:] - change[:, :1]) / step, white)
     return gains
 
 
 def _repeatability(
     logs: Sequence[Log], sigma: np.ndarray, labels: Sequence[str]
 ) -> dict[str, float]:
-    """How much the robot itself differs between two logs of one command, by channel [noise]."""
+    """Differences of the robot between two logs with the same commands, relative to noise, by channel."""
     if len(logs) < 2:
         return {}
     differences = {

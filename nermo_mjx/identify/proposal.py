@@ -1,4 +1,4 @@
-"""The experiment to measure next: the one, among chirps, steps and a walk, that would narrow the posterior most."""
+"""Proposal of the next experiment: the chirp, step sequence or walk that would narrow the posterior most."""
 
 from __future__ import annotations
 
@@ -17,37 +17,47 @@ from nermo_mjx.identify.identification import Identification
 from nermo_mjx.identify.twin import LoggedTwin
 from nermo_mjx.rollout import Setup
 
-#: Duration of an experiment that is proposed, and its rate of commands [s, Hz].
-LASTS: Final = 6.0
+#: Duration of a proposed experiment [s], and the rate of its commands [Hz].
+EXPERIMENT_SECONDS: Final = 6.0
 PROPOSAL_RATE_HZ: Final = 50.0
-#: Times of its commands [s].
-TIMES: Final = np.arange(round(LASTS * PROPOSAL_RATE_HZ)) / PROPOSAL_RATE_HZ
-#: An experiment that leaves more of the least known direction is not worth its time.
-USEFUL: Final = 0.9
-#: Amplitude and range of frequencies of a chirp [rad, Hz].
-SWING: Final = 0.2
-SWEPT: Final = (0.2, 4.0)
+#: Times of the commands of a proposed experiment [s].
+COMMAND_TIMES: Final = np.arange(round(EXPERIMENT_SECONDS * PROPOSAL_RATE_HZ)) / PROPOSAL_RATE_HZ
+#: An experiment is proposed if at most this share of the deviation of the least determined direction remains.
+MAX_REMAINING_SHARE: Final = 0.9
+#: Amplitude of a chirp [rad], and its lowest and highest frequency [Hz].
+CHIRP_AMPLITUDE_RAD: Final = 0.2
+CHIRP_FREQUENCIES_HZ: Final = (0.2, 4.0)
 
 
-def _excitations(identification: Identification) -> dict[str, dict[str, np.ndarray]]:
-    """Experiments by name: commands of each servo at `RATE`."""
+def _make_excitations(identification: Identification) -> dict[str, dict[str, np.ndarray]]:
+    """The candidates: name of an experiment -> servo -> commands at `COMMAND_TIMES`."""
     body, log = identification.body, identification.after.twin.logs[0]
     names = [channel.of for channel in log.channels if channel.quantity == "command"]
     still_commands = {name: np.asarray(log.channel("command", name).values) for name in names}  # type: ignore[union-attr]
-    envelope = np.clip(TIMES / 0.5, 0.0, 1.0) * np.clip((LASTS - TIMES) / 0.5, 0.0, 1.0)
+    envelope = np.clip(COMMAND_TIMES / 0.5, 0.0, 1.0) * np.clip(
+        (EXPERIMENT_SECONDS - COMMAND_TIMES) / 0.5, 0.0, 1.0
+    )
     middle = {name: float(np.median(values)) for name, values in still_commands.items()}
 
     def chirp(
         servos: Sequence[str], factor: float = 1.0, wave: Any = np.sin
     ) -> dict[str, np.ndarray]:
-        """Of these servos, one after the other in phase; the others stand."""
+        """Commands of a chirp of some servos with different phases; the other servos keep their positions."""
         turned = (
-            2 * np.pi * factor * (SWEPT[0] * TIMES + (SWEPT[1] - SWEPT[0]) * TIMES**2 / (2 * LASTS))
+            2
+            * np.pi
+            * factor
+            * (
+                CHIRP_FREQUENCIES_HZ[0] * COMMAND_TIMES
+                + (CHIRP_FREQUENCIES_HZ[1] - CHIRP_FREQUENCIES_HZ[0])
+                * COMMAND_TIMES**2
+                / (2 * EXPERIMENT_SECONDS)
+            )
         )
-        commands = {name: np.full(len(TIMES), middle[name]) for name in names}
+        commands = {name: np.full(len(COMMAND_TIMES), middle[name]) for name in names}
         for i, name in enumerate(servos):
             limits = body.model.actuator_ctrlrange[body.actuator(name)]
-            swing = middle[name] + SWING * envelope * wave(turned + 2.4 * i)
+            swing = middle[name] + CHIRP_AMPLITUDE_RAD * envelope * wave(turned + 2.4 * i)
             commands[name] = np.clip(swing, *limits) if limits[1] > limits[0] else swing
         return commands
 
@@ -61,12 +71,15 @@ def _excitations(identification: Identification) -> dict[str, dict[str, np.ndarr
     ] or names[:2]
     excitations = {f"chirp of {name}": chirp([name]) for name in near[:3]}
     repeated_log = {
-        name: np.interp(TIMES, log.channel("command", name).times, values)  # type: ignore[union-attr]
+        name: np.interp(COMMAND_TIMES, log.channel("command", name).times, values)  # type: ignore[union-attr]
         for name, values in still_commands.items()
     }
-    if isinstance(body, NermoBody):  # a walk at 1 Hz, as `servos` plays it
+    if isinstance(body, NermoBody):  # a walk at 1 Hz, as in the table of `servos`
         table = servo_table(
-            Setup(robot=body.robot), {"frequency": 1.0}, rate=PROPOSAL_RATE_HZ, cycles=round(LASTS)
+            Setup(robot=body.robot),
+            {"frequency": 1.0},
+            rate=PROPOSAL_RATE_HZ,
+            cycles=round(EXPERIMENT_SECONDS),
         )
         angles = dict(zip(table.names, np.radians(table.angles.T), strict=True))
         excitations["a walk"] = {
@@ -82,19 +95,21 @@ def _excitations(identification: Identification) -> dict[str, dict[str, np.ndarr
     }
 
 
-def next_experiment(identification: Identification) -> tuple[str, float, dict[str, np.ndarray]]:
-    """The experiment that shrinks the least known direction most.
+def propose_experiment(identification: Identification) -> tuple[str, float, dict[str, np.ndarray]]:
+    """Find the experiment that reduces the deviation along the least determined direction most.
 
     Returns:
-        Its name, the share of the direction's deviation that is left after it, and its commands at `RATE`.
+        Name of the experiment, the remaining share of the deviation, and the commands at `COMMAND_TIMES`.
     """
     fit, best = identification.fit, ("", 1.0, dict[str, np.ndarray]())
     log = identification.after.twin.logs[0]
-    for name, commands in _excitations(identification).items():
-        channels = [Channel(n, "command", n, TIMES, values) for n, values in commands.items()]
+    for name, commands in _make_excitations(identification).items():
+        channels = [
+            Channel(n, "command", n, COMMAND_TIMES, values) for n, values in commands.items()
+        ]
         for channel in log.channels:
             if channel.name in identification.fitted.twin.labels:
-                sample_times = np.arange(0.0, LASTS, max(channel.interval, 1e-3))
+                sample_times = np.arange(0.0, EXPERIMENT_SECONDS, max(channel.interval, 1e-3))
                 channels.append(
                     dataclasses.replace(
                         channel,
@@ -106,7 +121,9 @@ def next_experiment(identification: Identification) -> tuple[str, float, dict[st
         twin = LoggedTwin(identification.body, [Log(tuple(channels), name)], names)
         tried = Estimation(fit.space, twin)
         order = [identification.fitted.twin.labels.index(label) for label in twin.labels]
-        contributions = determinacy.contribution(tried.jacobian(fit.x, fit.sigma[order]), fit)
+        contributions = determinacy.compute_remaining_share(
+            tried.jacobian(fit.x, fit.sigma[order]), fit
+        )
         if contributions < best[1]:
             best = (name, contributions, commands)
     return best

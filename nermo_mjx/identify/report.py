@@ -1,7 +1,12 @@
-"""The results of an identification in its directory, and their page.
+"""The files of an identification, and its page.
 
-The directory contains identification.json, report.html, plots, the identified model, for Nermo as ensemble.csv for
-`--body` and `randomize: {from: DIR}`, and the commands of the next experiment.
+The directory contains:
+
+    identification.json           estimates and sentences
+    report.html, plots/           page and figures
+    identified.xml                identified model of an MJCF
+    ensemble.csv                  parameter sets of Nermo, for `--body` and `randomize: {from: DIR}`
+    next.npz or next.csv          commands of the proposed experiment
 """
 
 from __future__ import annotations
@@ -18,9 +23,9 @@ from pydantic import BaseModel
 from nermo_mjx.identify import determinacy
 from nermo_mjx.identify.body import MjcfBody, NermoBody
 from nermo_mjx.identify.determinacy import percent
-from nermo_mjx.identify.estimation import ENDS
+from nermo_mjx.identify.estimation import INTERVAL_QUANTILES
 from nermo_mjx.identify.identification import Identification
-from nermo_mjx.identify.proposal import TIMES, USEFUL, next_experiment
+from nermo_mjx.identify.proposal import COMMAND_TIMES, MAX_REMAINING_SHARE, propose_experiment
 from nermo_mjx.plotting.charts import blank_page
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import BAND_COLOUR, BEST_COLOUR, INK, LINE_COLOUR, MUTED_INK
@@ -40,20 +45,20 @@ if TYPE_CHECKING:
     from nermo_mjx.view.page import Page
 
 RESULT: Final = "identification.json"
-#: Bodies in ensemble.csv, and draws in the posterior predictive check.
-BODIES: Final = 64
-SHOWN: Final = 24
+#: Number of parameter sets in ensemble.csv, and of posterior samples in the band of a figure.
+ENSEMBLE_SIZE: Final = 64
+BAND_BODIES: Final = 24
 
 
-def kept_figures(out: Path) -> NoReturn:
-    """Raise `DirectoryError`: they are of curves that a directory does not keep."""
+def reject_figures(out: Path) -> NoReturn:
+    """Raise `DirectoryError`, because a directory does not contain the curves of its figures."""
     raise DirectoryError(
         f"{out / 'plots'} has the figures: only the command that made {out} draws them."
     )
 
 
 def estimates(identification: Identification) -> dict[str, dict[str, Any]]:
-    """What identification.json says of the parameters."""
+    """The estimates in identification.json: name of a parameter -> its fields."""
     fit = identification.fit
     return {
         parameter.name: {
@@ -69,7 +74,7 @@ ESTIMATE_HEADINGS: Final = ("parameter", "", "start", "value", "90 %", "range an
 
 
 def estimate_rows(estimates: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
-    """Rows under `HEADINGS` of the parameters in identification.json."""
+    """Rows of the parameters in identification.json, under `ESTIMATE_HEADINGS`."""
     rows = []
     for name, estimate in estimates.items():
         determinacy = "determined" if estimate["determined"] else "not determined"
@@ -92,15 +97,15 @@ def write_identification(identification: Identification, out: Path, command: str
     """Write the directory, and return the content of identification.json.
 
     Args:
-        identification: the result.
-        out: the directory.
-        command: that makes it again.
+        identification: Result of `identify_log`.
+        out: Directory.
+        command: Command that reproduces the result.
     """
     make_writable(out)
-    name, remaining, commands = next_experiment(identification)
-    proposed = _written_commands(identification, commands, out) if commands else ""
+    name, remaining, commands = propose_experiment(identification)
+    proposed = _write_commands(identification, commands, out) if commands else ""
     sentences = identification.sentences()
-    if remaining < USEFUL:
+    if remaining < MAX_REMAINING_SHARE:
         sentences.append(
             f"To measure next: {name} ({proposed}) leaves {percent(remaining)} of the least known direction."
         )
@@ -108,22 +113,22 @@ def write_identification(identification: Identification, out: Path, command: str
         sentences.append(
             "No motion of the servos that was tried tells more of the least known direction."
         )
-    files = _written_body(identification, out)
-    judged = identification.after.judgement
+    files = _write_body(identification, out)
+    judged = identification.after.evaluation
     content = {
         "command": command,
         "logs": list(dict.fromkeys(Path(log.file).name for log in identification.after.twin.logs)),
         "sentences": sentences,
         "right": identification.right,
         "parameters": estimates(identification),
-        "combinations": {formula: deviation for formula, deviation, _ in determinacy.combinations(identification.fit)},
+        "combinations": {formula: deviation for formula, deviation, _ in determinacy.find_combinations(identification.fit)},
         "singular_values": np.sqrt(np.maximum(1.0 / np.maximum(identification.fit.share, 1e-12) ** 2 - 1.0, 0.0)).tolist(),
         "left_out": list(identification.left_out),
         "missing": dict(identification.missing),
         "errors": dict(identification.errors),
         "repeatability": dict(identification.repeatability),
         "channels": {
-            label: {"rms": judged.rms[i], "noise": judged.noise[i], "before": identification.before.judgement.rms[i]}
+            label: {"rms": judged.rms[i], "noise": judged.noise[i], "before": identification.before.evaluation.rms[i]}
             for i, label in enumerate(identification.after.twin.labels)
         },
         "next": {"name": name, "left": remaining, "file": proposed},
@@ -160,13 +165,13 @@ class Report(BaseModel):
 
 
 def identification_page(out: Path) -> Page:
-    """The page of a complete identification: its verdict, estimates, the command, and figures.
+    """The page of a complete identification: sentences, estimates, command, and figures.
 
     Raises:
         DirectoryError: The identification is not complete, or its file is damaged.
     """
     from nermo_mjx.view.page import Page
-    from nermo_mjx.view.trained import image, offline_page  # views know of experiments, too
+    from nermo_mjx.view.trained import image, offline_page  # `view` imports this subpackage
 
     report = stored_json(out / RESULT, Report)
     if report is None:
@@ -185,7 +190,7 @@ def identification_page(out: Path) -> Page:
 
 
 def _html_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table whose last column is text that is wrapped."""
+    """An HTML table; the text in its last column wraps."""
     wrapped = ' style="text-align: left; white-space: normal"'
     cells = ""
     for row in rows:
@@ -197,47 +202,55 @@ def _html_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f'<div class="wide"><table><tr>{head}</tr>{cells}</table></div>'
 
 
-def _written_commands(
+def _write_commands(
     identification: Identification, commands: Mapping[str, np.ndarray], out: Path
 ) -> str:
-    """The file of an experiment: a recording that `servos` plays, or for another robot a table."""
+    """Write the commands of an experiment, and return the name of the file.
+
+    The file of Nermo is a recording for `servos`, the file of another robot is a table.
+    """
     if isinstance(identification.body, NermoBody):
         model = identification.body.model
-        ctrl = np.zeros((len(TIMES), model.nu))
+        ctrl = np.zeros((len(COMMAND_TIMES), model.nu))
         for name, values in commands.items():
             ctrl[:, identification.body.actuator(name)] = values
-        still = np.repeat(identification.body.start()[None], len(TIMES), axis=0)
-        Recording(TIMES, still, np.zeros((len(TIMES), model.nv)), ctrl).save(out / "next.npz")
+        still = np.repeat(identification.body.rest_positions()[None], len(COMMAND_TIMES), axis=0)
+        Recording(COMMAND_TIMES, still, np.zeros((len(COMMAND_TIMES), model.nv)), ctrl).save(
+            out / "next.npz"
+        )
         return "next.npz"
     rows = [
         ["time", *commands],
-        *np.column_stack([TIMES, *commands.values()]).round(6).astype(str).tolist(),
+        *np.column_stack([COMMAND_TIMES, *commands.values()]).round(6).astype(str).tolist(),
     ]
     replace_file(out / "next.csv", "".join(",".join(row) + "\n" for row in rows).encode())
     return "next.csv"
 
 
-def _written_body(identification: Identification, out: Path) -> list[str]:
-    """The file of the identified model; for Nermo the ensemble, the best body first, as `identified` reads it."""
+def _write_body(identification: Identification, out: Path) -> list[str]:
+    """Write the identified model, and return the names of the files.
+
+    The file of Nermo is an ensemble for `nermo_mjx.robot.identified`, the best parameter set first.
+    """
     names = [parameter.name for parameter in identification.fit.space.parameters]
     if isinstance(identification.body, MjcfBody):
         replace_file(
             out / "identified.xml",
-            identification.body.written(names, identification.values).encode(),
+            identification.body.mjcf_text(names, identification.values).encode(),
         )
         return ["identified.xml"]
     nermo_names = [name for name in dict(quantities(ModelParameters)) if name in names]
     columns = [names.index(name) for name in nermo_names]
     fixed = {
         name: value
-        for name, value in identification.body.standing.items()
+        for name, value in identification.body.robot_values.items()
         if name not in nermo_names
     }
     bodies = np.vstack(
         [
             identification.values,
-            identification.bodies[:: max(len(identification.bodies) // (BODIES - 1), 1)][
-                : BODIES - 1
+            identification.bodies[:: max(len(identification.bodies) // (ENSEMBLE_SIZE - 1), 1)][
+                : ENSEMBLE_SIZE - 1
             ],
         ]
     )
@@ -251,12 +264,12 @@ def _written_body(identification: Identification, out: Path) -> list[str]:
 
 
 def ensemble_text(comment: str, values: Mapping[str, np.ndarray], objective: np.ndarray) -> bytes:
-    """A file that `nermo_mjx.robot.identified` reads, of bodies of equal weight, the best first.
+    """Content of a file for `nermo_mjx.robot.identified`: parameter sets of equal weight, the best first.
 
     Args:
-        comment: lines of the comment that it begins with.
-        values: model parameter -> (n,).
-        objective: (n,).
+        comment: Comment at the head of the file.
+        values: Name of a model parameter -> its values (n,).
+        objective: Objective of each parameter set (n,).
     """
     columns = {
         **values,
@@ -272,26 +285,26 @@ def ensemble_text(comment: str, values: Mapping[str, np.ndarray], objective: np.
 
 
 def figures_of(identification: Identification) -> Iterator[tuple[str, Figure]]:
-    """The figures of a result."""
+    """The figures of a result, by name."""
     yield from ((name, draw(identification)) for name, draw in FIGURES.items())
 
 
-def _predicted(identification: Identification, limit: int = 6) -> Figure:
-    """Measured and predicted curves where nothing was fitted, with a band of the posterior."""
+def _draw_predictions(identification: Identification, limit: int = 6) -> Figure:
+    """Draw measured and predicted curves of the validation samples, with a band of the posterior."""
     twin = identification.after.twin
     predictions = twin.predict(
-        identification.bodies[:: max(len(identification.bodies) // SHOWN, 1)][:SHOWN]
+        identification.bodies[:: max(len(identification.bodies) // BAND_BODIES, 1)][:BAND_BODIES]
     )
-    low, high = np.quantile(predictions, ENDS, axis=0)
+    low, high = np.quantile(predictions, INTERVAL_QUANTILES, axis=0)
     best = twin.measured.values + identification.after.residual
     initial_prediction = twin.measured.values + identification.before.residual
     units = {channel.name: channel.unit for log in twin.logs for channel in log.channels}
-    worst = np.argsort(-identification.after.judgement.rms / identification.after.judgement.noise)[
-        :limit
-    ]
+    worst = np.argsort(
+        -identification.after.evaluation.rms / identification.after.evaluation.noise
+    )[:limit]
     figure = blank_page(
         "Predicted and measured, where nothing was fitted", 7.5, 1.0 + 1.35 * len(worst),
-        f"Band: 90 % of {SHOWN} bodies of the posterior, without the sensors' noise; the channels that fit worst.",
+        f"Band: 90 % of {BAND_BODIES} bodies of the posterior, without the sensors' noise; the channels that fit worst.",
     )  # fmt: skip
     for ax, i in zip(
         figure.subplots(len(worst), 1, sharex=True, squeeze=False)[:, 0], worst, strict=True
@@ -315,8 +328,9 @@ def _predicted(identification: Identification, limit: int = 6) -> Figure:
     return figure
 
 
-def _residuals(identification: Identification) -> Figure:
-    labels, judged = identification.after.twin.labels, identification.after.judgement
+def _draw_residuals(identification: Identification) -> Figure:
+    """Draw the residuals of the validation samples, relative to the noise of each channel."""
+    labels, judged = identification.after.twin.labels, identification.after.evaluation
     figure = blank_page(
         "Residuals where nothing was fitted, in the noise of each channel",
         7.0,
@@ -324,7 +338,7 @@ def _residuals(identification: Identification) -> Figure:
     )
     ax, y = figure.subplots(), np.arange(len(labels))
     for shift, residual, colour, label in (
-        (-0.18, identification.before.judgement.rms, BAND_COLOUR, "default body"),
+        (-0.18, identification.before.evaluation.rms, BAND_COLOUR, "default body"),
         (0.18, judged.rms, LINE_COLOUR, "identified"),
     ):
         ax.barh(y + shift, residual / judged.noise, 0.36, color=colour, label=label)
@@ -335,8 +349,8 @@ def _residuals(identification: Identification) -> Figure:
     return figure
 
 
-def _intervals(identification: Identification) -> Figure:
-    """Intervals in the ranges of the parameters."""
+def _draw_intervals(identification: Identification) -> Figure:
+    """Draw the 90 % intervals within the ranges of the parameters."""
     space, fit = identification.fit.space, identification.fit
     span = space.high - space.low
     low, high = (
@@ -360,4 +374,8 @@ def _intervals(identification: Identification) -> Figure:
 
 
 #: The figures by name.
-FIGURES: Final = {"predicted": _predicted, "residuals": _residuals, "intervals": _intervals}
+FIGURES: Final = {
+    "predicted": _draw_predictions,
+    "residuals": _draw_residuals,
+    "intervals": _draw_intervals,
+}

@@ -1,7 +1,7 @@
 """The job that identifies a robot from its logs into a directory, and its resumption.
 
-DIR/results/             parts of a row each: the result of a search, found by its key; see `nermo_mjx.runs.rows`
-DIR/identification.json  the result, and what else `write_identification` writes
+DIR/results/             results of searches, one row in each part, found by their keys; see `nermo_mjx.runs.rows`
+DIR/identification.json  the result; `nermo_mjx.identify.report` describes the other files
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.hardware.log import Log
-from nermo_mjx.identify.body import body_of
+from nermo_mjx.identify.body import load_body
 from nermo_mjx.identify.estimation import Cache
-from nermo_mjx.identify.identification import FREE, Identification, identify_log
+from nermo_mjx.identify.identification import FREE_KINDS, Identification, identify_log
 from nermo_mjx.identify.report import RESULT, write_identification
-from nermo_mjx.identify.twin import PREDICTED
+from nermo_mjx.identify.twin import PREDICTED_QUANTITIES
 from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot.quantity import require
 from nermo_mjx.robot.robot import fingerprint
@@ -55,12 +55,12 @@ class IdentificationResult:
 
 @shows_progress("identify")
 # Many parameters because each is an option of the job, most by keyword only.
-def run_identification(  # each parameter is an option of the command
+def run_identification(
     logs: Sequence[Log],
     out: str | os.PathLike[str],
     *,
     model: str | os.PathLike[str] = "nermo_lite",
-    free: Sequence[str] = FREE,
+    free: Sequence[str] = FREE_KINDS,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     judges: Sequence[Log] = (),
     seed: int = 0,
@@ -91,11 +91,11 @@ def run_identification(  # each parameter is an option of the command
         channel.name
         for log in logs[:1]
         for channel in log.channels
-        if channel.quantity not in (*PREDICTED, "command")
+        if channel.quantity not in (*PREDICTED_QUANTITIES, "command")
     ]
     if unread:
         watch.warn(f"not compared, since they are not predicted: {', '.join(unread)}.")
-    body = body_of(model, [*logs, *judges], free)
+    body = load_body(model, [*logs, *judges], free)
     stamp = code.stamp(fingerprint(body.model), "c", CODE_SUBPACKAGES)
     channels = [
         (channel.quantity, channel.of, channel.unit, _digest(channel.times, channel.values))
@@ -121,7 +121,7 @@ def _digest(*arrays: np.ndarray) -> str:
 
 
 def _stored(runs: Runs) -> Cache:
-    """The rows of a directory as a cache; the key of a row is its number and the digest of its inputs."""
+    """A cache in the rows of a directory; the key of a row is its number and the digest of its inputs."""
     numbers = itertools.count()
 
     def stored(compute: Callable[[], np.ndarray], inputs: np.ndarray) -> np.ndarray:

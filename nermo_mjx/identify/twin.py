@@ -1,9 +1,12 @@
-"""A model driven by a log's commands, in batches of bodies: what its sensors would have shown.
+"""Simulations of a model under the commands of a log, in batches of parameter sets, and the predicted samples.
 
-Any MJCF, or Nermo. A control of a step is the mean of the command that is held during it, `delay` earlier, so that a
-delay is no staircase. A base that no channel sees is held in place. A model on servos starts where the log's angles
-do, one with a free base stands before; one that motors push is set to the measured angles again every half second,
-since its errors grow.
+The model is any MJCF, or Nermo. The control of a step is the mean of the command during this step, shifted by `delay`,
+so that predictions depend smoothly on the delay. The base stays fixed if no channel measures it. The initial state
+depends on the model:
+
+- A model with position servos starts at the first angles of the log.
+- A model with a free base first stands at the first commands for `SETTLING_SECONDS`.
+- A model with motors restarts from the measured angles every `RESTART_SECONDS`, because its errors grow.
 """
 
 from __future__ import annotations
@@ -21,26 +24,41 @@ from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.hardware.twin import SETTLING_SECONDS
-from nermo_mjx.identify.body import LANES, Body, body_of
-from nermo_mjx.identify.estimation import LoggedSamples, without
+from nermo_mjx.identify.body import BATCH_WORLDS, Body, load_body
+from nermo_mjx.identify.estimation import LoggedSamples, projection_without
 from nermo_mjx.physics.servo_play import Play, ServosWithPlay
 from nermo_mjx.physics.variation import moves_constants
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runtime import thread_count
 
-#: Interval at which a model without servos begins anew [s].
-AGAIN: Final = 0.5
-#: Time after which servos have forgotten where a log begins [s].
-FORGOTTEN: Final = 2.0
-#: Perturbations of unknown starts: position and velocity.
-START_WIDTH: Final = (1e-4, 1e-3)
-#: Quantities that a model predicts.
-PREDICTED: Final = ("angle", "velocity", "gyro", "accelerometer", "position", "yaw", "torque")
+#: Interval after which a model without servos restarts from the measured angles [s].
+RESTART_SECONDS: Final = 0.5
+#: Time after which the initial state no longer affects a model with servos [s].
+INITIAL_STATE_SECONDS: Final = 2.0
+#: Perturbations of the unknown initial positions and velocities.
+INITIAL_STATE_WIDTHS: Final = (1e-4, 1e-3)
+#: Quantities of the channels that a model predicts.
+PREDICTED_QUANTITIES: Final = (
+    "angle",
+    "velocity",
+    "gyro",
+    "accelerometer",
+    "position",
+    "yaw",
+    "torque",
+)
 _SENSORS: Final = {"gyro": "GYRO", "accelerometer": "ACCELEROMETER"}
 
 
 class LoggedTwin:
-    """The predictions of a body for logs: the problem that an `Estimation` solves."""
+    """The predictions of a model for logs; an `EstimationProblem`.
+
+    Attributes:
+        has_free_base: Whether the base of the model is free.
+        labels, components: Names of the channels, and number of values in a sample of each.
+        is_selected: Mask of the simulated values that `measured` contains.
+        measured: Measured samples.
+    """
 
     def __init__(
         self,
@@ -51,13 +69,15 @@ class LoggedTwin:
     ) -> None:
         """
         Args:
-            body: that is driven.
-            logs: one or several.
-            names: of the parameters that the values of `predict` are of.
-            selection: which samples count, of times (n,) and the duration of their log: (n,) bool.
+            body: Model, and its parameters.
+            logs: Logs with the commands and the measured samples.
+            names: Names of the parameters, in the order of the values of `predict`.
+            selection: Function of times (n,) and the duration of their log, returns a mask (n,) of the samples that
+                count; by default all samples count.
 
         Raises:
-            ParameterError: a channel of a part that the model does not have, no command, or nothing to compare.
+            ParameterError: The model lacks a part that a channel names, a log contains no command, or no channel is
+                predicted.
         """
         for log in logs:
             if body.model.nu and not log.of_quantity("command"):
@@ -66,70 +86,63 @@ class LoggedTwin:
                 )
         self.body, self.names, self.logs = body, tuple(names), tuple(logs)
         pushed = not body.servos.all() and body.model.nu > 0
-        self._legs = [_Driven(body, log, AGAIN if pushed else None) for log in logs]
-        if not all(leg.channels for leg in self._legs):
+        self._simulations = [
+            _LogSimulation(body, log, RESTART_SECONDS if pushed else None) for log in logs
+        ]
+        if not all(simulation.channels for simulation in self._simulations):
             raise ParameterError(
                 "no channel of the log is one that a model predicts: give angles, an IMU, or a track."
             )
-        self.stands = any(leg.stands for leg in self._legs)
-        labels = list(
-            dict.fromkeys(leg_channel.name for leg in self._legs for leg_channel in leg.channels)
-        )
-        parts, keep, offset = [], [], 0.0
-        for leg in self._legs:
-            for leg_channel in leg.channels:
-                size = leg_channel.values.reshape(len(leg_channel.times), -1).shape[1]
-                is_selected = leg.inside(leg_channel) & (
-                    True if selection is None else selection(leg_channel.times, leg.log.duration)
+        self.has_free_base = any(simulation.has_free_base for simulation in self._simulations)
+        sizes = {
+            channel.name: channel.values[:1].size
+            for simulation in self._simulations
+            for channel in simulation.channels
+        }
+        self.labels, self.components = tuple(sizes), tuple(sizes.values())
+        parts, offset = [], 0.0
+        for simulation in self._simulations:
+            for channel in simulation.channels:
+                is_selected = simulation.is_simulated(channel) & (
+                    True if selection is None else selection(channel.times, simulation.log.duration)
                 )
-                keep.append(np.repeat(is_selected, size))
-                sample_times = np.repeat(offset + leg_channel.times, size)
-                values = (
-                    np.unwrap(leg_channel.values)
-                    if leg_channel.quantity == "yaw"
-                    else leg_channel.values
-                )
+                size, values = channel.values[:1].size, channel.values
                 parts.append(
                     (
-                        values.ravel(),
-                        np.full(len(sample_times), labels.index(leg_channel.name)),
-                        sample_times,
+                        (np.unwrap(values) if channel.quantity == "yaw" else values).ravel(),
+                        np.full(values.size, self.labels.index(channel.name)),
+                        np.repeat(offset + channel.times, size),
+                        np.repeat(is_selected, size),
                     )
                 )
-            offset += leg.log.duration + 1.0
-        self.keep = np.concatenate(keep)
-        values, channel, times = (
-            np.concatenate(column)[self.keep] for column in zip(*parts, strict=True)
-        )
-        self.labels = tuple(labels)
-        sizes = {
-            leg_channel.name: leg_channel.values[:1].size
-            for leg in self._legs
-            for leg_channel in leg.channels
-        }
-        self.components = tuple(sizes[label] for label in labels)
-        quantum = np.array([_quantum(values[channel == i]) for i in range(len(labels))])
-        self.measured = LoggedSamples(values, channel, times, quantum)
-        self._around: list[tuple[np.ndarray, np.ndarray]] = []
+            offset += simulation.log.duration + 1.0
+        *columns, self.is_selected = map(np.concatenate, zip(*parts, strict=True))
+        values, channel_index, times = (column[self.is_selected] for column in columns)
+        quantum = np.array([_quantum(values[channel_index == i]) for i in range(len(sizes))])
+        self.measured = LoggedSamples(values, channel_index, times, quantum)
+        self._nuisance_columns: list[tuple[np.ndarray, np.ndarray]] = []
 
     def predict(self, values: np.ndarray) -> np.ndarray:
-        """Predictions (k, n) of the samples that count for values (k, p)."""
+        """Predictions (k, n) of the measured samples, for parameter values (k, p)."""
         rows = []
-        for block in np.array_split(values, -(-len(values) // LANES)):
-            parts = [leg.predict(self.names, block) for leg in self._legs]
-            rows.append(np.concatenate(parts, axis=1)[:, self.keep])
+        for block in np.array_split(values, -(-len(values) // BATCH_WORLDS)):
+            parts = [simulation.predict(self.names, block) for simulation in self._simulations]
+            rows.append(np.concatenate(parts, axis=1)[:, self.is_selected])
         return np.concatenate(rows)
 
     @functools.cached_property
     def parts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Kinematic tree that each parameter (p,) and each channel is of; -1 of several, or of one that others pull."""
+        """Index of the kinematic tree of each parameter (p,) and each channel (channels,).
+
+        The index is -1 for several trees, and if equalities or tendons may connect trees.
+        """
         body, model = self.body, self.body.model
         part_of_channel = {
             channel.name: model.jnt_dofadr[body.joint(channel.of)]
             if channel.quantity in ("angle", "velocity")
             else -1
-            for leg in self._legs
-            for channel in leg.channels
+            for simulation in self._simulations
+            for channel in simulation.channels
         }
         dofs = np.array(
             [
@@ -140,45 +153,50 @@ class LoggedTwin:
         trees = np.where((dofs < 0) | (model.neq + model.ntendon > 0), -1, model.dof_treeid[dofs])
         return trees[: len(self.names)], trees[len(self.names) :]
 
-    def renew(self, values: np.ndarray) -> None:
-        """Linearize what depends on unknown starts, at values (p,)."""
-        self._around, first = [], 0
-        for leg in self._legs:
-            columns, window = leg.nuisance(self.names, values)
-            is_kept = self.keep[first : first + len(window)]
-            row = np.cumsum(self.keep)[first : first + len(window)] - 1
+    def linearize(self, values: np.ndarray) -> None:
+        """See `EstimationProblem.linearize`."""
+        self._nuisance_columns, first = [], 0
+        for simulation in self._simulations:
+            columns, window = simulation.linearize_initial_state(self.names, values)
+            is_kept = self.is_selected[first : first + len(window)]
+            row = np.cumsum(self.is_selected)[first : first + len(window)] - 1
             first += len(window)
             for w in np.unique(window[is_kept]):
                 rows = np.flatnonzero(is_kept & (window == w))
                 if len(rows) > columns.shape[1] > 0:
-                    self._around.append((row[rows], columns[rows]))
-        self._remove: dict[bytes, list[tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]]] = {}
+                    self._nuisance_columns.append((row[rows], columns[rows]))
+        self._projections: dict[
+            bytes, list[tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]]
+        ] = {}
 
     def project(self, residual: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Whitened residuals (n, k) without what the unknown starts explain."""
-        if not self._around:
+        """See `EstimationProblem.project`."""
+        if not self._nuisance_columns:
             return residual
-        if (key := sigma.tobytes()) not in self._remove:
+        if (key := sigma.tobytes()) not in self._projections:
             channel_index = self.measured.channel
-            self._remove[key] = [
-                (rows, without(c / sigma[channel_index[rows]][:, None])) for rows, c in self._around
+            self._projections[key] = [
+                (rows, projection_without(c / sigma[channel_index[rows]][:, None]))
+                for rows, c in self._nuisance_columns
             ]
         residual = residual.copy()
-        for rows, remove in self._remove[key]:
+        for rows, remove in self._projections[key]:
             residual[rows] = remove(residual[rows])
         return residual
 
 
 def replay_on_model(log: Log, model: str | os.PathLike[str]) -> tuple[Log, tuple[str, ...]]:
-    """Drive any MJCF by a log's commands, from the log's first angles, or from standing if its base is free.
+    """Simulate any MJCF under the commands of a log.
+
+    The initial state has the first angles of the log; a model with a free base stands first.
 
     Returns:
-        The log's channels as the model has them, at the log's time stamps, and what was assumed, in sentences.
+        The predicted channels, with the time stamps of the log, and the assumptions as sentences.
 
     Raises:
-        ParameterError: the log and the model do not fit together, or the simulation diverges.
+        ParameterError: The log and the model do not fit together, or the simulation diverges.
     """
-    body = body_of(model, [log], ())
+    body = load_body(model, [log], ())
     twin = LoggedTwin(body, [log], ())
     predicted, channels = twin.predict(np.zeros((1, 0)))[0], list[Channel]()
     if not np.isfinite(predicted).all():
@@ -193,14 +211,14 @@ def replay_on_model(log: Log, model: str | os.PathLike[str]) -> tuple[Log, tuple
 
 
 def _quantum(values: np.ndarray) -> float:
-    """Smallest step of values that are multiples of it; 0 if they are fine."""
+    """Step of quantized values; 0 if the resolution is fine."""
     steps = np.unique(np.round(np.abs(np.diff(np.unique(values))), 12))
     steps = steps[steps > 0]
     return float(steps[0]) if len(steps) and len(np.unique(values)) < len(values) / 4 else 0.0
 
 
-def until(log: Log, end: float) -> Log:
-    """The samples of a log before a time [s]; every channel keeps at least one."""
+def truncate_log(log: Log, end: float) -> Log:
+    """The samples of a log before a time [s]; every channel keeps at least one sample."""
     parts = []
     for channel in log.channels:
         is_before = channel.times < max(end, float(channel.times[0]) + 1e-9)
@@ -212,18 +230,22 @@ def until(log: Log, end: float) -> Log:
     return dataclasses.replace(log, channels=tuple(parts))
 
 
-class _Driven:
-    """A body under the commands of one log."""
+class _LogSimulation:
+    """Simulations of a model under the commands of one log, in one or several windows of time."""
 
     def __init__(self, body: Body, log: Log, window: float | None) -> None:
         self.body, self.log, model = body, log, body.model
-        self.channels = tuple(channel for channel in log.channels if channel.quantity in PREDICTED)
+        self.channels = tuple(
+            channel for channel in log.channels if channel.quantity in PREDICTED_QUANTITIES
+        )
         self.step = float(model.opt.timestep)
-        self.stands = any(kind == mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type)
+        self.has_free_base = any(kind == mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type)
         total = max(1, math.ceil(log.duration / self.step))
-        self.steps = total if window is None or self.stands else max(1, round(window / self.step))
+        self.steps = (
+            total if window is None or self.has_free_base else max(1, round(window / self.step))
+        )
         self.windows = math.ceil(total / self.steps)
-        self.settle = round(SETTLING_SECONDS / self.step) if self.stands else 0
+        self.settle = round(SETTLING_SECONDS / self.step) if self.has_free_base else 0
         self.readings = [self._reading(channel) for channel in self.channels]
         grid = np.arange(self.windows * self.steps + 1) * self.step
         self.grid = np.concatenate([(np.arange(self.settle) - self.settle) * self.step, grid])
@@ -239,14 +261,15 @@ class _Driven:
                     ]
                 )
                 area = np.concatenate([[0.0], np.cumsum(values_held * np.diff(knots))])
-                self.commands[body.commanded(channel)] = (knots, area)
-        self.start = self._start()
+                self.commands[body.commanded_actuator(channel)] = (knots, area)
+        self.start = self._initial_state()
 
-    def inside(self, channel: Channel) -> np.ndarray:
-        """Samples that the simulation reaches (n,)."""
+    def is_simulated(self, channel: Channel) -> np.ndarray:
+        """Mask (n,) of the samples of a channel within the simulated time."""
         return (channel.times >= 0) & (channel.times < self.windows * self.steps * self.step)
 
     def _reading(self, channel: Channel) -> tuple[str, Any]:
+        """Name of the field of MuJoCo's data that a channel measures, and the indices in it."""
         model, body = self.body.model, self.body
         if channel.quantity in ("angle", "velocity"):
             joint = body.joint(channel.of)
@@ -276,19 +299,19 @@ class _Driven:
             raise ParameterError(f"channel {channel.name!r}: the model has no body {channel.of!r}.")
         return ("xpos" if channel.quantity == "position" else "xmat"), int(body_id)
 
-    def _start(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities at the start of each window, (windows, nq) and (windows, nv)."""
+    def _initial_state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Initial positions (windows, nq) and velocities (windows, nv) of the windows."""
         model = self.body.model
-        rest = self.body.start()
+        rest = self.body.rest_positions()
         qpos = np.repeat(rest[None], self.windows, axis=0)
         qvel = np.zeros((self.windows, model.nv))
         begin = np.arange(self.windows) * self.steps * self.step
         for channel in self.channels:
-            if channel.quantity == "angle" and not self.stands:
+            if channel.quantity == "angle" and not self.has_free_base:
                 joint = self.body.joint(channel.of)
                 i, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
                 for w, t in enumerate(begin):
-                    # A parabola through the samples around: noise counts less, and it has a slope.
+                    # A parabola through nearby samples reduces noise, and its slope is the velocity.
                     near = np.argsort(np.abs(channel.times - t))[:9]
                     order = min(2, len(near) - 1)
                     curve = np.polyfit(channel.times[near] - t, channel.values[near], order)
@@ -299,10 +322,10 @@ class _Driven:
         return qpos, qvel
 
     def controls(self, names: Sequence[str], values: np.ndarray) -> np.ndarray:
-        """Controls (k, settle + windows * steps, nu) of values (k, p)."""
+        """Controls (k, settle + windows * steps, nu) for parameter values (k, p)."""
         model, column = self.body.model, dict(zip(names, values.T, strict=True))
         delay = column.get("delay", np.zeros(len(values)))
-        start_values = self.body.start()
+        start_values = self.body.rest_positions()
         controls = np.zeros((len(values), len(self.grid) - 1, model.nu))
         held_commands = [
             start_values[model.jnt_qposadr[j]] if servo else 0.0
@@ -322,10 +345,11 @@ class _Driven:
         return controls
 
     def predict(self, names: Sequence[str], values: np.ndarray, starts: Any = None) -> np.ndarray:
-        """Predictions of all samples (k, n) for values (k, p); NaN where a simulation fails.
+        """Predictions (k, n) of all samples, for parameter values (k, p); NaN if a simulation fails.
 
         Args:
-            starts: positions and velocities (k, windows, ...), by default those of the log.
+            names, values: Names of the parameters, and their values (k, p).
+            starts: Initial positions and velocities (k, windows, ...), by default from the log.
         """
         model, body, k, w = self.body.model, self.body, len(values), self.windows
         names = (*names, *body.fixed)
@@ -344,7 +368,7 @@ class _Driven:
         recorded_states = _rollout(batch, driven, recorded, servos)
         is_diverged = batch.warning.reshape(k, -1).any(axis=1)
         rows = [
-            self._sampled(channel, reading, recorded_states, first, k)
+            self._sample(channel, reading, recorded_states, first, k)
             for channel, reading in zip(self.channels, self.readings, strict=True)
         ]
         result = np.concatenate(rows, axis=1)
@@ -352,7 +376,7 @@ class _Driven:
         return result
 
     def _batch(self, names: Sequence[str], values: np.ndarray, starts: Any) -> Batch:
-        """Worlds of all bodies with values (k, p) and windows, at their initial states."""
+        """Worlds of all parameter values (k, p) and all windows, in their initial states."""
         k, w = len(values), self.windows
         batch = Batch(self.body.model, k * w, nthread=thread_count(None))
         fields = self.body.fields(names, values)
@@ -366,7 +390,7 @@ class _Driven:
             )
         return batch
 
-    def _sampled(
+    def _sample(
         self,
         channel: Channel,
         reading: tuple[str, Any],
@@ -374,7 +398,7 @@ class _Driven:
         first: Mapping[str, np.ndarray],
         k: int,
     ) -> np.ndarray:
-        """A channel's samples (k, n) by straight lines between steps."""
+        """Samples (k, n) of a channel, interpolated linearly between steps."""
         name, element = reading
         series = readings[name].reshape(k, self.windows, self.steps, *readings[name].shape[2:])
         if name == "xpos":
@@ -389,7 +413,7 @@ class _Driven:
         local = times / self.step - window * self.steps
         if (
             name in first
-        ):  # states come after their step, everything else belongs to the state before
+        ):  # states are recorded after a step, all other quantities belong to the state before it
             start = first[name].reshape(k, self.windows, 1, -1)[..., element]
             series = np.concatenate([start, series], axis=2)
         low = (
@@ -403,44 +427,57 @@ class _Driven:
             k, -1
         )
 
-    def nuisance(self, names: Sequence[str], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the samples to unknown starts (n, m), and the window of each sample (n,)."""
-        windows = np.concatenate([self._window(channel) for channel in self.channels])
-        columns = self._frame()
-        if not self.stands:
-            # The whole of a log that servos drive is one window, whose start they soon forget.
+    def linearize_initial_state(
+        self, names: Sequence[str], values: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives (n, m) of the samples with respect to the unknown initial state, and the window (n,) of each sample."""
+        windows = np.concatenate([self._window_indices(channel) for channel in self.channels])
+        columns = self._frame_columns()
+        if not self.has_free_base:
+            # With servos, the whole log is one window, and the initial state affects its first seconds only.
             is_early = (
-                self if self.windows > 1 else _Driven(self.body, until(self.log, FORGOTTEN), None)
+                self
+                if self.windows > 1
+                else _LogSimulation(self.body, truncate_log(self.log, INITIAL_STATE_SECONDS), None)
             )
             near = np.concatenate(
-                [np.repeat(e.times < FORGOTTEN, e.values[:1].size) for e in self.channels]
+                [
+                    np.repeat(e.times < INITIAL_STATE_SECONDS, e.values[:1].size)
+                    for e in self.channels
+                ]
             )
-            columns += is_early.to_starts(names, values, near | (self.windows > 1))
+            columns += is_early.differentiate_initial_state(
+                names, values, near | (self.windows > 1)
+            )
         return (np.stack(columns, axis=1) if columns else np.zeros((len(windows), 0))), windows
 
-    def _window(self, channel: Channel) -> np.ndarray:
-        """Of each number of a channel."""
+    def _window_indices(self, channel: Channel) -> np.ndarray:
+        """Index of the window of each value of a channel."""
         window_index = np.clip(
             (channel.times / (self.steps * self.step)).astype(int), 0, self.windows - 1
         )
         return np.repeat(window_index, channel.values[:1].size)
 
-    def to_starts(
+    def differentiate_initial_state(
         self, names: Sequence[str], values: np.ndarray, rows: np.ndarray
     ) -> list[np.ndarray]:
-        """Derivatives of the samples `rows` (n,) to positions and velocities of the starts, (n,) each, normalized."""
+        """Normalized derivatives (n,) of the samples `rows` (n,) with respect to each initial position and velocity."""
         model, starts, columns = self.body.model, list[Any](), list[np.ndarray]()
         for direction in np.eye(2 * model.nv):
             for sign in (1.0, -1.0):
                 qpos, qvel = (
                     self.start[0].copy(),
-                    self.start[1] + sign * START_WIDTH[1] * direction[model.nv :],
+                    self.start[1] + sign * INITIAL_STATE_WIDTHS[1] * direction[model.nv :],
                 )
                 for row in qpos:
-                    mujoco.mj_integratePos(model, row, direction[: model.nv], sign * START_WIDTH[0])
+                    mujoco.mj_integratePos(
+                        model, row, direction[: model.nv], sign * INITIAL_STATE_WIDTHS[0]
+                    )
                 starts.append((qpos, qvel))
-        for i in range(0, len(starts), LANES):
-            start_pairs = tuple(np.stack(part) for part in zip(*starts[i : i + LANES], strict=True))
+        for i in range(0, len(starts), BATCH_WORLDS):
+            start_pairs = tuple(
+                np.stack(part) for part in zip(*starts[i : i + BATCH_WORLDS], strict=True)
+            )
             predictions = self.predict(
                 names, np.repeat(values[None], len(start_pairs[0]), axis=0), start_pairs
             )
@@ -449,8 +486,8 @@ class _Driven:
                 columns[-1][rows] = change / max(float(np.abs(change).max()), 1e-30)
         return columns
 
-    def _frame(self) -> list[np.ndarray]:
-        """What an unknown frame of a track does to its samples: shifts, and a turn."""
+    def _frame_columns(self) -> list[np.ndarray]:
+        """Derivatives (n,) of the samples with respect to the unknown frame of a track: its offsets, and its rotation."""
         columns = []
         sizes = [channel.values.size for channel in self.channels]
         ends = np.cumsum([0, *sizes])
@@ -478,7 +515,7 @@ class _Driven:
 def _rollout(
     batch: Batch, controls: np.ndarray, recorded: Sequence[str], servos: ServosWithPlay | None
 ) -> dict[str, np.ndarray]:
-    """Recorded quantities (n, steps, ...) under controls (n, steps, nu); NaN if the simulation fails."""
+    """Simulate under controls (n, steps, nu), and return the recorded quantities (n, steps, ...); NaN after a failure."""
     try:
         if servos is None:
             return batch.rollout(controls.shape[1], controls, record=recorded)

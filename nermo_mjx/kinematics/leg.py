@@ -56,7 +56,7 @@ class _Search(NamedTuple):
     low: Array
     high: Array
     root: Array
-    found: Array
+    converged: Array
 
 
 def bracketed_root(
@@ -89,7 +89,11 @@ def bracketed_root(
         if start is None
         else jax.lax.stop_gradient(jnp.broadcast_to(start, shape).astype(dtype))
     )
-    slack, small = 8 * jnp.finfo(dtype).eps, 0.1 * float(jnp.finfo(dtype).eps) ** 0.5
+    # Tolerance of the bracket's ends, and the relative size of a step after which an element has converged.
+    end_tolerance, step_tolerance = (
+        8 * jnp.finfo(dtype).eps,
+        0.1 * float(jnp.finfo(dtype).eps) ** 0.5,
+    )
 
     # A quotient whose divisor has at least the absolute value `slope_floor`.
     def divide(value: Array, slope: Array) -> Array:
@@ -102,30 +106,32 @@ def bracketed_root(
         rising = at_high >= at_low
 
         def goes_on(state: _Search) -> Array:
-            return (state.steps < MAX_STEPS) & ~state.found.all()
+            return (state.steps < MAX_STEPS) & ~state.converged.all()
 
         def step(state: _Search) -> _Search:
-            i, a, b, x, best = state
+            i, a, b, x, converged = state
             value, slope = jax.jvp(f, (x,), (jnp.ones_like(x),))
-            above = jnp.where(rising, value, -value)
-            a, b = jnp.where(above <= 0, x, a), jnp.where(above >= 0, x, b)
+            # Positive if x is above the root.
+            rising_value = jnp.where(rising, value, -value)
+            a, b = jnp.where(rising_value <= 0, x, a), jnp.where(rising_value >= 0, x, b)
             newton = x - divide(value, slope)
-            inside = (newton >= a - slack) & (newton <= b + slack)
+            is_inside = (newton >= a - end_tolerance) & (newton <= b + end_tolerance)
             # A step that leaves the bracket goes alternately to the nearer end, where saturated roots are, and to the
             # middle.
-            safe = jnp.where(i % 2 == 0, jnp.clip(newton, a, b), 0.5 * (a + b))
-            following = jnp.where(inside, jnp.clip(newton, a, b), safe)
+            safe_x = jnp.where(i % 2 == 0, jnp.clip(newton, a, b), 0.5 * (a + b))
+            next_x = jnp.where(is_inside, jnp.clip(newton, a, b), safe_x)
             # The error after a Newton step is proportional to the square of the step. Converged elements no longer
             # change, so that no element depends on the other elements.
-            near = inside & (jnp.abs(following - x) <= small * jnp.maximum(jnp.abs(x), 1e-3))
-            return _Search(i + 1, a, b, jnp.where(best, x, following), best | near)
+            step_size = jnp.abs(next_x - x)
+            is_done = is_inside & (step_size <= step_tolerance * jnp.maximum(jnp.abs(x), 1e-3))
+            return _Search(i + 1, a, b, jnp.where(converged, x, next_x), converged | is_done)
 
         at_end = (at_low == 0) | (at_high == 0)
         start = jnp.where(at_low == 0, low, jnp.where(at_high == 0, high, start))
-        first = _Search(jnp.int32(0), low, high, start, at_end)
+        initial = _Search(jnp.int32(0), low, high, start, at_end)
         # Both loops find the same root. On an accelerator, a loop of unknown length waits for the host in each step.
         return jax.lax.platform_dependent(
-            first,
+            initial,
             cpu=lambda search: jax.lax.while_loop(goes_on, step, search).root,
             default=lambda search: (
                 jax.lax.fori_loop(0, MAX_STEPS, lambda _, current: step(current), search).root
@@ -208,8 +214,8 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     ):  # on the other side of the axis than type 1 of the pulley, or straight past the idler
         return jnp.maximum(math.pi + jnp.arcsin(IDLER_RADIUS / leg.l1), angle), jnp.asarray(True)
     distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, SMALLEST_LENGTH_METRES**2))
-    turned = jnp.arcsin(jnp.minimum(leg.pulley_radius / distance, 0.9))
-    return angle - turned, distance**2 > (
+    tangent_angle = jnp.arcsin(jnp.minimum(leg.pulley_radius / distance, 0.9))
+    return angle - tangent_angle, distance**2 > (
         leg.l2 + SMALLEST_LENGTH_METRES
     ) ** 2 + leg.pulley_radius**2
 
@@ -374,8 +380,8 @@ def inverse_kinematics(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     y, z = jnp.moveaxis(
         foot / jax.lax.stop_gradient(jnp.maximum(size / _LARGEST_REACH, 1.0)), -1, 0
     )
-    undirected = y**2 + z**2 < _SMALLEST_REACH**2
-    y, z = jnp.where(undirected, 0.0, y), jnp.where(undirected, -_SMALLEST_REACH, z)
+    is_at_axis = y**2 + z**2 < _SMALLEST_REACH**2
+    y, z = jnp.where(is_at_axis, 0.0, y), jnp.where(is_at_axis, -_SMALLEST_REACH, z)
 
     link, bend = shank(leg)
     low, high = arm_range(leg)
@@ -391,9 +397,9 @@ def inverse_kinematics(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     tendon_taut = works & (knee_angle > tendon_low - 1e-5) & (knee_angle < tendon_high + 1e-5)
     knee_angle = jnp.clip(knee_angle, tendon_low, tendon_high)
     reached = points(leg, q1, knee_angle).foot
-    miss = jnp.max(jnp.abs(reached - jnp.stack([y, z], axis=-1)), axis=-1)
+    error = jnp.max(jnp.abs(reached - jnp.stack([y, z], axis=-1)), axis=-1)
     servo = jnp.stack([q1, knee_servo(leg, q1, knee_angle, routing)], axis=-1)
-    return LegSolution(servo, knee_angle, reached, tendon_taut & (miss < REACH_TOLERANCE))
+    return LegSolution(servo, knee_angle, reached, tendon_taut & (error < REACH_TOLERANCE))
 
 
 def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
@@ -404,16 +410,17 @@ def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
     leg = _arrays(four_legs(geometry))
     low, high = arm_range(leg)
     if routing == "type3":
-        ends = [[servo_range(servo)[end] for servo in SERVOS[4:8]] for end in (0, 1)]
-        reaches = [
+        # The knees' servos are the second four.
+        servo_ends = [[servo_range(servo)[end] for servo in SERVOS[4:8]] for end in (0, 1)]
+        knee_ends = [
             forward_kinematics(
                 leg, jnp.stack([jnp.zeros(4), jnp.asarray(end)], axis=-1), routing
             ).knee_angle
-            for end in ends
+            for end in servo_ends
         ]
         low, high = (
-            jnp.maximum(low, jnp.minimum(*reaches)),
-            jnp.minimum(high, jnp.maximum(*reaches)),
+            jnp.maximum(low, jnp.minimum(*knee_ends)),
+            jnp.minimum(high, jnp.maximum(*knee_ends)),
         )
     link, bend = shank(leg)
     arms = [knee - leg.knee_direction * bend for knee in (high, low)]
@@ -424,8 +431,8 @@ def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
 def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2 2"]:
     """Jacobian d(y, z) / d(q1, q2) of the foot [m/rad] at servo angles (..., 2); zero if the pose is at a limit."""
     servo = jnp.asarray(servo)
-    nothing = jnp.zeros(2, jnp.result_type(float, servo.dtype))
-    return jax.jacfwd(lambda change: forward_kinematics(leg, servo + change, routing).foot)(nothing)
+    zero = jnp.zeros(2, jnp.result_type(float, servo.dtype))
+    return jax.jacfwd(lambda change: forward_kinematics(leg, servo + change, routing).foot)(zero)
 
 
 def _arrays(leg: Leg) -> Leg:

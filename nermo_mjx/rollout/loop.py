@@ -206,6 +206,7 @@ class ClosedLoop:
             clamped=clamped,
         )
         if params.push is not None:
+            # The force on the torso follows the servos' targets, see `Loop.step`.
             ctrl = jnp.concatenate(
                 [ctrl, params.push.at(state.tick, controller.dt).astype(ctrl.dtype)]
             )

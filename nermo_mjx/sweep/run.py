@@ -145,6 +145,7 @@ def run_sweep(
         contextlib.ExitStack() as stack,
     ):
         watch = interruption.watched(watch)
+        # A directory that was started earlier has its own sweep.yaml, which is checked against this sweep.
         rows = rows.claimed(directory, chunk_rows, extend=extend)
         log = None
         if tensorboard:
@@ -153,6 +154,7 @@ def run_sweep(
         # A directory that was started earlier has its own size of chunks.
         chunk_rows = rows.sweep.chunk or chunk_rows
         work = Work(rows, directory.out, chunk_rows, sources, shard, watch, directory, log)
+        # Raises an error if the time series of the missing rows do not fit on the disk.
         rows.check_room(directory.out, work.unfinished)
         former_engine = engine_of(directory.out) or next(
             (part.engine for part in work.runs.parts), None

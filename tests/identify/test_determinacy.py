@@ -15,7 +15,7 @@ from nermo_mjx.identify.estimation import (
     LoggedSamples,
     Parameter,
     ParameterSpace,
-    repeated,
+    repeat_searches,
 )
 
 
@@ -36,7 +36,7 @@ def problem(
         measured=measured,
         predict=lambda values: np.array([function(time, v[:, None])[0] for v in values]),
         parts=(np.array([]), np.zeros(1, int)),
-        renew=lambda values: None,
+        linearize=lambda values: None,
         project=lambda residual, sigma: residual,
     )
 
@@ -98,7 +98,7 @@ def test_where_many_bodies_explain_the_data_the_interval_is_over_all_of_them() -
             ParameterSpace([parameter("a")]), problem(rugged, [truth], white(seed=seed, size=0.1))
         )
         for kept, fit in (
-            (inside, repeated([found], *found.search(np.zeros(1)), 15, 6, seed)),
+            (inside, repeat_searches([found], *found.search(np.zeros(1)), 15, 6, seed)),
             (of_one, found.fit()),
         ):
             ((low, high),) = fit.intervals
@@ -112,7 +112,7 @@ def test_a_search_that_ends_at_its_result_again_ends() -> None:
         ParameterSpace([parameter("a"), parameter("b")]), problem(line, [2.0, 0.5], white())
     )
     told: list[int] = []
-    fit = repeated([found], *found.search(np.zeros(2)), 15, 6, report=told.append)
+    fit = repeat_searches([found], *found.search(np.zeros(2)), 15, 6, report=told.append)
     assert told == [0, 1]
     assert not len(fit.others)
 
@@ -125,12 +125,12 @@ def test_a_ratio_that_is_known_is_named_though_its_parameters_are_not() -> None:
         white(),
     )
     assert not found.determined.any()
-    ((formula, deviation, names),) = determinacy.combinations(found)
+    ((formula, deviation, names),) = determinacy.find_combinations(found)
     assert formula == "kp / mass"
     assert deviation < 0.01
     assert names == ("kp", "mass")
     assert found.values[0] / found.values[1] == pytest.approx(2 / 3, rel=3 * deviation)
-    said = " ".join(determinacy.determinacy_sentences(found))
+    said = " ".join(determinacy.describe_determinacy(found))
     assert "Determined only together: kp / mass" in said
     assert "Not determined by these data: kp, mass" in said
 
@@ -142,7 +142,7 @@ def test_a_product_with_a_power_is_named() -> None:
         [parameter("m"), parameter("l")],
         white(),
     )
-    ((formula, _, _),) = determinacy.combinations(found)
+    ((formula, _, _),) = determinacy.find_combinations(found)
     assert formula in ("m * l^2", "l * m^0.5")
 
 
@@ -163,14 +163,14 @@ def test_a_parameter_that_does_nothing_is_not_determined_and_stays_at_its_start(
 def test_a_parameter_at_its_bound_is_said_to_be() -> None:
     found = estimate(line, [20.0, 0.5], [parameter("a"), parameter("b")], white())
     assert found.at_bound[0] == "upper"
-    assert "a is at its upper bound." in determinacy.determinacy_sentences(found)
+    assert "a is at its upper bound." in determinacy.describe_determinacy(found)
 
 
 @pytest.mark.parametrize(("error", "right"), [(0.0, True), (0.05, False)])
 def test_smooth_residuals_are_no_noise(error: float, right: bool) -> None:
     time = np.linspace(0.0, 10.0, 400)
     measured = LoggedSamples(np.zeros(400), np.zeros(400, int), time, np.zeros(1))
-    judged = determinacy.judge(measured, white() + error * np.sin(2 * time))
+    judged = determinacy.evaluate_residuals(measured, white() + error * np.sin(2 * time))
     assert judged.right is right
     assert judged.noise[0] == pytest.approx(0.01, rel=0.1)
 
@@ -183,7 +183,7 @@ def test_kinds_that_the_data_do_not_ask_for_are_dispensable() -> None:
         parameters,
         white(),
     )
-    assert determinacy.dispensable(found) == ["offset"]
+    assert determinacy.find_dispensable_kinds(found) == ["offset"]
 
 
 def test_another_experiment_shrinks_the_direction_it_sees() -> None:
@@ -193,8 +193,8 @@ def test_another_experiment_shrinks_the_direction_it_sees() -> None:
         [parameter("kp"), parameter("mass")],
         white(),
     )
-    assert determinacy.contribution(np.zeros((5, 2)), found) == pytest.approx(1.0)
-    assert determinacy.contribution(np.array([[0.0, 100.0]]), found) < 0.05
+    assert determinacy.compute_remaining_share(np.zeros((5, 2)), found) == pytest.approx(1.0)
+    assert determinacy.compute_remaining_share(np.array([[0.0, 100.0]]), found) < 0.05
 
 
 def test_a_model_that_fails_is_far_away_but_does_not_stop_the_search() -> None:
@@ -246,6 +246,6 @@ def test_a_search_over_the_whole_ranges_is_not_stopped_by_local_minima() -> None
     estimation = Estimation(space, problem(wave, [4.0, 2.0], white()))
     near, _ = estimation.search(np.zeros(2))
     assert abs(space.values(near)[0] - 4.0) > 0.5
-    *_, far = estimation.sought(60, 30, seed=0)
+    *_, far = estimation.search_globally(60, 30, seed=0)
     found, _ = estimation.search(far)
     assert space.values(found) == pytest.approx([4.0, 2.0], rel=5e-3)

@@ -19,7 +19,7 @@ from nermo_mjx.files import FileError
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.identify.body import MjcfBody, NermoBody
 from nermo_mjx.identify.identification import Identification, identify_log
-from nermo_mjx.identify.twin import LoggedTwin, until
+from nermo_mjx.identify.twin import LoggedTwin, truncate_log
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.optimize import Search, Tuning
 from nermo_mjx.robot import SERVOS, ParameterError, identified
@@ -240,7 +240,7 @@ def test_a_base_that_no_channel_sees_is_held(tmp_path: Path) -> None:
         "a base that moves does not touch its own limbs, and one that hangs is above ground"
     )
     other = mujoco.MjModel.from_xml_string(
-        body.written(["damping.j", "frictionloss.j"], np.array([0.3, 0.1]))
+        body.mjcf_text(["damping.j", "frictionloss.j"], np.array([0.3, 0.1]))
     )
     assert other.dof_damping.tolist() == [0.0] * 6 + [0.3]
     assert other.dof_frictionloss.tolist() == [0.0] * 6 + [0.1]
@@ -287,11 +287,11 @@ def test_wrong_wishes_are_refused(path: Path, wanted: dict[str, object], sentenc
             r"^log: no channel is a command, by which the model could be driven\.$",
         ),
         (
-            lambda *both: until(Log(both, "log"), 0.03).channels,
+            lambda *both: truncate_log(Log(both, "log"), 0.03).channels,
             r"^channel 'angle' has 1 numbers in what is fitted: ",
         ),
         (
-            lambda commands, angle: (commands, *until(Log((angle,), "log"), 1.0).channels),
+            lambda commands, angle: (commands, *truncate_log(Log((angle,), "log"), 1.0).channels),
             "has 0 numbers in what is not",
         ),
     ],

@@ -28,7 +28,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     monkeypatch.setattr(estimation.minimize, "least_squares", counted)
     monkeypatch.setattr(run, "write_identification", lambda *of: {})
-    monkeypatch.setattr(identification, "SCANNED", 8)
+    monkeypatch.setattr(identification, "SCANNED_POINTS", 8)
     return counts
 
 
