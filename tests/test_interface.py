@@ -246,7 +246,7 @@ def test_each_name_of_a_choice_is_implemented() -> None:
         for name in names:
             tail = {"tail": "articulated"} if field == "tail_motion" else {}
             Setup(**{field: name}, **tail, **others.get(name, {}))
-    assert allowed["robot"] == ("nermo_lite", "nermo_41")
+    assert allowed["robot"] == ("nermo_lite", "nermo_41", "author")
     assert set(allowed) == {
         *("robot", "tail", "routing", "cone", "physics", "feet"),
         *("gait", "steering", "profile", "pilot", "trajectory", "head", "tail_motion"),

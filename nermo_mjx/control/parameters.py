@@ -407,9 +407,6 @@ def author_body(simplifications: str = RobotConfig.simplifications) -> dict[str,
 
 #: The body of the profile `as_published`.
 PUBLISHED_BODY: Final = author_body()
-#: Rate of the controller and the pilot in a profile, in simulated time [Hz]: the author's 100 Hz are those of a clock
-#: that runs 2.5 times as fast.
-CONTROL_RATES: Final = {"as_published": PUBLISHED_RATE_HZ / PUBLISHED_CLOCK_RATIO}
 #: Former name, in scripts.
 AS_PUBLISHED_BODY: Final = PUBLISHED_BODY
 SteeringName = Literal["leg", "spine", "mix"]
@@ -445,10 +442,14 @@ def robot_choices(profile: str) -> dict[str, ProfileChoice]:
 def control_rate_of(profile: str) -> ProfileRate:
     """Rate of the controller in a profile, unless one is given, in simulated time [Hz].
 
+    The author's 100 Hz are those of a clock that runs 2.5 times as fast.
+
     >>> control_rate_of("exact"), control_rate_of("as_published")
     (100.0, 250.0)
     """
-    return ProfileRate(CONTROL_RATES.get(profile, PUBLISHED_RATE_HZ))
+    return ProfileRate(
+        PUBLISHED_RATE_HZ / (PUBLISHED_CLOCK_RATIO if profile == "as_published" else 1.0)
+    )
 
 
 #: Measured over expected curvature (`turning.path_curvature`), by type of steering. Measured without a path, at

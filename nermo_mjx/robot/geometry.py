@@ -108,7 +108,7 @@ class SpineLengths:
 
 
 @parameter_tree
-class Tail:
+class TailPlacement:
     """The tail, which is moved and stretched as a whole; its segments stay as wide as they are."""
 
     y: Any = quantity(
@@ -130,7 +130,7 @@ class Geometry:
     hip: Hip = group(Hip)
     foot: Foot = group(Foot)
     spine: SpineLengths = group(SpineLengths)
-    tail: Tail = group(Tail)
+    tail: TailPlacement = group(TailPlacement)
 
 
 def geometry_of(params: Any) -> Geometry:
