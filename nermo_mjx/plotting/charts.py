@@ -757,9 +757,9 @@ def structure_figures(
         yield f"{metric}-over-{x.name}-by-structure", figure
     for x, y in itertools.combinations(plotted[:_MAX_PAIRED_PARAMETERS] if grid else [], 2):
         has_both = np.isfinite(x.values) & np.isfinite(y.values)
-        columns = [
+        x_shown, y_shown, z_shown = (
             dataclasses.replace(column, values=column.values[has_both]) for column in (x, y, z)
-        ]
+        )
         group_indices = groups.index[has_both]
         present = np.unique(group_indices)
         note = remark
@@ -776,7 +776,7 @@ def structure_figures(
         ]
         yield (
             f"{metric}-over-{x.name}-and-{y.name}-by-structure",
-            heat_maps(*columns, panels, title, note),
+            heat_maps(x_shown, y_shown, z_shown, panels, title, note),
         )
 
 
