@@ -329,8 +329,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     # learn
     "truncation": Mutant(
         "learn/experience.py",
-        "goes_on = jnp.where(terminated | truncated, 0.0",
-        "goes_on = jnp.where(terminated, 0.0",
+        "decay = jnp.where(terminated | truncated, 0.0",
+        "decay = jnp.where(terminated, 0.0",
         "Advantages leak from one episode into the one before it at a time limit.",
     ),
     "spread_of_parts": Mutant(
@@ -372,8 +372,8 @@ MUTANTS: Final[dict[str, Mutant]] = {
     ),
     "judged_on_fitted": Mutant(
         "identify/identification.py",
-        "lambda times, duration: times >= FITTED * duration",
-        "lambda times, duration: times < FITTED * duration",
+        "lambda times, duration: times >= FITTED_SHARE * duration",
+        "lambda times, duration: times < FITTED_SHARE * duration",
         "An identified model is validated on the samples that it was fitted to.",
     ),
     # hardware

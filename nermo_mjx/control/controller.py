@@ -144,7 +144,7 @@ def with_dtypes_of(reference: State, state: State) -> State:
 
 @dataclasses.dataclass(frozen=True)
 class Controller:
-    """Static choices of the controller; hashable by value, so it can be closed over or a static argument of `jit`.
+    """Static choices of the controller; hashable by value, so that it can be a static argument of `jit`.
 
     Attributes:
         pilot: Part that commands speed and turn rate; see `PilotLike`.
@@ -325,6 +325,7 @@ class Controller:
         )
 
     def _pace(self, params: ControlParameters, phase: Scalar, drive: Drive) -> Pace:
+        """Phase, speed, turn rate and cycle rate, for head and tail."""
         return Pace(phase, drive.speed, drive.turn_rate, self.cycle_rate(params))
 
     def _compensation(
@@ -511,7 +512,7 @@ def check_workspace(params: ControlParameters, *, routing: str = "type3") -> Non
 
 
 class _Paths(NamedTuple):
-    """The inputs of the nominal foot paths, and whether legs reach them; leaves of one shape, (batch,)."""
+    """The parameters on which the nominal foot paths and their reachability depend; all leaves have shape (batch,)."""
 
     stance: Stance
     geometry: Geometry

@@ -1,5 +1,8 @@
-"""The controller's parameters: arrays that sweeps vary and gradients tune. `ControllerState` holds what changes over
-time.
+"""The parameters of the controller: arrays that sweeps vary and gradients tune.
+
+Each class is a group of parameters, and each parameter is declared once by `quantity(default, unit, low, high, meaning)`.
+The end of the file contains the published gaits, profiles and turning strategies as values of these parameters. The
+comments call the author of the thesis and of github.com/a-rohr/mouse_controller "the author".
 """
 
 from __future__ import annotations
@@ -26,24 +29,28 @@ from nermo_mjx.robot.parameters import (
 from nermo_mjx.robot.quantity import choice, flat, group, of_type, parameter_tree, quantity
 
 # ---
-# Parameters of the trajectory 'free' (`free_stepping`): of each limb, of the points of its foot's path, and trim.
+# Parameters of the trajectory 'free' (`control.stepping.FreeStepping`): differences between limbs, displacements of the
+# foot paths, and offsets of servo angles (trim).
 #
-# All are offsets to the published gait, and factors of it; with their defaults the gait is the published one.
+# All of them are offsets or factors relative to the published gait. With the default values, the gait is the published
+# one.
 
 
-#: Pairs of limbs, then limbs: the value of a pair applies to both of its limbs, and that of a limb is added to it.
+#: Labels of the values of one parameter: two pairs of limbs, then four limbs. A limb has the sum of the value of its pair
+#: and of its own value (for `stride`, the product).
 PAIRS_AND_LIMBS = ("front", "rear", *LIMBS)
-#: Points of a foot's path: touch-down, three in stance, lift-off, three in swing.
+#: Number of points of a foot path: touch-down, three in stance, lift-off, three in swing.
 FOOT_POINTS = 8
 
 
 def _of_limbs(default: float, unit: str, low: float, high: float, doc: str) -> Any:
+    """A parameter with a value for each pair of limbs and for each limb."""
     return quantity((default,) * len(PAIRS_AND_LIMBS), unit, low, high, doc, labels=PAIRS_AND_LIMBS)
 
 
 @parameter_tree
 class Limb:
-    """Differences between limbs, with the trajectory 'free'. The values of a pair and of its limb are combined."""
+    """Differences between limbs, for the trajectory 'free'; see `PAIRS_AND_LIMBS`."""
 
     stride: Any = _of_limbs(1.0, "1", 0.0, 2.0, "the limb's stride, as a share of that of the gait")
     lift: Any = _of_limbs(0.0, "m", -0.02, 0.02, "higher mid-swing than stance.swing_amplitude")
@@ -52,6 +59,7 @@ class Limb:
 
 
 def _foot_path() -> Any:
+    """A parameter with the displacements of all points of a foot path, y1 to y8 and z1 to z8."""
     return quantity(
         (0.0,) * 2 * FOOT_POINTS,
         "m",
@@ -64,7 +72,10 @@ def _foot_path() -> Any:
 
 @parameter_tree
 class FootPaths:
-    """Displacements of eight points of a foot's path, with the trajectory 'free'. A pair's are added to its limb's."""
+    """Displacements of eight points of a foot path, for the trajectory 'free'.
+
+    A limb has the sum of the displacements of its pair and of its own displacements.
+    """
 
     front: Any = _foot_path()
     rear: Any = _foot_path()
@@ -76,14 +87,17 @@ class FootPaths:
 
 @parameter_tree
 class Trim:
-    """Offsets of servo angles, with the trajectory 'free'. A pair's value is added to its limb's."""
+    """Offsets of servo angles, for the trajectory 'free'.
+
+    A limb has the sum of the offset of its pair and of its own offset.
+    """
 
     spine: Any = quantity(0.0, "rad", -0.4, 0.4, "added to the spine servo, positive left")
     hip: Any = _of_limbs(0.0, "rad", -0.5, 0.5, "added to the hip servo, positive backward")
     knee: Any = _of_limbs(0.0, "rad", -0.5, 0.5, "added to the knee servo")
 
 
-#: Harmonics of the spine's Fourier series.
+#: Number of harmonics of the Fourier series of the spine.
 SPINE_HARMONICS = 6
 
 
@@ -133,7 +147,7 @@ class Stance:
 
 @parameter_tree
 class Spine:
-    """The spine's motion in addition to steering (5.31-5.35, 5.45, 5.46)."""
+    """Motion of the spine in addition to steering (5.31-5.35, 5.45, 5.46)."""
 
     amplitude: Any = quantity(0.4, "rad", 0.0, 0.6, "servo amplitude of the stride extension")
     phase: Any = quantity(
@@ -193,7 +207,11 @@ class Spine:
 
 @parameter_tree
 class Turning:
-    """How a turn rate is shared between legs and spine (5.38, 5.39). lb = (1, 0), sb = (0, 1), mb = (1, 1)."""
+    """Distribution of the turn rate to legs and spine (5.38, 5.39).
+
+    The published strategies have the weights (leg, spine): lb (1, 0) turns by the legs, sb (0, 1) by the spine, and mb
+    (1, 1) by both.
+    """
 
     exponent: Any = quantity(
         5.0, "1", 0.0, 20.0, "t of c(a) = sign(a)|a|^t; 0 turns leg modulation off"
@@ -204,7 +222,7 @@ class Turning:
 
 @parameter_tree
 class Pilot:
-    """The high-level controller: guidance by curvature, the published PD, and the path to follow."""
+    """The pilot: guidance by curvature, the published PD controller, and the path to follow."""
 
     guidance: Any = quantity(
         1.0, "1", 0.0, 1.0, "share of the turn rate for the curvature that leads back to the path"
@@ -241,7 +259,7 @@ class Pilot:
 
 @parameter_tree
 class Tracking:
-    """How the published controller differs from the exact one."""
+    """Imperfections of the published controller: lag of the feet and rate of its clock; the defaults have none."""
 
     foot_gain: Any = quantity(
         1.0,
@@ -258,10 +276,10 @@ class Tracking:
 
 @parameter_tree
 class ControlParameters:
-    """All parameters of the controller; every leaf may carry leading batch axes.
+    """All parameters of the controller; every leaf may have leading batch axes.
 
-    Its kinematics uses `geometry`, which has the same names as the body's: a named value sets both. None means the
-    published one, as constants.
+    The kinematics of the controller uses `geometry`. Its parameters have the same names as those of the robot's model, so
+    that one value sets both. None means the published geometry, as constants.
     """
 
     gait: Gait = flat(Gait)
@@ -279,8 +297,10 @@ class ControlParameters:
 
 
 def with_geometry(params: Any) -> Any:
-    """A controller's parameters with a `geometry`, so that its values can be named; also if they are nested in
-    another's."""
+    """The parameters of a controller with a `geometry`, so that its values can be named.
+
+    `ControlParameters` that are nested in the parameters of another controller get a `geometry`, too.
+    """
     if isinstance(params, ControlParameters):
         return dataclasses.replace(params, geometry=params.geometry or Geometry())
     if not dataclasses.is_dataclass(params) or isinstance(params, type):
@@ -296,42 +316,43 @@ def with_geometry(params: Any) -> Any:
 # The published gaits, turning strategies and controller, as named values of the parameters.
 
 
-#: Rate of the controller's clock for which `tracking.foot_gain` and the pilot's gain on the change of the error hold
-#: [Hz]: that of both loops of the author's code while he tested (1 July to 12 August 2021; later 50, 80 and 50).
+#: Rate on the controller's clock to which `tracking.foot_gain` and `pilot.change_gain` refer [Hz]. Both loops of the
+#: author's code had this rate during the tests (1 July to 12 August 2021; later 50, 80 and 50 Hz).
 PUBLISHED_RATE_HZ: Final = 100.0
-#: Share of the foot error that his velocity-space kinematics closes per tick (0.11 since c66c3df, 2 August 2021).
+#: Share of the foot error that the author's velocity-space kinematics closes per tick (0.11 since c66c3df, 2 August 2021).
 PUBLISHED_TRACKING_SHARE: Final = 0.11
-#: Simulated seconds per second of his controller: steps of 2 ms at 200 Hz of the wall clock, on which his controller
-#: runs. Inferred from his code, not stated; recognised with three figures in view (docs/experiments.md).
+#: Simulated seconds per second of the author's controller, which runs on the wall clock: steps of 2 ms at 200 Hz. This
+#: value is inferred from the author's code and is not published; three published values were used in this inference
+#: (docs/experiments.md).
 PUBLISHED_CLOCK_RATIO = 0.4
 
 
 def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING_SHARE) -> float:
     """`tracking.foot_gain` of the author's foot tracking: share of the foot error closed per 1/100 s.
 
-    His code subtracts the foot of the tick before, f(k) = f(k-1) + g (target - f(k-2)). So it lags by one tick less
-    than f(k) = f(k-1) + g (target - f(k-1)) would: its slow root is (1 + sqrt(1 - 4 g)) / 2, which closes 12.6 % a tick
-    for g = 0.11. The fast root, 0.126, is gone after one tick.
+    The author's code uses the foot of two ticks before, f(k) = f(k-1) + g (target - f(k-2)), and therefore lags less than
+    f(k) = f(k-1) + g (target - f(k-1)). The slow root of this recursion is (1 + sqrt(1 - 4 g)) / 2: it closes 12.6 % of
+    the error per tick for g = 0.11. The fast root is 0.126, so that its share of the error vanishes within a few ticks.
 
     >>> round(tracking_share(100.0), 4)
     0.1258
 
     Args:
-        rate: of his loop [Hz].
-        closed: g, in [0, 1/4].
+        rate: Rate of the author's loop [Hz].
+        closed: Gain g, in [0, 1/4].
     """
     remainder = 0.5 * (1.0 + math.sqrt(1.0 - 4.0 * closed))
     return 1.0 - remainder ** (rate / PUBLISHED_RATE_HZ)
 
 
-#: The published simulation: what the author's repository (a-rohr/mouse_controller) held while he tested, at every
-#: commit from c66c3df (2 August 2021, the maze) over 0a07c54 (3 August, the turns) and 583a152 (5 August) to 736e7ec
-#: (8 August). That the tests ran with these commits is inferred from the scenes and gains that they add; the thesis
-#: gives no dates.
-#: The neutral feet stood so from 19 July (5a98d92) to 2 September (03fdad3); those of Table A.7, the default of
-#: `Stance`, enter on 26 September (a99147f; erratum 23). His pilot, a PD from the cross-track error to the turn rate,
-#: turns the spine whatever its mode. Its gains are those of c66c3df; 30 and 300 (583a152) and 40 and 300 (736e7ec)
-#: make it oscillate.
+#: Controller of the published simulation: the values in the author's repository (a-rohr/mouse_controller) at the time of
+#: the tests, at every commit from c66c3df (2 August 2021, the maze) over 0a07c54 (3 August, the turns) and 583a152
+#: (5 August) to 736e7ec (8 August). The scenes and gains that these commits add suggest that the tests ran with them; the
+#: thesis contains no dates.
+#: The neutral feet had these positions from 19 July (5a98d92) to 2 September (03fdad3). The positions of Table A.7, which
+#: are the defaults of `Stance`, are in the repository from 26 September (a99147f; erratum 23). The author's pilot, a PD
+#: controller from the cross-track error to the turn rate, turns the spine in every mode. The gains are those of c66c3df;
+#: with 30 and 300 (583a152) or 40 and 300 (736e7ec) the pilot oscillates.
 PUBLISHED_PROFILE: Final = {
     "stance.front_y": -0.005,
     "stance.front_z": -0.038,
@@ -347,8 +368,8 @@ PUBLISHED_PROFILE: Final = {
 #: The author's model of the same days (in MuJoCo 3.17), whose physics no later commit of that year changes: gains and
 #: torque limits of the servos, damping, the masses in front and behind as compiled, the contact of the soles, and
 #: MuJoCo's default friction of the tail. Constants that are no parameters are `robot.parameters.AUTHOR_...`.
-#: The feet of that model are not where the author's kinematics has them (erratum 25), and his controller does not know
-#: it. Tendons are limited to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275,
+#: The feet of that model are not where the author's kinematics has them (erratum 25), and that controller does
+#: not know it. Tendons are limited to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275,
 #: 60.275 and 74.003. These limits have MuJoCo's default softness, which is relative to a tendon's inertia in the model's
 #: zero pose. That pose differs from the one here: a softness is 25, the square of the ratio of the time constants,
 #: times the ratio of these inverse inertias, 0.040 in front, 0.723 behind and 1.002 in the spine. The rear legs are
@@ -419,7 +440,7 @@ STEERING: dict[str, tuple[float, float]] = {
 
 
 def steering_of(profile: str) -> ProfileChoice:
-    """The turning strategy of a profile, unless one is given: the author's code turns by the spine.
+    """The default turning strategy of a profile: the author's code turns by the spine.
 
     >>> steering_of("exact"), steering_of("as_published")
     ('leg', 'spine')
@@ -428,7 +449,7 @@ def steering_of(profile: str) -> ProfileChoice:
 
 
 def robot_choices(profile: str) -> dict[str, ProfileChoice]:
-    """Choices of a `RobotConfig` in a profile, unless they are given.
+    """Default choices of a `RobotConfig` in a profile.
 
     >>> robot_choices("as_published")
     {'robot': 'author', 'tail': 'articulated', 'feet': 'capsules'}
@@ -452,13 +473,13 @@ def control_rate_of(profile: str) -> ProfileRate:
     )
 
 
-#: Measured over expected curvature (`turning.path_curvature`), by type of steering. Measured without a path, at
-#: constant turn rates with expected radii of 0.5 and 1 m: mean over three gaits, three frequencies and strides
-#: of 0.8 and 1.0 (docs/experiments.md has the spread).
+#: Ratio of the measured curvature to the expected curvature (`turning.path_curvature`), for each turning strategy. The
+#: robot walked without a path at constant turn rates with expected radii of 0.5 and 1 m; the ratio is a mean over three
+#: gaits, three frequencies and strides of 0.8 and 1.0 (docs/experiments.md contains its spread).
 GRIP: dict[str, float] = {"leg": 0.525, "spine": 1.13, "mix": 1.04}
-#: The robot as it was built, by the hardware's figures (docs/experiments.md has what was fitted and what chosen), at
-#: the stride of its straight line (Table 6.1), with the author's foot tracking in real time, at the 80 Hz of his loop
-#: from 27 August 2021 (192674c) on.
+#: Controller of the built robot, according to the values measured on the hardware (docs/experiments.md lists the fitted
+#: and the chosen ones). The stride is that of the straight line (Table 6.1), and the foot tracking is the author's in real
+#: time, at 80 Hz as in the author's loop since 27 August 2021 (192674c).
 BUILT_PROFILE = {
     "tracking.foot_gain": tracking_share(80.0),
     "spine.max_servo_angle": 0.3,
@@ -477,11 +498,11 @@ def published_values(
     >>> published_values("walking_trot") == published_values("trt1")
     True
 
-    The values are keyed as `quantities(ControlParameters)` names them, for `replace_quantities`. Those of the body are
-    in `body_values`. Without a turning strategy it is `steering_of` the profile.
+    The names are those of `quantities(ControlParameters)`, for `replace_quantities`. `body_values` returns the values of
+    the body. The default turning strategy is `steering_of(profile)`.
 
     Raises:
-        ParameterError: an unknown gait, steering or profile.
+        ParameterError: The gait, the steering or the profile is unknown.
     """
     pattern = GAIT_PATTERNS[
         choice("gait", GAIT_CODES.get(of_type("gait", gait, str, "a name"), gait), GAIT_PATTERNS)
@@ -501,7 +522,7 @@ def published_values(
 
 
 def body_values(profile: str) -> dict[str, float]:
-    """Named parameter values of the body in a profile; nothing in `exact`.
+    """Named parameter values of the body in a profile; empty for `exact`.
 
     >>> body_values("exact"), body_values("as_published")["servo.kp"]
     ({}, 300.0)
@@ -510,10 +531,10 @@ def body_values(profile: str) -> dict[str, float]:
 
 
 def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values; if they name a duty factor but no gait factor, with its gait factor 1 / duty (A.2).
+    """The values, with the gait factor 1 / duty (A.2) if they contain a duty factor but no gait factor.
 
-    While a foot is in stance, for the share d of a cycle, the body moves by one stride: 1 / d strides per cycle
-    (erratum 20).
+    A foot is in stance for the share `duty` of a cycle. In this time the body moves by one stride, so that it moves by
+    1 / duty strides per cycle (erratum 20).
     """
     duty = values.get("duty", 0.0)
     zero = isinstance(duty, int | float | np.ndarray) and not np.all(

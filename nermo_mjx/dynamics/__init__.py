@@ -1,12 +1,14 @@
 """Forward dynamics of any model in MJX, with derivatives through contacts, limits and tendons.
 
-`step` and `forward` take the place of `mjx.step` and `mjx.forward`, for models and data of `put_model`, `make_data` and
-`put_data`; `step_with_verdict` also says how well a step was solved, `checkpointed_scan` takes the place of
-`jax.lax.scan` where a long run is differentiated in reverse mode, `check_gradient` compares a gradient with
-differences, `not_simulated` says what they leave out of a model and `approximated` what they do otherwise than
-MuJoCo C, `fitted` makes a model fit for MJX, and `MassConstants` and `PlaceConstants` compute the constants that MuJoCo
-derives from masses, and from masses and positions. Nothing here depends on the robot, and MJX stays unchanged.
-docs/howto/step.md shows the use with any model.
+- `step` and `forward` replace `mjx.step` and `mjx.forward`, for the results of `put_model`, `make_data` and `put_data`.
+- `step_with_verdict` also returns whether the constraint solver converged.
+- `checkpointed_scan` replaces `jax.lax.scan` for the reverse mode of long runs.
+- `check_gradient` compares a gradient with finite differences.
+- `not_simulated` lists the elements of a model that `step` omits, and `approximated` the differences to MuJoCo C.
+- `fitted` changes a model so that MJX supports it.
+- `MassConstants` and `PlaceConstants` compute the constants that MuJoCo derives from masses, and from masses and positions.
+
+This subpackage does not depend on the robot, and MJX stays unchanged. docs/howto/step.md shows the use with any model.
 
 Names are imported on first use: `precision`, for example, works without MJX.
 """

@@ -1,4 +1,4 @@
-"""The gradient of a model's steps against central differences, for any model."""
+"""Comparison of the gradient of several steps with central differences, for any model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import nermo_mjx.dynamics
 from nermo_mjx.dynamics.integration import positions
 from nermo_mjx.shapes import Array, Scalar
 
-#: Half-widths of the differences; each entry is moved by that multiple of its unit (m, rad, m/s, ...; 1 for factors).
+#: Half-widths of the differences, in the unit of each entry (m, rad, m/s, ...; 1 for factors).
 DIFFERENCE_WIDTHS: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 #: Maximum number of entries moved per group, evenly spaced.
 MAX_GROUP_ENTRIES: Final = 12
@@ -29,9 +29,9 @@ class Point(NamedTuple):
     """The inputs of the derivative: changes, zero at the state itself.
 
     Attributes:
-        position, velocity: of the state, in the tangent space, (nv,) each.
-        activation, control: `act` and `ctrl`.
-        factors: masses and inertias, and frictions, are multiplied by 1 + factor.
+        position, velocity: Changes of the state in the tangent space, (nv,) each.
+        activation, control: Changes of `act` and `ctrl`.
+        factors: Changes of masses and inertias, and of frictions, which are multiplied by 1 + factor.
     """
 
     position: Array
@@ -46,10 +46,10 @@ class GradientCheck:
     """The result of `check_gradient`; arrays over the entries that were moved, in the order of `Point`.
 
     Attributes:
-        group: field of `Point` that each entry belongs to.
-        gradient: by reverse mode.
-        differences: central differences by width, (len(DIFFERENCE_WIDTHS), n).
-        end: positions and velocities after the last step.
+        group: Index of the field of `Point` of each entry.
+        gradient: Gradient by reverse mode.
+        differences: Central differences by width, (len(DIFFERENCE_WIDTHS), n).
+        end: Positions and velocities after the last step.
     """
 
     group: np.ndarray
@@ -92,15 +92,15 @@ class GradientCheck:
 
 
 def distance(group: np.ndarray, gradient: np.ndarray, expected: np.ndarray) -> float:
-    """|found - expected| / |expected| in the group where it is largest; inf if one of them is not finite.
+    """Largest |gradient - expected| / |expected| of a group of entries; inf if one of them is not finite.
 
     >>> group = np.array([0, 0, 1])
     >>> round(distance(group, np.array([3.0, 4.0, 1.0]), np.array([3.0, 4.0, 2.0])), 3)
     0.5
 
     Args:
-        group: of each entry; all entries of a group have the same unit.
-        found, expected: the vectors.
+        group: Group of each entry; all entries of a group have the same unit.
+        gradient, expected: Vectors to compare.
     """
     if not (np.isfinite(gradient).all() and np.isfinite(expected).all()):
         return float("inf")
@@ -135,10 +135,10 @@ def check_gradient(
     closes within the width.
 
     Args:
-        model: that MJX-JAX can step.
-        data: the state to start from, and `ctrl`; the model's initial state if None.
-        steps: number of steps.
-        options: compiler options.
+        model: Model that MJX-JAX supports.
+        data: Initial state, and `ctrl`; None for the initial state of the model.
+        steps: Number of steps.
+        options: Compiler options.
     """
     with jax.enable_x64(True):
         run = trial(model, data, steps)
@@ -153,8 +153,8 @@ class Trial(NamedTuple):
     """The function to differentiate.
 
     Attributes:
-        value: point -> the scalar, and the last positions and velocities.
-        zero: the point at which to differentiate.
+        value: Function of a point, which returns the scalar, and the last positions and velocities.
+        zero: Point at which to differentiate.
     """
 
     value: Callable[[Point], tuple[Scalar, Array]]
@@ -170,7 +170,7 @@ def trial(
     """Some steps as a function of a point; see `check_gradient`.
 
     Args:
-        model, data, steps: as there.
+        model, data, steps: Arguments of `check_gradient`.
         library: Module with `put_model`, `make_data` and `step`, such as `mujoco.mjx`.
     """
     start = mujoco.MjData(model) if data is None else data
@@ -224,12 +224,12 @@ def trial(
 def compare_gradient(
     run: Trial, slopes: Point, value: Callable[[Point], tuple[Array, Array]]
 ) -> GradientCheck:
-    """A gradient compared with differences.
+    """Compare a gradient with differences.
 
     Args:
-        run: the differentiated function.
-        slopes: the gradient.
-        value: `run.value`, compiled.
+        run: Differentiated function.
+        slopes: Gradient.
+        value: Compiled `run.value`.
     """
     flat, point_of = jax.flatten_util.ravel_pytree(run.zero)
     group, directions = entries(run.zero)
@@ -247,7 +247,7 @@ def compare_gradient(
 
 
 def entries(point: Point) -> tuple[np.ndarray, np.ndarray]:
-    """The entries of a point that are moved: each one's field, and its index among all entries."""
+    """The entries of a point that the differences change: their fields, and their indices among all entries."""
     fields, places, first = [], [], 0
     for field, size in enumerate(leaf.size for leaf in point):
         selected = (
@@ -262,6 +262,6 @@ def entries(point: Point) -> tuple[np.ndarray, np.ndarray]:
 
 
 def moved_entries(slopes: Point) -> Float[np.ndarray, " n"]:
-    """Those entries of a gradient."""
+    """The entries of a gradient that `entries` selects."""
     flat = np.concatenate([np.ravel(slope) for slope in slopes])
     return flat[entries(slopes)[1]]

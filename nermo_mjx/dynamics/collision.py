@@ -1,9 +1,9 @@
-"""Contacts of primitive geoms as MuJoCo C has them, where MJX has other ones.
+"""Contacts of primitive geoms that are equal to those of MuJoCo C, for pairs whose contacts differ in MJX.
 
-MJX adds 1e-6 to denominators of closest points, has one contact of parallel capsules, other frames of capsules on a
-plane, leaves out corners of a box that are 1 mm above its lowest and points of a cylinder, and takes approximate
-distances of ellipsoids and cylinders. Each function here takes two geoms and gives their contacts.
-`coverage.approximated` lists the pairs that keep contacts of MJX's which are not C's.
+MJX adds 1e-6 to denominators of closest points, computes one contact of parallel capsules and other frames of capsules
+on a plane, omits points of a cylinder and corners of a box that are 1 mm above the lowest one, and approximates
+distances of ellipsoids and cylinders. Each function of this module returns the contacts of two geoms.
+`coverage.approximated` lists the other pairs whose contacts differ from MuJoCo C.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ Matrix = Float[Array, "3 3"]
 Contacts = tuple[Float[Array, "*n"], Float[Array, "*n 3"], Float[Array, "*n 3 3"]]
 #: Rounds of Newton's method for the direction in which two bodies are closest.
 NEWTON_ROUNDS: Final = 20
-#: Distance of what is no contact [m], as MJX has it.
+#: Distance that marks a missing contact [m], as in MJX.
 NO_CONTACT_METRES: Final = 1.0
 #: Signs of a box's corners; no array, which JAX mixes up in programs of 32 and of 64 bits.
 _CORNERS: Final = tuple(tuple(1 if i >> k & 1 else -1 for k in range(3)) for i in range(8))
 
 
 def _collider(count: int) -> Callable[[Callable[[GeomInfo, GeomInfo], Contacts]], Any]:
-    """A function of two geoms as MJX's driver calls it, for all pairs of a group."""
+    """Convert a function of two geoms to a function of all pairs of a group, which the driver of MJX calls."""
 
     def wrap(function: Callable[[GeomInfo, GeomInfo], Contacts]) -> Any:
         def collide(model: Any, data: Any, _: Any, geom: Any) -> Contacts:
@@ -52,7 +52,7 @@ def _collider(count: int) -> Callable[[Callable[[GeomInfo, GeomInfo], Contacts]]
 
 
 def _unit(vector: Vector, otherwise: Vector | None = None) -> Vector:
-    """Direction of a vector; another one, by default x, without a derivative by it, where it is zero."""
+    """Direction of a vector; for a zero vector another direction, by default x, with a derivative of zero."""
     length = spatial.length(vector)
     none = length < mjMINVAL
     otherwise = jnp.eye(3, dtype=vector.dtype)[0] if otherwise is None else otherwise
@@ -67,7 +67,7 @@ def _spheres(
     radius: Scalar,
     other_radius: Scalar,
 ) -> tuple[Scalar, Vector, Vector]:
-    """Distance, position and normal of spheres in two geoms; where they coincide, the normal is across both axes."""
+    """Distance, position and normal of two spheres; if they coincide, the normal is orthogonal to both axes."""
     normal = _unit(
         second_point - first_point, _unit(spatial.cross(first.mat[:, 2], second.mat[:, 2]))
     )
@@ -95,7 +95,7 @@ def sphere_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
 
 @_collider(1)
 def sphere_cylinder(first: GeomInfo, second: GeomInfo) -> Contacts:
-    """Against the side, an end or the rim of the cylinder."""
+    """Contact with the side, an end or the rim of the cylinder."""
     axis, (radius, half) = second.mat[:, 2], second.size[:2]
     height = axis @ (first.pos - second.pos)
     across = first.pos - second.pos - axis * height
@@ -117,7 +117,7 @@ def sphere_cylinder(first: GeomInfo, second: GeomInfo) -> Contacts:
 
 @_collider(1)
 def sphere_box(first: GeomInfo, second: GeomInfo) -> Contacts:
-    """Against the nearest point of the box, or its nearest face where the centre is within."""
+    """Contact with the nearest point of the box, or with its nearest face if the centre is inside."""
     centre = second.mat.T @ (first.pos - second.pos)
     nearest = jnp.clip(centre, -second.size, second.size)
     distance = spatial.length(nearest - centre)
@@ -133,7 +133,7 @@ def sphere_box(first: GeomInfo, second: GeomInfo) -> Contacts:
 
 @_collider(2)
 def capsule_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
-    """At the closest points of the axes; of axes parallel to 1e-4 rad at both ends of where they are side by side."""
+    """Contact at the closest points of the axes; for axes parallel to 1e-4 rad, at both ends of their common section."""
     axis, across = first.mat[:, 2], second.mat[:, 2]
     half, other_half = first.size[1], second.size[1]
     offset = second.pos - first.pos
@@ -163,7 +163,7 @@ def capsule_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
 
 @_collider(2)
 def plane_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
-    """At both ends, with the friction's axes along the capsule."""
+    """Contacts at both ends, with the axes of friction along the capsule."""
     normal, axis = first.mat[:, 2], second.mat[:, 2]
     along = _unit(axis - normal * (normal @ axis))
     ends = second.pos + np.array([[1.0], [-1.0]]) * axis * second.size[1]
@@ -175,10 +175,10 @@ def plane_capsule(first: GeomInfo, second: GeomInfo) -> Contacts:
 
 @_collider(4)
 def plane_cylinder(first: GeomInfo, second: GeomInfo) -> Contacts:
-    """At the lowest points of both rims, and at two that make a triangle with the first.
+    """Contacts at the lowest points of both rims, and at two points that form a triangle with the first one.
 
-    Where the axis is along the normal the triangle points along the cylinder's x; it has no derivative by the tilt,
-    with which C's turns at once.
+    If the axis is along the normal, the triangle points along the x axis of the cylinder, and has no derivative with
+    respect to the tilt; in MuJoCo C, it turns with the smallest tilt.
     """
     normal, axis = first.mat[:, 2], second.mat[:, 2]
     down = axis * jnp.where(normal @ axis > 0.0, -1.0, 1.0)
@@ -198,7 +198,7 @@ def plane_cylinder(first: GeomInfo, second: GeomInfo) -> Contacts:
 
 @_collider(4)
 def plane_box(first: GeomInfo, second: GeomInfo) -> Contacts:
-    """At the four lowest corners, where these are not above the centre."""
+    """Contacts at the four lowest corners, unless they are above the centre."""
     normal = first.mat[:, 2]
     corners = (np.array(_CORNERS) * second.size) @ second.mat.T
     lowest = jnp.argsort(jax.lax.stop_gradient(corners @ normal))[:4]
@@ -212,16 +212,16 @@ def plane_box(first: GeomInfo, second: GeomInfo) -> Contacts:
 def _round(
     one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector, radius: Scalar
 ) -> Contacts:
-    """Where a capsule, sphere or ellipsoid is closest to, or deepest in, an ellipsoid.
+    """Contact of a capsule, sphere or ellipsoid with an ellipsoid, at the closest or deepest points.
 
     The signed distance is the largest over unit vectors n of n . apart - h(n), with h the sum of the support functions:
-    sqrt(n . Q n) of an ellipsoid with the matrix Q, the radius, and |n . segment|. Of points of the segment it is
-    convex, and Newton's method finds both together. The derivatives, of any order, are those of the solution.
+    sqrt(n . Q n) of an ellipsoid with the matrix Q, the radius, and |n . segment|. It is convex along the segment, and
+    Newton's method solves for the direction and the point together. Derivatives of any order are those of the solution.
 
     Args:
-        one, other: the geoms.
-        shapes: the matrices Q of those that are ellipsoids, the other's last.
-        segment, radius: half of the segment of the first, and the radius about it.
+        one, other: Geoms.
+        shapes: Matrices Q of the ellipsoids, the matrix of `other` last.
+        segment, radius: Half of the segment of the first geom, and the radius around the segment.
     """
     apart = other.pos - one.pos
 
@@ -316,7 +316,7 @@ def ellipsoid_ellipsoid(first: GeomInfo, second: GeomInfo) -> Contacts:
 
 
 def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
-    """As MJX's `closest_segment_point`, without the 1e-6 that it adds to the square of the length."""
+    """Closest point on a segment, as MJX's `closest_segment_point`, without 1e-6 added to the square of the length."""
     along = end - start
     return (
         start
@@ -324,7 +324,7 @@ def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
     )
 
 
-#: Pairs of kinds of geoms whose contacts are those of this module.
+#: Pair of types of geoms -> function of this module that computes the contacts.
 CONTACT_FUNCTIONS: Final = {
     (mjx.GeomType[first], mjx.GeomType[second]): function
     for first, second, function in (

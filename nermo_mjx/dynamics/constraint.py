@@ -29,7 +29,7 @@ ROUNDING_MULTIPLE: Final = 4.0
 def gradient(
     layout: Layout, problem: ConstraintProblem, qacc: Dofs, known_residual: Efc | None = None
 ) -> Dofs:
-    """g(a), zero at the solution; `known` is a more exact value of the residual."""
+    """g(a), zero at the solution; `known_residual` is a more exact value of the residual."""
     force = forces(layout, problem, residual(problem, qacc, known_residual))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
@@ -37,7 +37,7 @@ def gradient(
 def rounding(
     layout: Layout, problem: ConstraintProblem, sizes: ConstraintProblem, qacc: Dofs
 ) -> Dofs:
-    """The size of g(a) that is left where it should vanish: the rounding of its terms; `sizes` is |problem|."""
+    """The size of g(a) at the solution due to rounding of its terms; `sizes` is |problem|."""
     force = jnp.abs(forces(layout, problem, residual(problem, qacc)))
     terms = sizes.inertia @ jnp.abs(qacc) + sizes.smooth + sizes.jacobian.T @ force
     return ROUNDING_MULTIPLE * jnp.finfo(qacc.dtype).eps * terms
@@ -46,7 +46,7 @@ def rounding(
 def hessian(
     layout: Layout, problem: ConstraintProblem, qacc: Dofs, known_residual: Efc | None = None
 ) -> Float[Array, "nv nv"]:
-    """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric; `known` as in `gradient`."""
+    """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric; see `gradient`."""
     jacobian, residuals = problem.jacobian, residual(problem, qacc, known_residual)
     springs, _ = _simple(layout, problem, residuals)
     end = _first_cone(layout, residuals)

@@ -1,4 +1,4 @@
-"""What MJX leaves out of a MuJoCo model, or does otherwise, without saying so, and the step does not bring back."""
+"""Elements of a MuJoCo model that MJX and the step of this package omit, or simulate differently, without a warning."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import mujoco
 import numpy as np
 
-#: Fields that say which elements have a feature, by what is said of it; an element has it where its entry is not zero.
+#: Message about a feature -> element types and fields; an element has the feature if its entry is not zero.
 FEATURES: Final[dict[str, tuple[tuple[str, str], ...]]] = {
     "has a delay, and MJX keeps no history: set delay to 0": (
         ("actuator", "actuator_delay"),
@@ -31,7 +31,7 @@ PLUGINS: Final = (
     ("actuator", "actuator_plugin"),
     ("sensor", "sensor_plugin"),
 )
-#: What a rangefinder of MJX cannot see.
+#: Types of geoms that a rangefinder of MJX does not detect.
 INVISIBLE_GEOMS: Final = (
     mujoco.mjtGeom.mjGEOM_CYLINDER,
     mujoco.mjtGeom.mjGEOM_HFIELD,
@@ -39,7 +39,7 @@ INVISIBLE_GEOMS: Final = (
 )
 _CONTACT_DIFFERENCE: Final = "their contacts are MJX's, and may be others than MuJoCo C's"
 _CONTACT_LOSS: Final = "their contacts are MJX's, up to 1 mm off at a depth of 1 mm, or missing, where MuJoCo C has some"
-#: What is said of pairs of kinds of geoms that do not collide altogether as in C.
+#: Pair of types of geoms whose contacts differ from MuJoCo C -> message.
 APPROXIMATE_PAIRS: Final[dict[tuple[str, ...], str]] = {
     (
         "PLANE",
@@ -54,11 +54,11 @@ APPROXIMATE_PAIRS: Final[dict[tuple[str, ...], str]] = {
     **{(kind, "CYLINDER"): _CONTACT_LOSS for kind in ("CAPSULE", "ELLIPSOID", "CYLINDER")},
     **{(kind, "BOX"): _CONTACT_DIFFERENCE for kind in ("CAPSULE", "BOX")},
 }
-#: Number of random positions of the joints in which side sites are looked at.
+#: Number of random joint positions in which the distances of side sites are computed.
 POSE_COUNT: Final = 200
-#: Flags of `mjtEnableBit` that MJX takes and does not act on.
+#: Flags of `mjtEnableBit` that MJX accepts and ignores.
 IGNORED_FLAGS: Final = {"mjENBL_SLEEP": "sleep", "mjENBL_IPC": "ipc"}
-#: Fields of kinds that MJX has not all of: the elements, and the name of the kinds.
+#: Fields with types that MJX supports partly: element type, field, and name of the enumeration.
 _KIND_FIELDS: Final = (
     *(("actuator", f"{suffix.lower()}type", suffix) for suffix in ("Bias", "Dyn", "Gain", "Trn")),
     ("eq", "type", "Eq"),
@@ -68,23 +68,23 @@ _OPTION_FIELDS: Final = ("integrator", "cone", "jacobian", "solver")
 
 
 def not_simulated(model: mujoco.MjModel) -> list[str]:
-    """What `step` and `forward` would leave out of a model: a sentence for each element, none if they simulate it all.
+    """The elements of a model that `step` and `forward` would omit: a sentence for each element, or an empty list.
 
     >>> model = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body>
     ... </worldbody><actuator><motor name="a" joint="j" delay=".01" nsample="4"/></actuator></mujoco>''')
     >>> not_simulated(model)
     ["actuator 'a' has a delay, and MJX keeps no history: set delay to 0."]
 
-    `step` and `forward` refuse such a model with the first sentence; so does `put_model` if it is one of `refused`.
+    `step` and `forward` reject such a model with the first sentence; so does `put_model` if it is one of `refused`.
 
     Args:
-        model: compiled by MuJoCo.
+        model: Model, compiled by MuJoCo.
     """
     return [f"{what}." for what in (*refused(model), *_missing(model))]
 
 
 def refused(model: mujoco.MjModel) -> Iterator[str]:
-    """What MJX itself cannot put, a sentence without its full stop for each element; `fitted` changes some of that."""
+    """The elements that MJX itself rejects, a sentence without full stop for each; `fitted` can change some of them."""
     from mujoco.mjx._src import collision_driver, types
 
     for index in range(model.nflex):
@@ -142,7 +142,7 @@ def _word(kind: Any) -> str:
 
 
 def frictionless(model: mujoco.MjModel) -> list[tuple[str, int]]:
-    """The geoms, or explicit pairs, that decide on contacts of dimension 1 with elliptic cones."""
+    """The geoms, or explicit pairs, that determine contacts of dimension 1 with elliptic cones."""
     from mujoco.mjx._src import collision_driver
 
     elements: list[tuple[str, int]] = []
@@ -205,7 +205,7 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
 
 
 def approximated(model: mujoco.MjModel) -> list[str]:
-    """What `step` and `forward` do otherwise than MuJoCo C, and warn of: a sentence for each, none if there is nothing.
+    """The differences of `step` and `forward` to MuJoCo C, about which they warn: a sentence for each, or an empty list.
 
     >>> model = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><geom type="box" size="1 1 .1"/>
     ... <body pos="0 0 .3"><freejoint/><geom name="b" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>''')
@@ -246,10 +246,10 @@ class SideSite(NamedTuple):
     """A tendon's wrap with a side site.
 
     Attributes:
-        wrap: number among the wraps of the model.
-        tendon, geom, site: of it.
-        radius: of the geom [m].
-        least, most: distance of the site from the geom's centre, over random positions of the joints [m].
+        wrap: Index among the wraps of the model.
+        tendon, geom, site: Ids of tendon, geom and side site.
+        radius: Radius of the geom [m].
+        least, most: Smallest and largest distance of the site from the geom's centre, over random positions of the joints [m].
     """
 
     wrap: int
@@ -289,6 +289,6 @@ def side_sites(model: mujoco.MjModel) -> list[SideSite]:
 
 
 def named(model: mujoco.MjModel, kind: str, index: Any) -> str:
-    """An element as a sentence names it: its kind, and its name or else its number."""
+    """An element in a sentence: its type, and its name or else its number."""
     name = getattr(model, kind)(int(index)).name
     return f"{kind} {name!r}" if name else f"{kind} {int(index)}"

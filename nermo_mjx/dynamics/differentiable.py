@@ -38,13 +38,13 @@ from nermo_mjx.shapes import Array, Count, Dofs, Efc, Scalar, Truth
 
 
 class Verdict(NamedTuple):
-    """How well the constraint problem of a step was solved; with RK4, the worst of its four.
+    """Convergence of the constraint solver in a step; with RK4, the worst of its four stages.
 
     Attributes:
-        rounds: of the solver.
-        residual: size of the last step of Newton's method, as a share of accelerations or, where that is larger, of
+        rounds: Number of rounds of the solver.
+        residual: Size of the last step of Newton's method, as a share of accelerations or, where that is larger, of
             forces over inertias: each joint weighed by its inertia, or the largest alone. What is left is its square.
-        converged: whether the solver was done, and the residual is less than the root of the number's precision.
+        converged: Whether the solver finished, and the residual is less than the root of the number's precision.
     """
 
     rounds: Count
@@ -54,7 +54,7 @@ class Verdict(NamedTuple):
 
 @full_precision
 def step_with_verdict(model: mjx.Model, data: mjx.Data) -> tuple[mjx.Data, Verdict]:
-    """As `step`, and how well its constraint problem was solved.
+    """Advance the simulation as `step`, and return the convergence of the constraint solver as well.
 
     >>> import jax, mujoco
     >>> from nermo_mjx.dynamics import make_data, put_model
@@ -65,7 +65,7 @@ def step_with_verdict(model: mjx.Model, data: mjx.Data) -> tuple[mjx.Data, Verdi
     (True, 1)
 
     Args:
-        model, data: as for `step`.
+        model, data: Arguments of `step`.
 
     Raises:
         ValueError: as `step`.
@@ -99,7 +99,7 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     Derivatives flow from the new state to the old one (`qpos`, `qvel`, `act`), to `ctrl`, applied forces and mocap
     poses, and to the real fields of the model that MJX's step reads, `solref` and `solimp` among them. None flows
     through the warm start, since the solution does not depend on it. The model's `solver`, `iterations` and `tolerance`
-    are ignored; `step_with_verdict` says how it converged.
+    are ignored; `step_with_verdict` returns the convergence.
 
     Args:
         model: Result of `put_model`, with any solver, integrator, cone and constraint that MJX supports.
@@ -117,7 +117,7 @@ def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """Forward dynamics with exact derivatives, as `mjx.forward`: accelerations, constraint forces and sensors.
 
     Args:
-        model, data: as for `step`.
+        model, data: Arguments of `step`.
 
     Raises:
         ValueError: as `step`.
@@ -279,7 +279,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
 
 @full_precision
 def _change(layout: Layout, qacc: Dofs, arguments: Any, changes: Any) -> Array:
-    """How the solution follows the problem, by the implicit function theorem; the residual is a value alone."""
+    """The change of the solution with the problem, by the implicit function theorem; the residual has no derivative."""
     (acceleration, problem), (_, change) = arguments, changes
     _, slope = jax.jvp(
         lambda p: constraint.gradient(layout, p, qacc, acceleration), (problem,), (change,)
@@ -292,7 +292,7 @@ _solution = own_derivative("solution", _change)
 
 
 class _Last(NamedTuple):
-    """The last step of Newton's method, where it leads, and the residual there, as if that had not been rounded."""
+    """The last step of Newton's method, the acceleration after it, and the residual there without rounding of the latter."""
 
     step: Dofs
     qacc: Dofs

@@ -1,8 +1,8 @@
-"""Values that are known from elsewhere, with a derivative of their own in every transformation.
+"""Functions that return a known value, with a custom derivative in every transformation.
 
 `jax.custom_jvp` is not enough: where JAX (0.9 to 0.10) linearizes the body of a loop, it replaces such a function by
-its code and forgets the rule. Second derivatives through `scan` then silently lack all that the rule has to say. A
-primitive keeps its rule.
+its code and ignores the rule. Second derivatives through `scan` then lack the contribution of the rule, without a
+warning. A primitive keeps its rule.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from nermo_mjx.shapes import Array
 
 
 def own_derivative(name: str, tangent: Callable[..., Array]) -> Callable[..., Array]:
-    """A function (value, *arguments, static=None) -> value, whose derivative is given.
+    """A function (value, *arguments, static=None) -> value with a custom derivative.
 
     Args:
-        name: of the function in programs.
-        tangent: (static, value, arguments, their changes) -> the change of the value; linear in the changes, and
-            differentiable itself. What is static is hashable, as a layout; arguments are trees of arrays.
+        name: Name of the function in programs.
+        tangent: Function (static, value, arguments, changes of the arguments) -> change of the value. It is linear in
+            the changes, and differentiable. `static` is hashable, such as a layout; arguments are trees of arrays.
 
     Example:
         >>> root = own_derivative("root", lambda _, y, args, changes: changes[0] / (2 * y))

@@ -27,14 +27,14 @@ Inertia = Float[Array, "*#n 10"]
 # 32-bit indices: JAX caches its conversion of an array, and would keep the precision of the first use in any mode.
 _NEXT_AXIS: Final = np.array([1, 2, 0], np.int32)
 _LAST_AXIS: Final = np.array([2, 0, 1], np.int32)
-#: Rows and columns of the moments in an inertia, and which moment stands where in the matrix.
+#: Rows and columns of the moments in an inertia, and the index of the moment of each entry of the matrix.
 _ROW: Final = np.array([0, 1, 2, 0, 0, 1], np.int32)
 _COLUMN: Final = np.array([0, 1, 2, 1, 2, 2], np.int32)
 _MOMENT: Final = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]], np.int32)
 #: (q p)_c is the sum over i of q_i p_j, j = _FACTOR_INDEX[i, c], with the sign _SIGN[i, c].
 _FACTOR_INDEX: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]], np.int32)
 _SIGN: Final = np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]])
-#: A vector as the matrix of its cross product: which component, with which sign.
+#: Components and signs of a vector in the matrix of its cross product.
 _SKEW: Final = (
     np.array([[0, 2, 1], [2, 0, 0], [1, 0, 0]], np.int32),
     np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]),
@@ -101,10 +101,10 @@ def inertia_about(
     """The spatial inertia of a body about a point.
 
     Args:
-        moments: principal moments.
-        axes: their axes, as columns.
-        offset: of the centre of mass from the point.
-        mass: of the body.
+        moments: Principal moments.
+        axes: Principal axes, as columns.
+        offset: Offset of the centre of mass from the point.
+        mass: Mass of the body.
     """
     turned = jnp.sum(axes[..., _ROW, :] * moments[..., None, :] * axes[..., _COLUMN, :], -1)
     square = jnp.sum(offset * offset, -1, keepdims=True) * (_ROW == _COLUMN)
@@ -134,13 +134,14 @@ def moved_force(velocity: Motion, force: Motion) -> Motion:
 
 
 def cylinder_distance(point: Vector, size: Vector) -> Float[Array, "*#n"]:
-    """Of a point from a cylinder along z, negative inside, as MJX's `_cylinder`; twice differentiable everywhere.
+    """Distance of a point from a cylinder along z, negative inside, as MJX's `_cylinder`; twice differentiable everywhere.
 
-    MJX's has a custom derivative, whose own derivative is NaN inside, and none by the size.
+    The function of MJX has a custom derivative, whose derivative is NaN inside, and no derivative with respect to the
+    size.
 
     Args:
-        point: in the frame of the cylinder.
-        size: radius, half-length, and an unused number.
+        point: Point in the frame of the cylinder.
+        size: Radius, half-length, and an unused number.
     """
     across, along = length(point[..., :2]) - size[..., 0], jnp.abs(point[..., 2]) - size[..., 1]
     out = jnp.stack([jnp.maximum(across, 0.0), jnp.maximum(along, 0.0)], -1)
@@ -157,7 +158,7 @@ def length(vector: Float[Array, "*#n d"]) -> Float[Array, "*#n"]:
 def solve_definite(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> Float[Array, " n"]:
     """x with A x = b for a symmetric positive definite A.
 
-    Its derivative is A dx = db - dA x. That of a Cholesky decomposition, by which MJX solves, costs ten times as much.
+    Its derivative is A dx = db - dA x. The derivative of a Cholesky decomposition, as in MJX, costs ten times as much.
     """
 
     def solve(_: Callable[[Array], Array], right: Array) -> Array:

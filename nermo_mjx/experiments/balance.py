@@ -69,8 +69,8 @@ class Phase:
         return (self.begin + self.ramp + self.end) / 2, self.end
 
 
-#: `stand`: a perturbed start eases into the stance; `shift`: the spine bends (with SBC); `lift`: the leg is compressed;
-#: `swing`: it goes from where it is to one end of its range, to the other, and back, a third of the phase each.
+#: `stand`: the robot moves from its perturbed initial state to the stance; `shift`: the spine bends (with SBC); `lift`: the
+#: leg is compressed; `swing`: the leg moves to one end of its range, to the other end, and back, a third of the phase each.
 PHASES: Final = {
     "stand": Phase(0.0, 1.0, 0.4),
     "shift": Phase(1.0, 2.0, 0.5),
@@ -86,12 +86,12 @@ class BalanceParameters:
     """One world of the test.
 
     Attributes:
-        lifted: 1 for the limb that is lifted, else 0.
-        sbc: 1 with spine balance compensation, else 0.
-        clock_ratio: simulated seconds per second of the protocol.
-        spine: limit of the servo, d_lift of (5.35), share of the offset compensation (5.31).
-        start: initial offsets of the legs' q1 and q2 from the stance [rad].
-        servo_speed: maximum rate of change of a servo's target [rad/s].
+        lifted: 1 for the limb that is lifted, otherwise 0.
+        sbc: 1 with spine balance compensation, otherwise 0.
+        clock_ratio: Simulated seconds per second of the protocol.
+        spine: Limit of the servo, d_lift of (5.35), and share of the offset compensation (5.31).
+        start: Initial offsets of q1 and q2 of the legs from the stance [rad].
+        servo_speed: Maximum rate of change of a servo's target [rad/s].
     """
 
     lifted: Float[ArrayLike, " 4"]
@@ -105,7 +105,7 @@ class BalanceParameters:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class BalanceState:
-    """The loop's state: ticks done, and servo targets [rad]."""
+    """The state of the loop: number of completed ticks, and servo targets [rad]."""
 
     tick: Array
     ctrl: Float[Array, " n_servos"]
@@ -172,7 +172,7 @@ class BalanceLoop:
         level = inverse_kinematics(
             legs, forward_kinematics(legs, STANCE, ROUTING).foot + shift, ROUTING
         ).servo
-        # Exactly the stance if there is nothing to compensate: a round trip through the foot would lose some digits.
+        # Use the stance itself if there is nothing to compensate, because inverse kinematics would round it.
         stance = jnp.where(shift[:, 1:] == 0.0, jnp.asarray(STANCE, level.dtype), level)
         angles = stance + (1.0 - during(time, "stand")) * params.start
 
@@ -187,16 +187,21 @@ class BalanceLoop:
         return ServoAngles(hip=hip, knee=knee, spine=spine, neck=zero, tail=zero)
 
 
-# --- start poses: on four feet, slightly perturbed, differently for each repeat
+# --- initial poses: on four feet, with a small random perturbation for each repeat
 
-#: Repeats differ by up to this much, up and down: position of the body [m], its attitude and the leg servos [rad].
+#: Largest perturbations of the position of the body [m], and of its attitude and the leg servos [rad].
 PLACE, TURN = 0.001, math.radians(1.0)
 
 
 @dataclasses.dataclass(frozen=True)
 class Nudge:
-    """The perturbation of a repeat's start: position (3,) [m] (the third is a drop, not negative), attitude (3,) about
-    x, y and z [rad], and q1, q2 of the legs (4, 2) [rad]."""
+    """The perturbation of an initial pose.
+
+    Attributes:
+        place: Shift of the position (3,) [m]; its third component is a drop height, which is not negative.
+        turn: Rotation about x, y and z (3,) [rad].
+        servo: Shift of q1 and q2 of the legs (4, 2) [rad].
+    """
 
     place: np.ndarray
     turn: np.ndarray
@@ -204,7 +209,7 @@ class Nudge:
 
 
 def nudge(seed: int, case: int, repeat: int) -> Nudge:
-    """Uniform draws, which for a repeat do not depend on the rest of the batch."""
+    """Sample a perturbation from a uniform distribution, independent of the rest of the batch."""
     draw = np.random.default_rng([seed, case, repeat])
     position = draw.uniform(-PLACE, PLACE, 3)
     position[2] = abs(position[2])
@@ -212,7 +217,7 @@ def nudge(seed: int, case: int, repeat: int) -> Nudge:
 
 
 def start_pose(robot: Robot, start: Nudge) -> np.ndarray:
-    """Positions (nq,): heading -y, the four soles of the neutral stance level with the ground, then perturbed."""
+    """Positions (nq,) of the neutral stance with perturbation: heading -y, and the four soles level with the ground."""
     legs = four_legs(Geometry())
     axes = np.concatenate([shoulders(Geometry()), hips(0.0, Geometry())]).astype(float)
     neutral = _soles(axes, np.asarray(forward_kinematics(legs, STANCE, ROUTING).foot, float))
@@ -243,8 +248,8 @@ def _soles(axes: np.ndarray, feet: np.ndarray) -> np.ndarray:
 
 # --- measurements in each world, and the criterion for passing
 
-#: For each lifted limb, the front and the rear foot of the diagonal over which it may tip. The third standing foot is
-#: the one opposite, 3 - limb: it carries the load if the centre of mass is inside the diagonal.
+#: For each lifted limb, the front and the rear foot of the diagonal over which the robot may tip. The third standing foot
+#: is opposite to the limb, 3 - limb; it carries load if the centre of mass is inside the diagonal.
 DIAGONAL: Final = ((1, 2), (0, 3), (0, 3), (1, 2))
 #: Force above which a foot is in contact [N]. The sensor sums contact forces and reads exactly 0 without contact, so
 #: any small number will do; this one is a thousandth of a foot's load.
@@ -279,11 +284,11 @@ def tip_angle() -> float:
 def verdict(
     force: Float[np.ndarray, "*batch T"], tilt: Float[np.ndarray, "*batch S"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the robot stayed upright, and whether the lifted foot stayed clear; it passed if both are true.
+    """Whether the robot stayed upright, and whether the lifted foot stayed clear. A world passes if both are true.
 
     Args:
-        force: of the lifted foot during the swing [N].
-        tilt: of the torso from the lift on [rad]. Non-finite values do not pass.
+        force: Force of the lifted foot during the swing [N].
+        tilt: Tilt of the torso after the begin of the lift [rad]. Non-finite values do not pass.
     """
     return np.all(tilt < tip_angle(), axis=-1), np.all(force <= TOUCH, axis=-1)
 
@@ -318,10 +323,10 @@ def readings(
     """Time histories of one world: `roll`, `pitch`, `tilt` (T,) [rad], `centre_of_mass` (T, 3) and `com_margin` [m].
 
     Args:
-        limb: the lifted one.
-        model: the simulated model.
-        qpos: (T, nq).
-        sensors: as named in `robot.Sensors`, (T, ...).
+        limb: Lifted limb.
+        model: Simulated model.
+        qpos: Positions (T, nq).
+        sensors: Sensors by the names of `robot.Sensors`, (T, ...).
     """
     orientation = np.asarray(sensors["orientation"], float)
     roll, pitch, _ = np.asarray(attitude(jnp.asarray(orientation)), float).T
@@ -343,13 +348,14 @@ def measure(
     readings_shown: Mapping[str, np.ndarray],
     sole: float,
 ) -> dict[str, float | bool]:
-    """All columns of one world that are measured; see `experiments.yaml`.
+    """All measured columns of one world; see `experiments.yaml`.
 
     Args:
-        limb: the lifted one.
-        time: end of each tick on the protocol's clock [s].
-        sensors, shown: as in `readings`, and its result.
-        sole: radius of the sole [m].
+        limb: Lifted limb.
+        time: End of each tick on the clock of the protocol [s].
+        sensors: Argument of `readings`.
+        readings_shown: Result of `readings`.
+        sole: Radius of the sole [m].
     """
 
     def within(begin: float, end: float) -> np.ndarray:
@@ -401,7 +407,7 @@ def measure(
 #: Parameters of the controller that apply here; those of the body come from `ModelParameters`. The protocol is written
 #: for the published geometry.
 SPINE_NAMES: Final = ("spine.max_servo_angle", "spine.balance_lift", "spine.offset_compensation")
-#: Parameters that may be set for all worlds.
+#: Parameters that can be set for all worlds.
 SETTABLE: Final = frozenset(SPINE_NAMES) | {
     name for name, _ in quantities(ModelParameters) if not name.startswith("geometry.")
 }
@@ -411,7 +417,7 @@ OFFSET_COMPENSATION: Final = 1.0
 
 
 def balance_world_count(settings: Settings) -> int:
-    """How many worlds `run` simulates."""
+    """Number of worlds that `run` simulates."""
     repeats = 1 if settings.quick else settings.repeats
     return max(settings.body_count, 1) * len(settings.profiles) * len(LIMBS) * 2 * repeats
 
@@ -421,10 +427,10 @@ class _Worlds:
     """All worlds of the test.
 
     Attributes:
-        labels: the columns of the case of each world.
-        columns: parameter name -> (n,) of those that are set.
-        starts: the perturbation of each start.
-        body, spine: the parameters of all worlds.
+        labels: Columns of the case of each world.
+        columns: Name of a parameter that is set -> values (n,).
+        starts: Perturbation of each initial pose.
+        body, spine: Parameters of all worlds.
     """
 
     labels: list[dict[str, Any]]
@@ -449,7 +455,7 @@ class _Worlds:
         return {name: column for name, column in self.columns.items() if name not in SPINE_NAMES}
 
     def parameters(self) -> BalanceParameters:
-        """Of the loop, every leaf with a leading axis, in JAX's default precision."""
+        """Parameters of the loop, every leaf with a leading axis, in JAX's default precision."""
         n, spine = len(self.labels), self.spine
         spines = jax.tree.map(
             lambda leaf: np.broadcast_to(leaf, n), dataclasses.replace(spine, harmonics=0.0)
@@ -469,7 +475,7 @@ class _Worlds:
 
 
 def _worlds(settings: Settings) -> _Worlds:
-    """All cases, from all starts, for all bodies; errors as for `run`."""
+    """The worlds of all cases, initial poses and parameter sets; errors as for `run`."""
     bodies = settings.bodies or {}
     for name in {**settings.values, **bodies}:
         choice("values", name, sorted(SETTABLE))
@@ -514,15 +520,15 @@ def _worlds(settings: Settings) -> _Worlds:
 def run(settings: Settings) -> CaseRuns:
     """Run the balance experiment.
 
-    The recordings also hold `readings` as sensors, and in their metadata `phases`: begin and end of each phase in
+    The recordings also contain `readings` as sensors, and in their metadata `phases`: begin and end of each phase in
     simulated time [s].
 
     Args:
-        settings: of the profiles the body and the clock apply; quick: one repeat; values: body parameters such as
-            `contact.friction`, and `SPINE_NAMES`.
+        settings: Settings. Profiles affect the body and the clock; a quick run has one repeat; values are parameters of
+            the body such as `contact.friction`, and `SPINE_NAMES`.
 
     Raises:
-        ParameterError: a parameter that does not apply here.
+        ParameterError: A parameter does not apply here.
     """
     worlds = _worlds(settings)
     robot = load_robot(scene="balance_stand", **settings.robot)
@@ -592,7 +598,7 @@ def run(settings: Settings) -> CaseRuns:
 def _about(
     row: Mapping[str, Any], labels: Mapping[str, Any], parameters: Mapping[str, float], ratio: float
 ) -> dict[str, Any]:
-    """What a recording says of its world."""
+    """Metadata of the recording of a world."""
     return {
         "experiment": "balance",
         "case": f"balance {row['leg']}" + (" sbc" if row["sbc"] else ""),

@@ -1,7 +1,7 @@
-"""The figures of an experiment, in the form of the published ones.
+"""The figures of an experiment, in the form of the published figures.
 
-One colour has one meaning throughout. The profile that is judged, `as_published`, is drawn in full colour, the others
-lighter, and published values in black outline.
+A colour has the same meaning in all figures. The profile `as_published`, which is judged, has full colours, other profiles
+have lighter ones, and published values have black outlines.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ Published = float | tuple[float, float] | None
 def figures_of_experiment(outcome: CaseRuns, lines: Lines) -> Iterator[tuple[str, Figure]]:
     """(EXPERIMENT-PICTURE, figure) of each picture for which the outcome has data.
 
-    Missing parts (a profile, a case, a recording) are left out of the figures.
+    Figures omit missing parts (a profile, a case, a recording).
 
     Args:
-        outcome: of the experiment.
-        lines: of its report, with the published values, which are drawn next to the simulated ones.
+        outcome: Outcome of the experiment.
+        lines: Lines of the report, with the published values, which are drawn next to the simulated values.
     """
     lines = [line for line in lines if line.experiment == outcome.experiment]
     draw = _DRAWERS.get(outcome.experiment, lambda outcome, lines: iter(()))
@@ -65,7 +65,7 @@ def figures_of_experiment(outcome: CaseRuns, lines: Lines) -> Iterator[tuple[str
             yield f"{outcome.experiment}-{name}", figure
 
 
-# --- what figures share: colours by meaning, marks and entries of legends, and grouped bars
+# --- common parts of figures: colours by meaning, marks and entries of legends, and grouped bars
 
 SPINE: Final = {False: OKABE_ITO["blue"], True: OKABE_ITO["vermilion"]}
 WITH: Final = {False: "without spine", True: "with spine"}
@@ -86,7 +86,7 @@ _FAILED: Final[dict[str, Any]] = {"color": INK, "ls": "none", "marker": "x", "ms
 
 
 def published(lines: Iterable[Line], figure: str) -> Published:
-    """The publication's number or interval for a figure of the report; None if the lines do not have it."""
+    """The published number or interval of a figure of the report; None if the lines do not contain it."""
     for line in lines:
         if (
             line.figure == figure
@@ -98,12 +98,12 @@ def published(lines: Iterable[Line], figure: str) -> Published:
 
 
 def times(factor: float, value: Published) -> float | None:
-    """A published number in another unit; None of an interval."""
+    """A published number in another unit; None for an interval."""
     return factor * value if isinstance(value, float) else None
 
 
 def profiles(outcome: CaseRuns) -> list[str]:
-    """The simulated profiles of an outcome, `as_published` first; the few cases of `as_built` stand in the report."""
+    """The simulated profiles of an outcome, `as_published` first; the report lists the few cases of `as_built`."""
     present = set(map(str, outcome.columns["profile"]))
     return [name for name in reversed(SIMULATED) if name in present] or sorted(present)
 
@@ -151,7 +151,7 @@ def diamond(ax: Axes, x: float, y: float, zorder: float) -> None:
 
 
 def mark_published(ax: Axes, x: float, value: Published) -> None:
-    """The publication's number as a diamond; an interval as a bracket around it."""
+    """Draw a published number as a diamond, and an interval as a bracket around it."""
     if value is None:
         return
     low, high = value if isinstance(value, tuple) else (value, value)
@@ -239,7 +239,7 @@ def repeats(outcome: CaseRuns, column: str, profile: str, **case: object) -> np.
 
 
 def only(values: np.ndarray) -> float:
-    """The value that all repeats share; NaN without one."""
+    """The value that all repeats share; NaN if there is none."""
     good = values[np.isfinite(values)]
     return float(good[0]) if len(good) else math.nan
 
@@ -327,10 +327,11 @@ def bar_page(
     """A page of bars, whose legend explains what they show in addition to their height.
 
     Args:
-        panels: rows of them.
-        handles: entries of the legend before those.
-        note: below; `{spread}` in it says how many repeats there are, and what the error bars mean.
-        hatched: meaning of hatched bars.
+        title, size: Title and size of the page.
+        panels: Rows of panels.
+        handles: First entries of the legend.
+        note: Note below; `{spread}` becomes the number of repeats and the meaning of the error bars.
+        hatched: Meaning of hatched bars.
     """
     page = FigurePage(title, size, len(panels), len(panels[0]), **subplots)
     bars: list[Bar] = []
@@ -372,8 +373,10 @@ def by_gait(
     """Rows of panels, with a column for each gait that was walked, and groups of bars for each frequency.
 
     Args:
-        kinds: what tells the bars of a group apart.
-        rows: of each what follows the gait in its titles, if it has any; label, cases, and the bar of a case.
+        outcome: Outcome of the experiment.
+        kinds: Labels of each bar of a group.
+        rows: For each row, the text after the gait in its titles (None for rows without titles), the label of its axis,
+            the labels of its cases, and a function that makes the bar of a case.
     """
     walked = {
         (gait, i): sorted(
@@ -423,7 +426,7 @@ def _number(value: Any) -> float | None:
 
 # Long because one figure is laid out from top to bottom.
 def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
-    """All numbers that were published and measured."""
+    """Draw all numbers that were published and measured."""
     rows = []
     for line in lines:
         # The value that counts as 0, and how far the published one, or an interval's middle, which counts as 1, is off.

@@ -1,4 +1,4 @@
-"""Results for programs and readers: the table of an experiment's worlds, report.json, and report.md."""
+"""The results of experiments as files: the table of the worlds, report.json, and report.md."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from nermo_mjx.runs.files import EMPTY_CELL, listed, table
 from nermo_mjx.sweep.spec import START_SPREAD
 from nermo_mjx.sweep.table import Columns, meta
 
-# --- a table: one row per world, with the roles of a sweep's table (see `nermo_mjx.sweep.table`): what tells the cases
-# apart is varied. `text` is a measurement in words; what is true or false is 1 or 0, and `logical` in the metadata
+# --- a table: one row per world, with the roles of the table of a sweep (see `nermo_mjx.sweep.table`). The columns of the
+# cases have the role `varied`, measurements in words the role `text`. Booleans are 1 or 0, with `logical` in the metadata
 
 REPEAT, PROFILE, CODE, TEXT = "repeat", "profile", "code", "text"
 
@@ -48,10 +48,11 @@ def table_of(
     """The table of an outcome.
 
     Args:
-        first_row, first_variant: numbers of its first row and its first case.
-        seed: of the starts.
-        code: short name of the code that made it.
-        metadata: what to note in the schema's metadata.
+        outcome: Outcome of an experiment.
+        first_row, first_variant: Indices of the first row and the first case.
+        seed: Seed of the initial states.
+        code: Short name of the code that made the outcome.
+        metadata: Additional metadata of the schema.
     """
     columns, cases, count = Columns(), case_columns(outcome), len(outcome)
     variants: dict[tuple[Any, ...], int] = {}
@@ -123,7 +124,7 @@ def case_table(
     the number of cases.
 
     Args:
-        needs: metric -> column that must be a number for the metric to be meaningful.
+        needs: Metric -> column that must be a number for the metric to be meaningful.
     """
     labels = [name for name in case_columns(outcome) if name != PROFILE]
     metrics = [name for name in metrics if name in outcome.columns]
@@ -197,7 +198,7 @@ LINE_HEADINGS = (
 )
 
 
-#: What a record says for the directory alone.
+#: Fields of a record that concern the directory only.
 _OF_RECORD: Final = ("recordings", "rows", "bodies", "drawn")
 
 
@@ -207,7 +208,7 @@ def entry_of(
     """The stored entry of an experiment: its lines, its settings, and its size.
 
     Args:
-        metadata: its settings, engine, code, session and duration.
+        metadata: Settings, engine, code, session and duration of the experiment.
     """
     cases = [name for name in case_columns(outcome) if name != PROFILE]
     status, number_of = np.unique(
@@ -227,7 +228,7 @@ def entry_of(
 
 
 def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Content of report.json, from the entries of all experiments that a directory holds.
+    """Content of report.json, from the entries of all experiments in a directory.
 
     Returns:
         `lines` of all experiments; `summary`: how many of them hold, in total, by kind and by experiment;
@@ -279,7 +280,7 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def cells(line: Mapping[str, Any]) -> list[str]:
-    """A line of report.json as a row of texts under `HEADINGS`."""
+    """A line of report.json as a row of texts under `LINE_HEADINGS`."""
     name = f"{line['figure']} [{line['unit']}]" if line["unit"] not in ("", "1") else line["figure"]
     published = published_text(line["published"], at_most=line["rule"] == "at_most")
     values = [_value(line[profile]) for profile in ("as_published", "exact", "as_built")]
@@ -358,9 +359,9 @@ def report_page(
     """The text of report.md.
 
     Args:
-        content: of report.json.
-        experiments: in the order of the report.
-        outcomes: by experiment; they give the cases.
+        content: Content of report.json.
+        experiments: Experiments, in the order of the report.
+        outcomes: Name of an experiment -> outcome, with its cases.
     """
     reported = [experiments[name] for name in experiments if name in content["experiments"]]
     parts = ["# The published experiments, simulated again\n", *_summary(content, reported)]

@@ -1,7 +1,7 @@
-"""The experiments that walk: straight line, turning and maze. A design is a list of named rows, walked in one batch.
+"""The experiments with walks: straight line, turning and maze. The cases of an experiment run in one batch.
 
-The simulated profiles walk with full strides. The hardware ran at a normalised stride of 0.8 (Table 6.1), and so does
-`as_built`. The text on the turning test (A.4.2) keeps the stride "constant at 0.08", evidently a misprint (erratum 6).
+The simulated profiles have full strides. The hardware and `as_built` have a normalised stride of 0.8 (Table 6.1). The
+text on the turning test (A.4.2) keeps the stride "constant at 0.08", evidently a misprint (erratum 6).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _BUILT: Final = ("as_built",)
 def _record(
     simulator: Simulator, chosen: list[Case], settings: Settings, length: Any, names: list[str]
 ) -> Any:
-    """Recordings of the first start of cases in the first profile, by the names given; none of identified bodies."""
+    """Recordings of cases with the first initial state in the first profile, by name; empty for identified bodies."""
     one = settings.but(profiles=settings.profiles[:1], repeats=1)
     chosen = [case for case in chosen if one.profiles[0] in case.profiles]
     if settings.bodies is not None or not chosen:
@@ -66,7 +66,7 @@ _RECORDED: Final = 8.0
 
 
 def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **options: Any) -> Case:
-    """A case of the straight line; `other`: whether it is `compensated`, and its `profiles`."""
+    """A case of the straight line; `options` are `compensated` and `profiles`."""
     compensated = options.get("compensated", False)
     labels: dict[str, Label] = {
         "gait": gait,
@@ -74,7 +74,7 @@ def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **optio
         "stride": stride,
         "spine": spine,
     }
-    # Without the author's PD pilot, as his own model beside it. The guidance of the other profiles has no such gains.
+    # Without the PD pilot of the author, as in the author's model. The guidance of the other profiles has no such gains.
     values = {"frequency": frequency, "stride": stride, "spine.amplitude": AMPLITUDE * spine}
     values |= {
         "spine.offset_compensation": float(compensated),
@@ -86,7 +86,7 @@ def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **optio
 
 
 def line_cases(quick: bool = False) -> tuple[Case, ...]:
-    """The published cases, and a robot that stands; `quick` keeps those at 0.8 Hz and the compensation's."""
+    """The published cases, and a standing robot; with `quick`, the cases at 0.8 Hz and the offset compensation."""
     frequencies = FREQUENCIES[-1:] if quick else FREQUENCIES
     spine_values = (False, True)
     still = {"stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
@@ -120,9 +120,9 @@ def line_cases(quick: bool = False) -> tuple[Case, ...]:
 
 
 def walk_line(settings: Settings) -> CaseRuns:
-    """Simulate all cases in one batch, and those whose gait cycle is analysed in another, which is recorded.
+    """Simulate all cases in one batch, and the cases with an analysed gait cycle in another batch, which is recorded.
 
-    Quick: fewer cases, and half a metre.
+    A quick run has fewer cases, and half a metre.
     """
     simulator = Simulator(
         settings.setup("straight_line", spine="stride_extension"), engine=settings.engine
@@ -166,7 +166,7 @@ PARTS: Final = 50
 PROMINENT: Final = 0.2
 #: A foot bears load above this force [N], as in `rollout.metrics`.
 LOADED_FOOT_NEWTONS: Final = 0.02
-#: A foot lifts off from this share of its stance on, until this share of the cycle after it.
+#: The lift-off of a foot begins at this share of its stance, and ends this share of the cycle after it.
 LAST_OF_STANCE: Final = 2 / 3
 AFTER_STANCE: Final = 1 / 6
 #: Share of the cycle after a leg's planned lift-off in which the pitch is attributed to the lift-off.
@@ -176,18 +176,20 @@ _RECORDED_WORLDS: Final = 64
 _attitude = jax.jit(attitude)
 
 _SLIP: Final = ("slip_rear_touch_down", "slip_rear_mid_stance", "slip_rear_lift_off")
-#: What is measured over the gait cycle.
+#: Columns that are measured over the gait cycle.
 CYCLE: Final = ("pitch_peaks", "pitch_peak_up", "pitch_lift_off", "yaw_spine_correlation", *_SLIP)
 
 
 def gait_cycle(
     simulator: Simulator, batch: Worlds, row_numbers: np.ndarray, run: Run
 ) -> dict[str, np.ndarray]:
-    """`CYCLE` of the wanted worlds of a batch, which are simulated again and recorded; NaN for the others.
+    """Columns `CYCLE` of selected worlds of a batch, which are simulated again and recorded; NaN for the other worlds.
 
     Args:
-        row_numbers: mask (n,).
-        run: its warm-up is excluded, and the rest is whole gait cycles.
+        simulator: Simulator of the worlds.
+        batch: Worlds.
+        row_numbers: Mask (n,) of the selected worlds.
+        run: Duration; its warm-up is excluded, and the rest consists of whole gait cycles.
     """
     columns = {name: np.full(len(row_numbers), np.nan) for name in CYCLE}
     everything, rows = batch.all_values(simulator.setup.defaults()), np.flatnonzero(row_numbers)
@@ -215,7 +217,7 @@ def of_world(trace: History, world: int, values: Mapping[str, float], run: Run) 
         name: np.asarray(trace.sensors[name][world][inside], float)
         for name in ("servo_angle", "foot_force", "foot_velocity")
     }
-    # Of the whole trace: its length is the same for all worlds, so that one program serves them all.
+    # The whole trace has the same length for all worlds, so that one program suffices.
     _, pitch, yaw = np.asarray(_attitude(trace.sensors["orientation"][world]), float)[inside].T
     spine = sensors["servo_angle"][:, SERVOS.index("spine")]
     stance = {limb: values["offset." + limb] for limb in LIMBS}
@@ -242,11 +244,11 @@ def folded(
 def pitch_course(
     pitch: Float[np.ndarray, " parts"], duty: float, offsets: list[float]
 ) -> dict[str, float]:
-    """The pitch's part of `CYCLE`, from its mean course.
+    """The columns of the pitch in `CYCLE`, from its mean course.
 
     Args:
-        pitch: positive nose down [rad].
-        duty, offsets: of the gait; a leg is planned to lift off at offset + duty.
+        pitch: Pitch, positive nose down [rad].
+        duty, offsets: Duty factor and offsets of the gait; a leg is planned to lift off at offset + duty.
     """
     up = -pitch
     twice = np.tile(up, 3)
@@ -271,7 +273,7 @@ def rear_slip(
     duty: float,
     offsets: Mapping[str, float],
 ) -> dict[str, float]:
-    """The slip's part of `CYCLE`: mean horizontal speed of the loaded rear feet in three parts of their stance."""
+    """The columns of the slip in `CYCLE`: mean horizontal speed of the loaded rear feet in three parts of their stance."""
     speed, distances = np.linalg.norm(velocity[..., :2], axis=-1), np.zeros((3, 2))
     for i, limb in enumerate(LIMBS):
         if not limb.startswith("rear"):
@@ -299,7 +301,7 @@ TURN_SIGNS: Final = {"left": 1.0, "right": -1.0}
 #: A path is followed if the torso, including its sway, stays this close to it: 5 % of its radius, at least 2.5 cm.
 BOUND_SHARE: Final = 0.05
 LEAST_BOUND: Final = 0.025
-#: In time means at least this share of the theoretical speed.
+#: Minimum speed of a world that arrives in time, as a share of the theoretical speed.
 _IN_TIME: Final = 0.3
 _LOCK_CYCLES: Final = 14.0
 
@@ -313,7 +315,7 @@ def _turn(
     stride: float = 1.0,
     **options: Any,
 ) -> Case:
-    """A case of the turning test; `other`: its `profiles`."""
+    """A case of the turning test; `options` are its `profiles`."""
     values = {
         "frequency": frequency,
         "stride": stride,
@@ -354,7 +356,7 @@ def turn_cases(quick: bool = False) -> tuple[Case, ...]:
 
 
 def walked_turns(settings: Settings) -> list[Case]:
-    """The cases that are walked: without full lock, if the controller needs a path."""
+    """The cases that are simulated: without full lock if the controller requires a path."""
     locks = settings.controller is None or not settings.controller.needs_path
     return [
         case for case in turn_cases(settings.quick) if locks or case.labels["radius"] != FULL_LOCK
@@ -364,7 +366,7 @@ def walked_turns(settings: Settings) -> list[Case]:
 def walk_turns(settings: Settings) -> CaseRuns:
     """Turn in all cases: the quarter circles in one batch, full lock in another, whose pilot holds its command.
 
-    Full lock is left out for a controller that needs a path.
+    Full lock is omitted for a controller that requires a path.
     """
     parts: list[dict[str, np.ndarray]] = []
     recordings: dict[str, Recording] = {}
@@ -438,7 +440,7 @@ def _turn_length(values: Mapping[str, np.ndarray], radius: np.ndarray) -> Run:
 def _judged(
     columns: dict[str, np.ndarray], longest: np.ndarray, max_stride: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Adds time, `followed` and the radii of theory; a world that has not arrived was measured for `longest` [s]."""
+    """Add time, `followed` and theoretical radii; a world that did not arrive was measured for `longest` [s]."""
     radius, strategy = columns["radius"], columns["strategy"]
     lock = radius == FULL_LOCK
     near = columns["cross_track_peak"] <= bound(radius)
@@ -485,7 +487,7 @@ def maze_course() -> Course:
 def maze_cases() -> tuple[Case, ...]:
     """Without the spine: leg-based turning. With it: mix-based turning and stride extension.
 
-    Path and pilot are this project's: with the author's, `as_published` runs into a box at the first bends.
+    Path and pilot are not the author's, with which `as_published` runs into a box at the first bends.
     """
     cases = []
     for profiles, stride in ((SIMULATED, 1.0), (_BUILT, HARDWARE_STRIDE)):
@@ -503,7 +505,7 @@ def maze_cases() -> tuple[Case, ...]:
 def walk_maze(settings: Settings) -> CaseRuns:
     """Walk through the maze in all cases, in one batch.
 
-    Quick: the first metre only, so that no run reaches the end.
+    A quick run covers the first metre only, so that no world reaches the end.
     """
     setup = settings.setup(
         "maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE

@@ -60,18 +60,18 @@ class CEngine:
     def __init__(self, robot: Robot, loop: Loop, threads: Threads = None) -> None:
         """
         Args:
-            robot, loop: to simulate.
-            threads: processors that share a batch; None for `$NERMO_MJX_THREADS`, or else all. A pool is shared with
-                other engines: as many blocks run at a time as it has threads, of whichever batch.
+            robot, loop: Robot and loop to simulate.
+            threads: Processors that share a batch; None for `$NERMO_MJX_THREADS`, or else all. Several engines can share
+                a pool, which runs one block per thread, of any batch.
 
         Raises:
-            ParameterError: fewer than one thread.
+            ParameterError: There is fewer than one thread.
         """
         start_jax()
         self.robot, self.loop = robot, loop
         self.model = copy.copy(robot.physical)
-        # Each foot moves few joints: constraints on it are solved in less time without the zeros. MJX has no such
-        # choice here: from a sparse model it would take another path through its own code.
+        # Few joints move each foot, so that sparse Jacobians save time. MJX does not use this option here: a sparse model
+        # would change the path through its code.
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         self.shared = threads if isinstance(threads, ThreadPoolExecutor) else None
         try:
@@ -122,7 +122,7 @@ class CSession:
                 self._blocks.append(_Block(engine, part, qpos[span], varied, threads))
             self.loop.step(
                 *self.arguments
-            )  # compiled before several threads need it at the same time
+            )  # compile now, before several threads need it at the same time
 
     @property
     def loop_state(self) -> Any:
@@ -143,7 +143,7 @@ class CSession:
 
     @property
     def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
-        """Arguments of the next call of `loop.step`, for `BLOCK_WORLDS` worlds of whatever batch."""
+        """Arguments of the next call of `loop.step`, for `BLOCK_WORLDS` worlds of any batch."""
         return self._blocks[0].arguments
 
     @property
@@ -190,8 +190,8 @@ class CBodies:
     """The bodies of n worlds, under servo targets `ctrl` (n, n_servos) [rad].
 
     Attributes:
-        qpos, qvel, sensordata: of all worlds (n, nq), (n, nv), (n, n_sensordata), live.
-        moving: worlds that are stepped.
+        qpos, qvel, sensordata: Views of the state and the sensors of all worlds (n, nq), (n, nv), (n, n_sensordata).
+        moving: Indices of the worlds that are stepped.
     """
 
     def __init__(
@@ -214,7 +214,7 @@ class CBodies:
         self.moving = np.arange(self.worlds)
 
     def move(self, readings: np.ndarray) -> None:
-        """One tick of physics; `readings` (n, steps, n_sensordata) are overwritten, those of a failed world by NaN."""
+        """Simulate one tick, and write the sensors to `readings` (n, steps, n_sensordata); NaN for a failed world."""
         ids = None if len(self.moving) == self.worlds else self.moving
         out = readings if ids is None else readings[ids]
         lost = (
@@ -231,7 +231,7 @@ class CBodies:
             readings[self.batch.warning.reshape(self.worlds, -1).any(axis=1)] = np.nan
 
     def _rollout(self, steps: int, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
-        """Run steps of physics, and return the worlds that failed: they keep their state, the others are unaffected."""
+        """Run steps of physics, and return the failed worlds, which keep their state; other worlds are not affected."""
         try:
             self.batch.rollout(steps, record=("sensordata",), ids=ids, out={"sensordata": out})
         except SimulationError as error:
@@ -239,7 +239,7 @@ class CBodies:
         return []
 
     def _play(self, servos: ServosWithPlay, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
-        """The steps of a tick one by one, each with the controls of servos with play."""
+        """Run the steps of a tick one by one, with the controls of servos with play, and return the failed worlds."""
         target, diverged = self.ctrl.copy(), []
         for step in range(self.steps):
             self.ctrl[...] = servos.controls(target, self.qpos, self.qvel)
@@ -314,7 +314,7 @@ def _spans(worlds: int, threads: int) -> list[np.ndarray]:
 
 
 # ---
-# Worlds of the C engine that are driven from outside, a few ticks at a time, and reset individually.
+# Worlds of the C engine that receive inputs every few ticks, and can be reset individually.
 
 
 class CDriven(CSession):
@@ -350,11 +350,11 @@ class CDriven(CSession):
         """Reset some worlds, at rest.
 
         Args:
-            worlds: indices (k,), in increasing order.
-            params, qpos, fields: as for `CSession`, of these worlds.
+            worlds: Indices (k,) of the worlds, in increasing order.
+            params, qpos, fields: Arguments of `CSession` for these worlds.
 
         Returns:
-            Their observations, leaves (k, ...).
+            Observations of these worlds, leaves (k, ...).
         """
         parts = []
         for span, block in zip(self._spans, self._blocks, strict=True):

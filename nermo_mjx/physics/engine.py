@@ -59,9 +59,9 @@ class Trace:
     """The data of a recorded run, world first, one entry per tick.
 
     Attributes:
-        qpos, qvel: state at the end of each tick, (n, ticks, nq) and (n, ticks, nv).
-        ctrl: servo targets during the tick, (n, ticks, n_servos).
-        sensordata: of the tick's last step, (n, ticks, n_sensordata).
+        qpos, qvel: State at the end of each tick, (n, ticks, nq) and (n, ticks, nv).
+        ctrl: Servo targets during the tick, (n, ticks, n_servos).
+        sensordata: Sensor readings of the last step of each tick, (n, ticks, n_sensordata).
     """
 
     qpos: np.ndarray
@@ -90,7 +90,7 @@ class Session(Protocol):
         """Like `advance`, and return the recorded data."""
 
     def retire(self, done: np.ndarray) -> None:
-        """Declare the worlds in the mask (n,) finished: their physics need not be stepped from now on."""
+        """Declare the worlds in the mask (n,) finished, so that the engine can omit their physics from now on."""
 
 
 @runtime_checkable
@@ -103,9 +103,9 @@ class Engine(Protocol):
         """Start a batch at rest.
 
         Args:
-            params: parameters of the loop, every leaf with a leading world axis (n, ...).
-            qpos: initial positions, (n, nq).
-            fields: model fields that differ between worlds, (n, ...) each (see `Variation`).
+            params: Parameters of the loop, every leaf with a leading world axis (n, ...).
+            qpos: Initial positions, (n, nq).
+            fields: Fields of the model that differ between worlds, (n, ...) each (see `Variation`).
         """
 
 
@@ -129,7 +129,7 @@ class Devices:
     """Devices over which the worlds of a batch are sharded.
 
     Attributes:
-        mesh: of one axis, `worlds`; None for a single device.
+        mesh: Mesh with one axis, `worlds`; None for a single device.
     """
 
     mesh: Mesh | None = None
@@ -163,7 +163,7 @@ class Devices:
         """A function of batches that runs on each device with that device's worlds.
 
         Args:
-            function: of arrays, jittable.
+            function: Jittable function of arrays.
             arguments, results: `FIRST_AXIS`, `SECOND_AXIS` or `NO_AXIS` for each argument, and for each part of the result.
         """
         if self.mesh is None:
@@ -182,10 +182,10 @@ def choose_devices(requested: int | None = None) -> Devices:
     """The local devices that this process uses.
 
     Args:
-        requested: number of devices; None for `$NERMO_MJX_DEVICES`, or else all.
+        requested: Number of devices; None for `$NERMO_MJX_DEVICES`, or else all.
 
     Raises:
-        ParameterError: there are fewer devices.
+        ParameterError: There are fewer devices.
     """
     start_jax()
     local = jax.local_devices()
@@ -228,9 +228,9 @@ class PackedLoop:
     def __init__(self, loop: Loop, params: Any, sensordata: np.ndarray) -> None:
         """
         Args:
-            loop: of one world.
-            params: of an example batch, leaves (n, ...).
-            sensordata: readings of that batch (n, n_sensordata).
+            loop: Loop of one world.
+            params: Parameters of an example batch, leaves (n, ...).
+            sensordata: Sensor readings of this batch (n, n_sensordata).
         """
         world_params = jax.eval_shape(
             lambda params: jax.tree.map(lambda leaf: leaf[0], params), params
@@ -264,7 +264,8 @@ class PackedLoop:
             (`runtime.EXTRA_OPTIONS`)."""
 
             def body(round_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-                # Made to depend on the iteration, or else computations on them alone would be hoisted out of the loop.
+                # The barrier makes the arguments depend on the iteration, so that XLA does not move their computations out of
+                # the loop.
                 _, params_of_round, readings = jax.lax.optimization_barrier(
                     (round_, params, sensordata)
                 )
@@ -288,7 +289,7 @@ class PackedLoop:
     def _drive(
         self, loop: DrivenLoop, world_params: Any, state: Any, sensordata: np.ndarray
     ) -> None:
-        """The additional interface of a driven loop."""
+        """Compile the additional functions of a driven loop."""
         unpack_params, unpack_state = _unpacking(world_params), _unpacking(state)
         one_world = jax.jit(full_precision(loop.observe), inline=True)
         real = jax.dtypes.canonicalize_dtype(sensordata.dtype)
@@ -340,8 +341,10 @@ class PackedLoop:
 
 
 def _unpacking(tree: Any) -> Callable[[Array], Any]:
-    """Function from a row to a tree of these shapes; built without computing one, which would compile many small
-    programs."""
+    """Function from a row to a tree of these shapes.
+
+    It is built without computing a row, which would compile many small programs.
+    """
     unpackers: list[Callable[[Array], Any]] = []
     jax.eval_shape(lambda tree: unpackers.append(ravel_pytree(tree)[1]), tree)
     return unpackers[0]

@@ -1,4 +1,4 @@
-"""Geometry within a batch: from lengths and positions to the fields of MuJoCo's model.
+"""Geometry within a batch: fields of MuJoCo's model from lengths and positions.
 
 All positions in the model are linear in the geometry, because its zero pose keeps its angles (`robot.assembly`). Their
 slopes are therefore computed from models compiled at both ends of a parameter's range, so that a world's fields equal
@@ -39,8 +39,8 @@ class GeometryFields:
     def __init__(self, robot: Robot, names: Iterable[str]) -> None:
         """
         Args:
-            robot: to compile models of, two for each name.
-            names: names such as `geometry.hip.x`.
+            robot: Robot, from which two models are compiled for each name.
+            names: Names such as `geometry.hip.x`.
         """
         self.names = tuple(sorted(names))
         self.model = robot.physical
@@ -117,7 +117,7 @@ class GeometryFields:
         """The fields of one world, in JAX, shaped as in `mujoco.MjModel`.
 
         Args:
-            geometry: leaves of shape ().
+            geometry: Geometry, leaves of shape ().
         """
         values = {f"geometry.{name}": value for name, value in values_of(geometry)}
         change = jnp.stack([jnp.asarray(values[name], float) for name in self.names]) - jnp.asarray(
@@ -212,9 +212,9 @@ class _Read:
     """Quantities of a model in its zero pose.
 
     Attributes:
-        linear: fields, and world positions of sites and geoms.
-        inertia: tensors about the bodies' origins, in the bodies' frames (nbody, 3, 3).
-        turn: principal axes in the bodies' frames (nbody, 3, 3).
+        linear: Fields, and world positions of sites and geoms.
+        inertia: Tensors about the bodies' origins, in the bodies' frames (nbody, 3, 3).
+        turn: Principal axes in the bodies' frames (nbody, 3, 3).
     """
 
     linear: dict[str, np.ndarray]
@@ -239,7 +239,7 @@ class _Read:
 
 @functools.lru_cache(maxsize=256)  # a tenth of a second each
 def _at_ends(config: RobotConfig, name: str) -> tuple[_Read, _Read]:
-    """Of models at both ends of the range of a parameter of the geometry, which many simulators have in common."""
+    """Quantities of the models at both ends of the range of a parameter; many simulators share them."""
     robot, declaration = (
         load_robot(config),
         dict(quantities(Geometry))[name.removeprefix("geometry.")],
@@ -301,13 +301,13 @@ class _Antagonist:
     """A tendon through sites that wraps around one pulley: its length with all joints straight.
 
     Attributes:
-        id: of the tendon.
-        sites: ids in order.
-        pulley: its geom.
-        span: index of the first of the two sites on either side of the pulley.
-        frame: axes of the pulley in the world, columns.
+        id: Id of the tendon.
+        sites: Ids of the sites, in order.
+        pulley: Id of the geom of the pulley.
+        span: Index of the first of the two sites on either side of the pulley.
+        frame: Axes of the pulley in the world, columns.
         turn: +1 or -1, the sense about the pulley's axis in which the tendon wraps around it.
-        places: world positions of all sites and geoms of the published robot.
+        places: World positions of all sites and geoms of the published robot.
     """
 
     id: int

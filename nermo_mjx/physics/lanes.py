@@ -24,7 +24,7 @@ class Lanes:
     def __init__(self, function: Callable[..., Any]) -> None:
         """
         Args:
-            function: of one world.
+            function: Jittable function of one world.
         """
         self._program = jax.jit(
             full_precision(jax.vmap(function)), compiler_options=compiler_options(level=0)

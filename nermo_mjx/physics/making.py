@@ -1,4 +1,4 @@
-"""Engines by name: which of them this machine has, and the one that is wanted."""
+"""Engines by name: the choice of an engine that this machine supports, and its construction."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def resolve_engine(name: str) -> str:
     `auto` is `c` on a CPU and `mjx` on an accelerator.
 
     Raises:
-        ParameterError: an unknown name, or an engine that cannot run here; the message names the remedy.
+        ParameterError: The name is unknown, or the engine cannot run here; the message describes the remedy.
         BackendUnavailable: JAX cannot use the platform in `JAX_PLATFORMS`.
     """
     if name not in ENGINES:
@@ -44,13 +44,13 @@ def make_engine(
     'c'
 
     Args:
-        name: see `resolve_engine`.
-        robot, loop: what runs.
-        devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
-        threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or else all.
+        name: Name of the engine, see `resolve_engine`.
+        robot, loop: Robot and loop to simulate.
+        devices: Local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
+        threads: Processors that `c` uses; None for `$NERMO_MJX_THREADS`, or else all.
 
     Raises:
-        ParameterError: an unknown engine, one that cannot run here, too many devices, or no thread.
+        ParameterError: The engine is unknown or cannot run here, or there are too many devices, or fewer than one thread.
     """
     engine_name = resolve_engine(name)
     if engine_name == "c":

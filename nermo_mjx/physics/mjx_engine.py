@@ -46,15 +46,15 @@ from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array, Count, Dofs, Truth
 
 # ---
-# Skips sensors that are not read: an accelerometer alone takes a pass over the whole tree and back.
+# The loop's program determines which sensors are computed: an accelerometer alone needs a pass over the whole tree.
 
 
 def read_entries(program: ClosedJaxpr, size: int) -> Bool[np.ndarray, " size"]:
     """The entries of its last argument that a program's results depend on.
 
     Args:
-        program: its last argument is (..., size); any use other than slicing counts as reading all of it.
-        size: length of that argument's last axis.
+        program: Program whose last argument is (..., size); any use other than slicing reads all entries.
+        size: Length of the last axis of this argument.
     """
     last, read = program.jaxpr.invars[-1], np.zeros(size, bool)
     needed = {var for var in program.jaxpr.outvars if isinstance(var, Var)}
@@ -102,7 +102,7 @@ class MjxState(NamedTuple):
     motor: Float[Array, " n_servos"] | None = None
 
     def into(self, data: mjx.Data) -> mjx.Data:
-        """Data in this state, of all but the motors, which MuJoCo does not know."""
+        """Data with this state, without the motors, which are not part of MuJoCo's state."""
         return data.replace(
             qpos=self.qpos, qvel=self.qvel, act=self.act, qacc_warmstart=self.qacc_warmstart
         )
@@ -132,11 +132,11 @@ class MjxEngine:
     def __init__(self, robot: Robot, loop: Loop, devices: int | None = None) -> None:
         """
         Args:
-            robot, loop: to simulate.
-            devices: local devices that share a batch; None for `$NERMO_MJX_DEVICES`, or else all.
+            robot, loop: Robot and loop to simulate.
+            devices: Local devices that share a batch; None for `$NERMO_MJX_DEVICES`, or else all.
 
         Raises:
-            ParameterError: there are fewer devices.
+            ParameterError: There are fewer devices.
         """
         self.robot, self.loop = robot, loop
         self.devices = choose_devices(devices)
@@ -153,7 +153,7 @@ class MjxEngine:
         """The model for MJX, and data of a single world.
 
         Raises:
-            ParameterError: a scene has something that MJX does not simulate.
+            ParameterError: MJX does not simulate an element of the scene.
         """
         missing = not_simulated(model)
         if missing:
@@ -174,7 +174,7 @@ class MjxEngine:
     def physics_step(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
         """One step of physics in one world."""
         with warnings.catch_warnings():
-            # Of side sites, while this is traced: `load_robot` says for which robot they matter.
+            # Ignore the warning about side sites, because `load_robot` warns for the robots that they affect.
             warnings.filterwarnings("ignore", "tendon .* has a side site")
             return differentiable.step(model, data)
 
@@ -205,9 +205,9 @@ class MjxEngine:
         """One control tick of one world: the new carry, and the servos' targets.
 
         Args:
-            params, fields: of the loop, and fields that differ from the model's.
-            carry: before the tick.
-            record: whether to compute all sensors, including those that the loop does not read.
+            params, fields: Parameters of the loop, and fields that differ from the model.
+            carry: Carry before the tick.
+            record: Whether to compute all sensors, including sensors that the loop does not read.
         """
         return self._tick(False, record, self.data, params, fields, carry)
 
@@ -226,9 +226,10 @@ class MjxEngine:
         With `vmap` inside the loop over the steps, the physics is batched while it is traced, not in a second pass.
 
         Args:
-            batched: whether there is more than one world.
-            shown: whether to compute all sensors, including those that the loop does not read.
-            blank, params, fields, carry: data of one of them, and as in `tick`.
+            batched: Whether there is more than one world.
+            shown: Whether to compute all sensors, including sensors that the loop does not read.
+            blank: Data of one world.
+            params, fields, carry: Arguments of `tick`.
         """
 
         def each(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -278,7 +279,7 @@ class MjxEngine:
         ]
 
     def _played(self, play: Play, ctrl: Array, state: MjxState) -> tuple[Array, Array]:
-        """Controls of a step, and where the motors are after it, for servos with play."""
+        """Controls of a step, and angles of the motors after it, for servos with play."""
         angle, velocity = state.qpos[self._servo_qpos], state.qvel[self._servo_dofs]
         return played(play, state.motor, ctrl, angle, velocity, float(self.robot.config.timestep))
 
@@ -375,7 +376,7 @@ class MjxSession:
         return Trace(*(column[: self.worlds] for column in joined))
 
     def retire(self, done: np.ndarray) -> None:
-        """See `Session.retire`; all worlds run in one program here, so nothing can be saved."""
+        """See `Session.retire`; it has no effect, because all worlds run in one program."""
 
     def _part(self, span: slice) -> tuple[Any, Any, Any]:
         if len(self.slices) == 1:
@@ -394,7 +395,7 @@ def _join(parts: list[Any]) -> Any:
 def _constants(
     model: mujoco.MjModel, qpos: np.ndarray, fields: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Sensor readings at rest, and the fields with the constants MuJoCo derives from them, both from the C engine.
+    """Sensor readings at rest, and the fields with the constants that MuJoCo derives from them, both from the C engine.
 
     MJX has no `mj_setConst`; and a `forward` before the scan would double what XLA compiles.
     """
@@ -414,14 +415,14 @@ def _constants(
 
 
 # ---
-# MJX with MuJoCo Warp below it: the fastest batches on an NVIDIA GPU, in single precision and without derivatives.
+# MJX on top of MuJoCo Warp: the fastest batches on an NVIDIA GPU, in single precision and without derivatives.
 #
 # Controller, metrics and scan are those of the engine `mjx`; a step of physics is one call of MuJoCo Warp for all
 # worlds of a device.
 
 
 def obstacle() -> str | None:
-    """Why Warp cannot run in this process, as a clause with the remedy; None if it can."""
+    """The reason why Warp cannot run in this process, as a clause with the remedy; None if it can."""
     if jax.default_backend() != "gpu" or "cuda" not in backend.backends():
         return (
             f"it needs an NVIDIA GPU, and JAX computes on {jax.default_backend()} here; take the engine mjx or c, or "
@@ -481,15 +482,16 @@ class WarpEngine(MjxEngine):
         return jnp.zeros((), bool)
 
 
-#: Worlds of a batch that MuJoCo C walks beside Warp, for how many control ticks at most, and how far the torso may be
-#: from C's by then [m]. On `mjx`, in single precision too, 8,192 walks of six cycles went as far as C's within 0.2 mm.
+#: Number of worlds that MuJoCo C simulates in addition to Warp, maximum number of control ticks, and maximum distance of
+#: the torso between both [m]. On `mjx`, in single precision as well, the distances of 8,192 walks of six cycles agree with
+#: MuJoCo C within 0.2 mm.
 COMPANION_WORLDS: Final = 8
 CHECKED_TICKS: Final = 100
 LARGEST_DEVIATION_METRES: Final = 0.005
 
 
 class WarpSession(MjxSession):
-    """A batch of worlds in Warp; MuJoCo C walks a few of them, too, for the first second.
+    """A batch of worlds in Warp; MuJoCo C also simulates a few of them, for the first second.
 
     On an NVIDIA H100, Warp 1.18 returned wrong states of large batches without an error (docs/benchmarks/README.md).
     """
@@ -513,7 +515,7 @@ class WarpSession(MjxSession):
         """See `Session.advance`.
 
         Raises:
-            ParameterError: Warp failed, or is not where MuJoCo C is.
+            ParameterError: Warp failed, or its positions disagree with MuJoCo C.
         """
         super().advance(ticks)
         self._check(ticks)
@@ -538,7 +540,7 @@ class WarpSession(MjxSession):
                 f"engine is 'warp': it failed on this device ({reason}); take the engine mjx."
             ) from None
         distance = np.abs(positions - right).max(axis=1)
-        # A world that C itself loses is no oracle; a NaN of Warp alone is a difference.
+        # A world that fails in C is not compared; a NaN of Warp alone is a difference.
         wrong = np.isfinite(right).all(axis=1) & ~(distance <= LARGEST_DEVIATION_METRES)
         if wrong.any():
             raise ParameterError(

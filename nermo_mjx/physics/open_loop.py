@@ -1,13 +1,14 @@
-"""Trajectories of any MuJoCo model on MuJoCo C, differentiable: states from a start and controls, in open loop.
+"""Differentiable trajectories of any MuJoCo model on MuJoCo C: states from an initial state and controls, in open loop.
 
 The derivative of a step is that of the solution of MuJoCo's discrete inverse dynamics (implicit function theorem). With
 a = (v' - v) / h and the inverse dynamics' force f(q, v, a, act, u), which is zero along a motion,
 
     dv' = dv - h (df/da)^-1 (df/dq dq + df/dv dv + df/dact dact + df/du du).
 
-`mjd_inverseFD` gives the first three derivatives by differences (`mjENBL_INVDISCRETE`, so that it knows the implicit
-terms of the integrator); those to activations and controls are differences of the same function. Where the inverse
-dynamics does not return the step (Runge-Kutta, the noslip solver), the derivatives are differences of steps.
+`mjd_inverseFD` gives the first three derivatives by differences (`mjENBL_INVDISCRETE`, so that it includes the implicit
+terms of the integrator). The derivatives with respect to activations and controls are differences of the same function.
+If the inverse dynamics does not return the step (Runge-Kutta, the noslip solver), the derivatives are differences of
+steps.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ _SECOND_DERIVATIVE_MESSAGE: Final = (
 def first_order_callback(
     function: Callable[..., Any], shapes: Any, refusal: str, *arguments: Array
 ) -> Any:
-    """A callback under `jit` and `vmap`, which has no further derivative: who asks for one gets the refusal."""
+    """A callback under `jit` and `vmap`; a further derivative raises `ParameterError` with the message `refusal`."""
 
     @jax.custom_jvp
     def called(*arguments: Array) -> Any:
@@ -72,10 +73,10 @@ def first_order_callback(
 
 
 class States(NamedTuple):
-    """States of a trajectory of T steps, the start first.
+    """States of a trajectory of T steps, the initial state first.
 
     Attributes:
-        qpos, qvel, act: (T + 1, nq), (T + 1, nv), (T + 1, na).
+        qpos, qvel, act: Positions (T + 1, nq), velocities (T + 1, nv) and activations (T + 1, na).
     """
 
     qpos: Float[Array, "states nq"]
@@ -87,10 +88,10 @@ class Linearized(NamedTuple):
     """Derivatives of the T steps of a trajectory, in MuJoCo's tangent space x = (dq, dv, dact), of size 2 nv + na.
 
     Attributes:
-        states: (T + 1, ...) each.
-        a: d x' / d x (T, 2 nv + na, 2 nv + na).
-        b: d x' / d u (T, 2 nv + na, nu).
-        kinks: whether contacts, limits or the like change within the width of the differences (T,).
+        states: States, (T + 1, ...) each.
+        a: Derivatives d x' / d x (T, 2 nv + na, 2 nv + na).
+        b: Derivatives d x' / d u (T, 2 nv + na, nu).
+        kinks: Whether contacts or limits change within the width of the differences (T,).
     """
 
     states: States
@@ -100,7 +101,7 @@ class Linearized(NamedTuple):
 
 
 class Trajectory:
-    """A model's motion as a function of start and controls, for `jax.grad`, `jax.jvp`, `jax.vmap` and `jax.jit`.
+    """The motion of a model as a function of initial state and controls, for `jax.grad`, `jax.jvp`, `jax.vmap` and `jax.jit`.
 
     >>> xml = "<mujoco><worldbody><body><joint name='a' axis='0 1 0'/><geom size='.1' pos='0 0 -1'/></body></worldbody>"
     >>> xml += "<actuator><motor joint='a' gear='10'/></actuator></mujoco>"
@@ -119,11 +120,11 @@ class Trajectory:
     def __init__(self, model: mujoco.MjModel, threads: int | None = None) -> None:
         """
         Args:
-            model: compiled; a copy is made.
-            threads: processors that share a batch, by default all.
+            model: Compiled model, which is copied.
+            threads: Processors that share a batch, by default all.
 
         Raises:
-            ParameterError: the model has states beside positions, velocities and activations.
+            ParameterError: The model has states other than positions, velocities and activations.
         """
         if model.npluginstate or getattr(model, "nhistory", 0):
             raise ParameterError(
@@ -149,12 +150,12 @@ class Trajectory:
         """States of T steps.
 
         Args:
-            qpos, qvel: of the start (nq,), (nv,).
-            ctrl: of each step (T, nu).
-            act: activations of the start (na,), by default 0.
+            qpos, qvel: Initial positions (nq,) and velocities (nv,).
+            ctrl: Controls of each step (T, nu).
+            act: Initial activations (na,), by default 0.
 
         Raises:
-            ParameterError: an argument of another shape.
+            ParameterError: An argument has another shape.
         """
         act = jnp.zeros(self.model.na) if act is None else act
         sizes = {"qpos": self.model.nq, "qvel": self.model.nv, "act": self.model.na}
@@ -180,7 +181,7 @@ class Trajectory:
         a, b, kinks = self._steps(states, controls)
         return Linearized(States(*(part[0] for part in self._parts(states))), a[0], b[0], kinks[0])
 
-    # Long because the rule of the derivative closes over the functions before it.
+    # Long because the rule of the derivative uses the local functions before it.
     def _differentiable(self) -> Callable[..., States]:
         m = self.model
         nx = 2 * m.nv + m.na
@@ -241,7 +242,7 @@ class Trajectory:
                 slopes, shapes(primals[-1].shape[0]), _SECOND_DERIVATIVE_MESSAGE, *primals
             )
             dqpos, dqvel, dact, dctrl = tangents
-            # Of a quaternion only what turns it counts: its rows have the square 1/4.
+            # Only the rotation of a quaternion counts: its rows have the square 1/4.
             scale = jnp.where((turns[0] ** 2).sum(axis=0) < 0.5, 4.0, 1.0)
             first = jnp.concatenate([scale * (turns[0].T @ dqpos), dqvel, dact])
 
@@ -340,7 +341,7 @@ class Trajectory:
     def _set(
         self, model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray, control: np.ndarray
     ) -> None:
-        """The data in a state, as a rollout has it, with no warm start from another one."""
+        """Set the data to a state, as in a rollout, without a warm start from another state."""
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, np.concatenate([[0.0], state]), _FULL_STATE)
         data.ctrl[:] = control
@@ -395,7 +396,8 @@ class Trajectory:
             fast: Factor by which the width for accelerations is larger.
         """
         m, kink, sides = self._inverse, False, list[list[np.ndarray]]()
-        # The force is linear in accelerations, but for changes of rows: beside large ones a small width only rounds.
+        # The force is linear in accelerations, except where rows change. For large accelerations, a small width would only
+        # cause rounding errors.
         for width in HALF_WIDTHS:
             sides = [[np.zeros((m.nv, m.nv)) for _ in range(3)] for _ in "+-"]
             for side, by in zip((1.0, -1.0), sides, strict=True):
@@ -421,7 +423,7 @@ class Trajectory:
             return data.qfrc_inverse - data.qfrc_actuator, self._next_activation(data)
 
         columns = []
-        # At the end of its range a control is differentiated from within.
+        # At the end of its range, a control has a one-sided difference.
         limits = np.where(
             m.actuator_ctrllimited[:, None] > 0, m.actuator_ctrlrange, [-np.inf, np.inf]
         )
@@ -445,7 +447,7 @@ class Trajectory:
         return columns
 
     def _integrated(self, velocity: Any, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives (nv, nv) of the positions after a step by those before and by the new velocities."""
+        """Derivatives (nv, nv) of the positions after a step with respect to the positions before, and to the new velocities."""
         m = self.model
         by_position, by_velocity = np.eye(m.nv), h * np.eye(m.nv)
         for kind, dof in zip(m.jnt_type.tolist(), m.jnt_dofadr.tolist(), strict=True):
@@ -474,7 +476,10 @@ class Trajectory:
         return after
 
     def _turns(self, qpos: Any) -> np.ndarray:
-        """d qpos / d tangent (..., nq, nv): half of a quaternion's product by the left, for its rows."""
+        """Derivatives of qpos with respect to the tangent space (..., nq, nv).
+
+        The rows of a quaternion are half of its left multiplication.
+        """
         m = self.model
         matrix = np.zeros((*qpos.shape[:-1], m.nq, m.nv))
         for kind, address, dof in zip(
@@ -493,7 +498,7 @@ class Trajectory:
 
 
 def _apart(forward: np.ndarray, backward: np.ndarray) -> bool:
-    """Whether the differences to both sides are not those of one smooth function."""
+    """Whether the differences to both sides disagree, so that the function is not smooth."""
     largest = max(np.abs(forward).max(initial=0.0), np.abs(backward).max(initial=0.0))
     return bool(np.abs(forward - backward).max(initial=0.0) > LARGEST_ASYMMETRY * largest)
 

@@ -1,4 +1,4 @@
-"""Dead band and backlash of the servos: what engines compute before each step of physics if one of them is named.
+"""Dead band and backlash of the servos, which engines compute before each step of physics if one of them is named.
 
 A servo measures the angle q of its output, and does not respond to an error of less than its dead band d. Its motor
 turns the output through gears with a free travel b, so that the motor's angle m, seen at the output, is within b / 2 of
@@ -24,11 +24,11 @@ import numpy as np
 
 from nermo_mjx.robot.model_parameters import Servo
 
-#: Key among the fields of a batch: a `Play`, packed. Not a field of MuJoCo's model.
+#: Key of a packed `Play` among the fields of a batch; it is not a field of MuJoCo's model.
 SERVO_PLAY: Final = "servo_play"
-#: Fields that servos with play need; the controls' range is wide, since it is the targets that are limited.
+#: Fields that servos with play need. The range of the controls is wide, because the targets are limited instead.
 PLAY_FIELDS: Final = (SERVO_PLAY, "actuator_ctrlrange")
-#: Bound of that range [rad].
+#: Bound of the range of the controls [rad].
 UNLIMITED_RANGE_RAD: Final = 1e6
 
 T = TypeVar("T")
@@ -38,9 +38,9 @@ class Play(NamedTuple):
     """The servos of one world, or of several with leading axes.
 
     Attributes:
-        dead_band, backlash: half the insensitive range of errors, and the free travel of the gears [rad].
-        kp, kv, stall_torque: of the loop [N m/rad, N m s/rad, N m].
-        speed: of the motor without load [rad/s].
+        dead_band, backlash: Half of the insensitive range of errors, and free travel of the gears [rad].
+        kp, kv, stall_torque: Gains [N m/rad, N m s/rad] and torque limit [N m] of the servo.
+        speed: Speed of the motor without load [rad/s].
     """
 
     dead_band: Any
@@ -59,26 +59,26 @@ class Play(NamedTuple):
 
     @property
     def packed(self) -> Any:
-        """One array, (..., 6), in JAX."""
+        """The fields as one array of JAX (..., 6)."""
         return jnp.stack([jnp.asarray(leaf, float) for leaf in self], axis=-1)
 
     @classmethod
     def unpacked(cls, packed: Any) -> Play:
-        """From (..., 6); leaves (..., 1), which broadcast over servos."""
+        """The play from an array (..., 6), with leaves (..., 1), which broadcast over servos."""
         return cls(*(packed[..., i, None] for i in range(len(cls._fields))))
 
 
 def played(
     play: Play, motor: Any, target: Any, angle: Any, velocity: Any, timestep: float, xp: Any = jnp
 ) -> tuple[Any, Any]:
-    """Controls of the position actuators for one step of physics, and where the motors are in their play.
+    """Controls of the position actuators for one step of physics, and the angles of the motors after it.
 
     Args:
-        play: of the servos.
-        motor: angles of the motors from the middle of their play (..., n_servos) [rad].
-        target: of the servos [rad].
-        angle, velocity: of their outputs [rad, rad/s].
-        timestep: of the physics [s].
+        play: Play of the servos.
+        motor: Angles of the motors from the middle of their play (..., n_servos) [rad].
+        target: Targets of the servos [rad].
+        angle, velocity: Angles and velocities of the outputs [rad, rad/s].
+        timestep: Time step of the physics [s].
         xp: `jax.numpy` or `numpy`.
     """
     error = target - angle
@@ -93,7 +93,7 @@ def played(
 
 
 def without_play(fields: Mapping[str, T]) -> dict[str, T]:
-    """The fields that are MuJoCo's."""
+    """The fields of MuJoCo's model."""
     return {name: value for name, value in fields.items() if name != SERVO_PLAY}
 
 
@@ -112,7 +112,7 @@ class ServosWithPlay:
         self.motor = np.zeros((worlds, model.nu))
 
     def controls(self, target: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Controls for the next step (n, n_servos); moves the motors."""
+        """Compute the controls of the next step (n, n_servos), and move the motors."""
         angle, velocity = qpos[:, self._qpos], qvel[:, self._dofs]
         control, self.motor = played(
             self.play, self.motor, target, angle, velocity, self._timestep, np

@@ -1,4 +1,4 @@
-"""Variation of the body within a batch: from named physical parameters to the fields of MuJoCo's model."""
+"""Variation of the robot within a batch: fields of MuJoCo's model from named physical parameters."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Variation:
     def __init__(self, robot: Robot) -> None:
         model = robot.physical
         self.model, self._hinges = model, robot.config.hinges
-        #: Created once for each combination of names of lengths.
+        #: One object for each combination of names of lengths.
         self._geometry = functools.cache(functools.partial(GeometryFields, robot))
         self._batched = functools.cache(
             lambda lengths: Lanes(functools.partial(self.fields, lengths=lengths))
@@ -169,8 +169,8 @@ class Variation:
         """Model fields of one world, named and shaped as in `mujoco.MjModel`; pure JAX, differentiable.
 
         Args:
-            parameters: leaves of shape ().
-            lengths: names of those parameters of its geometry, and of `TILTS`, that may differ from the published ones.
+            parameters: Parameters, leaves of shape ().
+            lengths: Names of the parameters of the geometry, and in `TILTS`, that can differ from the published values.
         """
         p, model = parameters, self.model
         # With explicit dtypes: JAX caches the dtype that it chose for a NumPy array, even across precisions.
@@ -268,7 +268,7 @@ class Variation:
         return {"tendon_range": reach, "tendon_solref_lim": held, "tendon_solimp_lim": taut}
 
     def _tilted(self, build: Build, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
-        """Fields of the legs, turned about the axes of their hips with their pulleys and all that leads tendons."""
+        """Fields of the legs, which turn about the axes of their hips with their pulleys and the sites of their tendons."""
         model = self.model
         fields = {
             name: jnp.asarray(getattr(model, name), float)
@@ -297,7 +297,7 @@ class Variation:
     def _shaped(
         self, shape: TerrainShape, placed: Mapping[str, Array]
     ) -> dict[str, Float[Array, ...]]:
-        """Fields of the geoms that a terrain's shape moves, merged with those of the robot; none in other scenes."""
+        """Fields of the geoms that the shape of a terrain moves, merged with the fields of the robot; empty in other scenes."""
         model, geoms = self.model, self._terrain
         if not len(geoms):
             return {}
@@ -334,9 +334,9 @@ class Variation:
         Which fields are returned depends on the names alone, so that new values never change a compiled program.
 
         Args:
-            parameters: leaves of shape () or (worlds,).
-            worlds: size of the batch.
-            named: names such as `contact.friction`; those that are not body parameters are ignored.
+            parameters: Parameters, leaves of shape () or (worlds,).
+            worlds: Size of the batch.
+            named: Names such as `contact.friction`; other names than model parameters are ignored.
         """
         named = tuple(named)
         reached = _reached(named)
@@ -356,8 +356,8 @@ class Variation:
         """The same fields of one world in pure JAX, and the constants that MuJoCo derives from masses and positions.
 
         Args:
-            parameters: leaves of shape ().
-            named: as for `batch`.
+            parameters: Parameters, leaves of shape ().
+            named: Names, as for `batch`.
         """
         named = tuple(named)
         reached, lengths = _reached(named), _lengths(named)
@@ -388,7 +388,7 @@ def _reached(named: Iterable[str]) -> list[str]:
 
 
 def _lengths(named: Iterable[str]) -> tuple[str, ...]:
-    """Those of the named parameters that bodies and sites are placed by."""
+    """The named parameters that affect the positions of bodies and sites."""
     return tuple(sorted(name for name in named if names_geometry([name]) or name in TILTS))
 
 
@@ -454,9 +454,9 @@ def set_heights(
     """Write the heights of the only height field: MuJoCo looks for contacts up to the field's height.
 
     Args:
-        model: to modify.
-        compiled: the model that it was copied from.
-        data: shares of the height in `compiled`.
+        model: Model to modify.
+        compiled: Model from which it was copied.
+        data: Heights, as shares of the height in `compiled`.
     """
     highest = max(float(data.max()), 1e-9)
     model.hfield_data[:] = data / highest
@@ -473,14 +473,14 @@ def vary(
     """Set the fields of single worlds in a batch of MuJoCo's C engine, and the constants derived from them.
 
     Args:
-        batch: of n worlds.
-        model: of the batch.
-        fields: (k, ...) each.
-        models: this function's previous result for the same batch.
-        worlds: indices (k,); all by default.
+        batch: Batch of n worlds.
+        model: Model of the batch.
+        fields: Fields, (k, ...) each.
+        models: Previous result of this function for the same batch.
+        worlds: Indices (k,) of the worlds; all worlds by default.
 
     Returns:
-        The worlds' own models, if a field cannot be set per world in a batch; else None.
+        A model for each world, if a batch cannot vary one of the fields; otherwise None.
     """
     fields = without_play(fields)
     world_indices = np.arange(batch.nsim) if worlds is None else worlds

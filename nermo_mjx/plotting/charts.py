@@ -1,7 +1,8 @@
 """Charts that several subpackages share, with their scales, grids, titles, legends and notes.
 
-A chart accepts `ShownValues`, which are values in their display units, and returns a figure. The subpackage that owns a
-table decides which charts the table needs.
+A chart is a function that returns a figure. It accepts `ShownValues`: each contains a column of a table in the unit of
+the display, the name of the column in words (`spoken`), and the better direction of a metric (`side`: `max`, `min`,
+`nearest zero`, or empty). The subpackage that owns a table decides which charts the table needs.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ PAGE_WIDTH_INCHES: Final = 7.2
 # ---
 # Scales and grids.
 
-#: Share of outliers at an end that are excluded from the colours where they would take most of the scale.
+#: Largest share of the values that may be cut off at one end of a colour scale as outliers, and the share of the scale
+#: that these values must use so that they are cut off.
 _OUTLIER_SHARE: Final = 0.05
 _OUTLIER_SPAN: Final = 0.5
 
@@ -76,18 +78,18 @@ def colour_scale(values: np.ndarray) -> tuple[Normalize, str]:
     >>> float(scale.vmin), extend
     (0.0, 'max')
     """
-    good = values[np.isfinite(values)]
-    if not len(good):
+    finite = values[np.isfinite(values)]
+    if not len(finite):
         return Normalize(0.0, 1.0), "neither"
-    low, high = float(good.min()), float(good.max())
+    low, high = float(finite.min()), float(finite.max())
     if low == high:
         return Normalize(low - abs(low) * 0.01 - 1e-9, high + abs(high) * 0.01 + 1e-9), "neither"
-    first, last = np.quantile(good, [_OUTLIER_SHARE, 1 - _OUTLIER_SHARE]).tolist()
+    inner_low, inner_high = np.quantile(finite, [_OUTLIER_SHARE, 1 - _OUTLIER_SHARE]).tolist()
     # At most one end is cut off, because both cannot have more than half of the span.
-    if first - low > _OUTLIER_SPAN * (high - low):
-        return Normalize(first, high), "min"
-    if high - last > _OUTLIER_SPAN * (high - low):
-        return Normalize(low, last), "max"
+    if inner_low - low > _OUTLIER_SPAN * (high - low):
+        return Normalize(inner_low, high), "min"
+    if high - inner_high > _OUTLIER_SPAN * (high - low):
+        return Normalize(low, inner_high), "max"
     return Normalize(low, high), "neither"
 
 
@@ -267,9 +269,10 @@ def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
 
 #: Number of points in a panel above which dots would overlap.
 CROWD_POINTS: Final = 5000
-_CELLS: Final = 44
-#: Lighter than lines drawn over it.
-_DENSITY: Final = LinearSegmentedColormap.from_list(
+#: Number of hexagons along the width of a panel.
+_HEXAGONS: Final = 44
+#: Colours of the density, which are lighter than lines drawn over it.
+_DENSITY_COLOUR_MAP: Final = LinearSegmentedColormap.from_list(
     "density", [lighten(BAND_COLOUR), BAND_COLOUR, "#5aa5d6"]
 )
 
@@ -305,10 +308,10 @@ def draw_points(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> Non
     ax.hexbin(
         x.values,
         y.values,
-        gridsize=_CELLS,
+        gridsize=_HEXAGONS,
         bins="log",
         mincnt=1,
-        cmap=_DENSITY,
+        cmap=_DENSITY_COLOUR_MAP,
         linewidths=0.2,
         zorder=2,
         xscale="log" if x.log else "linear",
@@ -319,7 +322,8 @@ def draw_points(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> Non
 # ---
 # Heat maps, lines and scatter plots of one metric.
 
-_BAR: Final[dict[str, Any]] = {"shrink": 0.9, "aspect": 28}
+#: Shape of the colour bar beside panels.
+_BAR_SHAPE: Final[dict[str, Any]] = {"shrink": 0.9, "aspect": 28}
 
 
 def heat_maps(
@@ -346,43 +350,49 @@ def heat_maps(
     ]
     values = np.concatenate([grid.ravel() for grid in grids])
     scale, extend = colour_scale(values)
-    marked, colours, fill, edge = grids, COLOUR_MAP, "none", "white"
+    # A star or a ring can mark the cells of `candidate_grids` only.
+    candidate_grids, colours, fill, edge = grids, COLOUR_MAP, "none", "white"
     if gain is not None:
-        filled = np.where(gain, z.values, np.nan)
-        marked = [
-            cell_means(x.values[mask], y.values[mask], filled[mask], xs, ys) for _, mask in panels
+        candidate_values = np.where(gain, z.values, np.nan)
+        candidate_grids = [
+            cell_means(x.values[mask], y.values[mask], candidate_values[mask], xs, ys)
+            for _, mask in panels
         ]
         colours, fill, edge = GAIN_COLOUR_MAP, "white", INK
         scale, extend = _gain_scale(values)
     figure, axes = panel_figure(len(panels), 2.5 if len(panels) > 1 else 4.4)
     mesh = cell_edges(xs, x.log), cell_edges(ys, y.log)
-    prices = [cost(z.side, grid) for grid in marked]
-    lowest = min(
-        (float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan
+    cost_grids = [cost(z.side, candidates) for candidates in candidate_grids]
+    lowest_cost = min(
+        (float(np.nanmin(costs)) for costs in cost_grids if np.isfinite(costs).any()),
+        default=math.nan,
     )
-    best = math.nan
-    for ax, (name, _), grid, candidates, price in zip(
-        axes, panels, grids, marked, prices, strict=False
+    best_value = math.nan
+    for ax, (name, _), grid, candidates, costs in zip(
+        axes, panels, grids, candidate_grids, cost_grids, strict=False
     ):
         hatch_axes(ax)
         ax.pcolormesh(*mesh, np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
         set_scales(ax, x, y)
         ax.set_title(name)
         if np.isfinite(candidates).any():
-            i, j = np.unravel_index(int(np.nanargmin(price)), grid.shape)
-            is_best = price[i, j] == lowest
-            best = float(candidates[i, j]) if is_best else best
-            draw_star(ax, xs[i], ys[j], 190, 1.3, 5) if is_best else _ring(
-                ax, xs[i], ys[j], fill, edge
-            )
+            i, j = np.unravel_index(int(np.nanargmin(costs)), grid.shape)
+            is_best = costs[i, j] == lowest_cost
+            if is_best:
+                best_value = float(candidates[i, j])
+                draw_star(ax, xs[i], ys[j], 190, 1.3, 5)
+            else:
+                _ring(ax, xs[i], ys[j], fill, edge)
             if gain is not None:
                 _annotate_gain(ax, xs[i], ys[j], candidates[i, j], bool(i >= len(xs) / 2), is_best)
     columns = axes[0].get_gridspec().ncols  # type: ignore[union-attr]
     for panel_index, ax in enumerate(axes):  # labels at the outside of the panels only
-        bottom, is_left = panel_index + columns >= len(axes), panel_index % columns == 0
-        ax.tick_params(labelbottom=bottom, labelleft=is_left)
-        ax.set(xlabel=x.label if bottom else "", ylabel=y.label if is_left else "")
-    bar = colour_bar(figure, axes, ScalarMappable(scale, colours), z.label, extend=extend, **_BAR)
+        is_bottom, is_left = panel_index + columns >= len(axes), panel_index % columns == 0
+        ax.tick_params(labelbottom=is_bottom, labelleft=is_left)
+        ax.set(xlabel=x.label if is_bottom else "", ylabel=y.label if is_left else "")
+    bar = colour_bar(
+        figure, axes, ScalarMappable(scale, colours), z.label, extend=extend, **_BAR_SHAPE
+    )
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: signed_percentage(value).removesuffix(" %"))
     word = best_word(z) if gain is None else "best"
@@ -390,7 +400,8 @@ def heat_maps(
     return finish_page(
         figure,
         title,
-        f"{note}star: {word}, {z.shown(best) if gain is None else signed_percentage(best)}{ring}",
+        f"{note}star: {word}, "
+        f"{z.shown(best_value) if gain is None else signed_percentage(best_value)}{ring}",
     )
 
 
@@ -413,10 +424,10 @@ def hatch_axes(ax: Axes) -> None:
 
 def _gain_scale(values: np.ndarray) -> tuple[Normalize, str]:
     """The colour scale of gains, symmetric around 0; losses beyond 25 % and three times the best gain are cut off."""
-    good = values[np.isfinite(values)]
-    low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
-    far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
-    return Normalize(-far, far), "min" if low < -far else "neither"
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    limit = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
+    return Normalize(-limit, limit), "min" if low < -limit else "neither"
 
 
 def _ring(ax: Axes, x: float, y: float, fill: str, edge: str) -> None:
@@ -514,7 +525,9 @@ def pair_scatters(
             draw_star(ax, x.values[order[-1]], y.values[order[-1]], 170, zorder=5)
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
-    colour_bar(figure, axes, ScalarMappable(scale, COLOUR_MAP), z.label, extend=extend, **_BAR)
+    colour_bar(
+        figure, axes, ScalarMappable(scale, COLOUR_MAP), z.label, extend=extend, **_BAR_SHAPE
+    )
     best = f"star: {best_word(z)}, {z.shown(float(z.values[order[-1]]))}"
     return finish_page(figure, title, note + best if star else note.removesuffix("; "))
 
@@ -544,31 +557,35 @@ def signed_percentage(percent: float) -> str:
 def cell_means(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: np.ndarray
 ) -> np.ndarray:
-    """Means of z in the cells of a grid, (len(xs), len(ys)); NaN where there are none."""
+    """Means of z in the cells of a grid, (len(xs), len(ys)); NaN in cells without a finite z."""
     cell = np.searchsorted(xs, x) * len(ys) + np.searchsorted(ys, y)
-    good = np.isfinite(z)
-    count = np.bincount(cell[good], minlength=len(xs) * len(ys))
-    total = np.bincount(cell[good], z[good], minlength=len(xs) * len(ys))
+    is_finite = np.isfinite(z)
+    count = np.bincount(cell[is_finite], minlength=len(xs) * len(ys))
+    total = np.bincount(cell[is_finite], z[is_finite], minlength=len(xs) * len(ys))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(len(xs), len(ys))
 
 
 def bin_means(
     x: np.ndarray, z: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of x, mean of z, and half the 95 % interval of the latter, in the bin of each node with a finite z."""
+    """Mean of x, mean of z, and half the 95 % interval of the mean of z, in each bin that contains a finite z.
+
+    If every x is one of the nodes, each node has a bin. Otherwise, the nodes are the edges of the bins.
+    """
     nodes = np.unique(nodes)
     bins = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 1)
+    # The last one of several edges belongs to the bin before it.
     bins = bins if len(nodes) < 3 or np.isin(x, nodes).all() else np.minimum(bins, len(nodes) - 2)
-    groups: list[Any] = [bins == b for b in np.unique(bins) if np.isfinite(z[bins == b]).any()]
-    stat = [(x[g].mean(), *_mean(z[g])) for g in groups]
-    return tuple(np.array(stat).reshape(-1, 3).T)  # type: ignore[return-value]
+    masks: list[Any] = [bins == b for b in np.unique(bins) if np.isfinite(z[bins == b]).any()]
+    statistics = [(x[mask].mean(), *_mean(z[mask])) for mask in masks]
+    return tuple(np.array(statistics).reshape(-1, 3).T)  # type: ignore[return-value]
 
 
 def _mean(values: np.ndarray) -> tuple[float, float]:
     """The mean of the finite values, and half its 95 % interval."""
-    good = values[np.isfinite(values)]
-    spread = good.std(ddof=1) if len(good) > 1 else math.nan
-    return float(good.mean()) if len(good) else math.nan, float(half_width(spread, len(good)))
+    finite = values[np.isfinite(values)]
+    std = finite.std(ddof=1) if len(finite) > 1 else math.nan
+    return float(finite.mean()) if len(finite) else math.nan, float(half_width(std, len(finite)))
 
 
 def cell_edges(centres: np.ndarray, log: bool) -> np.ndarray:
@@ -584,7 +601,8 @@ def cell_edges(centres: np.ndarray, log: bool) -> np.ndarray:
 
 
 # ---
-# Figures that compare the structures of a table: a line, a panel or a dot for each combination of them.
+# Figures that compare the structures of a table. A structure is a combination of choices, such as a gait and a mode of
+# the spine. Each structure is a line, a panel or a dot.
 
 #: Maximum number of parameters that have their own figure, and of parameters whose pairs have figures.
 _MAX_SINGLE_PARAMETERS: Final = 6
@@ -594,7 +612,8 @@ MAX_CHART_GROUPS: Final = 12
 _DASHES: Final = ("-", "--", ":", "-.")
 #: Maximum number of lines with bands; more bands would cover each other.
 _MAX_BANDS: Final = 4
-_BINS: Final = 9
+#: Number of quantiles of a parameter that are the edges of bins.
+_BIN_EDGES: Final = 9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -603,16 +622,16 @@ class Groups:
 
     Attributes:
         names: Name of each structure.
-        of: Index of the structure of each run, (rows,) int.
-        what: Columns of the structures, in words.
-        looks: Indices of colour and dashes of each structure. Structures that differ only in their last column, for
+        index: Index of the structure of each run, (rows,) int.
+        description: Columns of the structures, in words.
+        styles: Indices of colour and dashes of each structure. Structures that differ only in their last column, for
             example in the spine, have the same colour.
     """
 
     names: tuple[str, ...]
-    of: np.ndarray
-    what: str
-    looks: tuple[tuple[int, int], ...]
+    index: np.ndarray
+    description: str
+    styles: tuple[tuple[int, int], ...]
 
 
 def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
@@ -621,17 +640,20 @@ def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
     grouping = list(columns)
     while grouping:
         keys = list(zip(*(columns[name] for name in grouping), strict=True))
-        places = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-        if len(places) <= MAX_CHART_GROUPS or len(grouping) == 1:
+        indices = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+        if len(indices) <= MAX_CHART_GROUPS or len(grouping) == 1:
             averaged = [name for name in columns if name not in grouping]
-            title = ", ".join(grouping) + (f"; mean over {', '.join(averaged)}" if averaged else "")
-            pairs = ((key[:-1], key[-1]) if len(grouping) > 1 else (key, "") for key in places)
-            heads, tails = dict[Any, int](), dict[Any, int]()
-            looks = tuple(
-                (heads.setdefault(a, len(heads)), tails.setdefault(b, len(tails))) for a, b in pairs
+            description = ", ".join(grouping)
+            description += f"; mean over {', '.join(averaged)}" if averaged else ""
+            # The last column determines the dashes, all others the colour.
+            pairs = ((key[:-1], key[-1]) if len(grouping) > 1 else (key, "") for key in indices)
+            colours, dashes = dict[Any, int](), dict[Any, int]()
+            styles = tuple(
+                (colours.setdefault(a, len(colours)), dashes.setdefault(b, len(dashes)))
+                for a, b in pairs
             )
-            names = tuple(", ".join(map(spoken, key)) for key in places)
-            return Groups(names, np.array([places[key] for key in keys]), title, looks)
+            names = tuple(", ".join(map(spoken, key)) for key in indices)
+            return Groups(names, np.array([indices[key] for key in keys]), description, styles)
         grouping.pop()
     return None
 
@@ -639,11 +661,11 @@ def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
 def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool) -> Figure:
     """A dot for each structure at the mean of its runs; the best one is orange.
 
-    With `spread`, for which runs of a structure are repeats, a bar shows the 95 % interval of the mean.
+    With `spread`, a bar shows the 95 % interval of the mean; the runs of a structure must then be repeats.
     """
     count = len(groups.names)
     mean, half = np.array(
-        [_mean(z.values[groups.of == group_index]) for group_index in range(count)]
+        [_mean(z.values[groups.index == group_index]) for group_index in range(count)]
     ).T
     best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
     figure = blank_figure(PAGE_WIDTH_INCHES, 1.3 + 0.3 * count)
@@ -666,7 +688,7 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool)
     ax.set_axisbelow(True)
     best_note = f"; orange: {best_word(z)}, {z.shown(mean[best])}" if best >= 0 else ""
     caption = "mean of its runs, bar: its 95 % interval" if spread else "mean of all its runs"
-    return finish_page(figure, title, f"{note}{groups.what}: {caption}{best_note}")
+    return finish_page(figure, title, f"{note}{groups.description}: {caption}{best_note}")
 
 
 def lines(
@@ -681,15 +703,15 @@ def lines(
 ) -> Figure:
     """A line for each structure: the mean at each value of x, or with `even` in bins of equal numbers of runs.
 
-    A structure without this parameter is a level line at its mean. With `spread`, for which runs of a structure at the
-    same x are repeats, a band shows the 95 % interval of the mean.
+    A structure without this parameter is a level line at its mean. With `spread`, a band shows the 95 % interval of the
+    mean; the runs of a structure at the same x must then be repeats.
     """
     spread = spread and len(groups.names) <= _MAX_BANDS
     figure, (ax,) = panel_figure(1, 4.6)
-    handles, level = [], False
+    handles, has_level_line = [], False
     for group_index, name in enumerate(groups.names):
-        in_group = (groups.of == group_index) & np.isfinite(z.values)
-        colour, dashes = groups.looks[group_index]
+        in_group = (groups.index == group_index) & np.isfinite(z.values)
+        colour, dashes = groups.styles[group_index]
         dashes += colour // len(SERIES)
         style: dict[str, Any] = {
             "color": SERIES[colour % len(SERIES)],
@@ -700,10 +722,10 @@ def lines(
         if not finite.any():
             if in_group.any():
                 ax.axhline(z.values[in_group].mean(), lw=1.2, alpha=0.8, **style)
-                level = True
+                has_level_line = True
             continue
         nodes = (
-            np.quantile(x.values[finite], np.linspace(0, 1, _BINS))
+            np.quantile(x.values[finite], np.linspace(0, 1, _BIN_EDGES))
             if even
             else np.unique(x.values[finite])
         )
@@ -714,9 +736,9 @@ def lines(
     set_scales(ax, x)
     draw_horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
-    notes = [f"{groups.what}: " + ("running mean" if even else "mean over everything else")]
+    notes = [f"{groups.description}: " + ("running mean" if even else "mean over everything else")]
     notes += ["band: 95 % interval of the mean"] if spread else []
-    notes += [f"level: without {x.spoken}"] if level else []
+    notes += [f"level: without {x.spoken}"] if has_level_line else []
     return finish_page(figure, title, note + "; ".join(notes), handles)
 
 
@@ -734,17 +756,17 @@ def structure_figures(
         )
         yield f"{metric}-over-{x.name}-by-structure", figure
     for x, y in itertools.combinations(plotted[:_MAX_PAIRED_PARAMETERS] if grid else [], 2):
-        good = np.isfinite(x.values) & np.isfinite(y.values)
-        across, up, value = (
-            dataclasses.replace(shown, values=shown.values[good]) for shown in (x, y, z)
+        has_both = np.isfinite(x.values) & np.isfinite(y.values)
+        x_shown, y_shown, z_shown = (
+            dataclasses.replace(column, values=column.values[has_both]) for column in (x, y, z)
         )
-        group_indices = groups.of[good]
+        group_indices = groups.index[has_both]
         present = np.unique(group_indices)
         note = remark
         if len(plotted) > 2:
             note += f"mean over {', '.join(shown.spoken for shown in plotted if shown.name not in (x.name, y.name))}; "
-        if lacking := len(groups.names) - len(present):
-            note += f"{lacking} structures without one of them; "
+        if missing_count := len(groups.names) - len(present):
+            note += f"{missing_count} structures without one of them; "
         if len(present) > MAX_CHART_GROUPS:
             note += f"{len(present) - MAX_CHART_GROUPS} more structures not shown; "
         title = f"{titled(metric)} over {x.spoken} and {y.spoken}, by structure"
@@ -754,14 +776,14 @@ def structure_figures(
         ]
         yield (
             f"{metric}-over-{x.name}-and-{y.name}-by-structure",
-            heat_maps(across, up, value, panels, title, note),
+            heat_maps(x_shown, y_shown, z_shown, panels, title, note),
         )
 
 
 # ---
 # Parallel coordinates: an axis for each parameter, the metric as the last one, a line for each point.
 
-#: The best points, which are always drawn, and thick.
+#: Number of best points, whose lines are always drawn, and thicker than the others.
 BEST_LINES: Final = 5
 #: An axis with no more values than this has a tick at each.
 _MAX_TICKS: Final = 9
@@ -781,12 +803,14 @@ def parallel_coordinates(
     axes = [*parameters, dataclasses.replace(z, values=np.clip(z.values, scale.vmin, scale.vmax))]
     figure = blank_figure(1.5 + 1.35 * len(axes), 4.7)
     ax = figure.subplots()
-    paths = np.stack([_share(axis_values, axis_values.values) for axis_values in axes], axis=-1)
-    places = np.broadcast_to(np.arange(len(axes)), paths.shape)
-    lines = np.stack([places, paths], axis=-1)
+    heights = np.stack(
+        [_axis_fractions(axis_values, axis_values.values) for axis_values in axes], axis=-1
+    )
+    positions = np.broadcast_to(np.arange(len(axes)), heights.shape)
+    lines = np.stack([positions, heights], axis=-1)
     best_count = min(BEST_LINES, len(lines))
     colours = matplotlib.colormaps[COLOUR_MAP](scale(z.values))
-    # The more lines there are, the more each lets those below through.
+    # The more lines there are, the more transparent they are.
     colours[:, 3] = np.clip(90.0 / len(lines), 0.2, 0.8)
     background = LineCollection(
         list(lines[:-best_count]), colors=colours[:-best_count], linewidths=0.8, zorder=2
@@ -816,7 +840,7 @@ def parallel_coordinates(
             values = np.array(
                 [tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)]
             )
-        for value, height in zip(values, _share(axis_values, values), strict=True):
+        for value, height in zip(values, _axis_fractions(axis_values, values), strict=True):
             ax.plot(
                 [position, position + 0.03], [height, height], color=MUTED_INK, lw=1.0, zorder=5
             )
@@ -846,13 +870,13 @@ def parallel_coordinates(
     return finish_page(figure, title, note)
 
 
-def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
+def _axis_fractions(axis: ShownValues, values: np.ndarray) -> np.ndarray:
     """Positions of values on an axis, from 0 at its lowest value to 1 at its highest."""
-    shown_values, limits = (
+    axis_values, values = (
         (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
     )
-    low, high = float(np.nanmin(shown_values)), float(np.nanmax(shown_values))
-    return (limits - low) / (high - low) if high > low else np.full(np.shape(limits), 0.5)
+    low, high = float(np.nanmin(axis_values)), float(np.nanmax(axis_values))
+    return (values - low) / (high - low) if high > low else np.full(np.shape(values), 0.5)
 
 
 # ---
@@ -872,9 +896,9 @@ def pareto_front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """
     finite = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     order = finite[np.lexsort((y[finite], x[finite]))]
-    lowest = np.minimum.accumulate(y[order])
-    better = np.concatenate([[True], y[order][1:] < lowest[:-1]])
-    return order[better[: len(order)]]
+    lowest_y = np.minimum.accumulate(y[order])
+    is_optimal = np.concatenate([[True], y[order][1:] < lowest_y[:-1]])
+    return order[is_optimal[: len(order)]]
 
 
 def named_points(x: np.ndarray, y: np.ndarray, limit: int = NAMED_POINTS) -> np.ndarray:
@@ -921,8 +945,8 @@ def trade_off(
         # The boundary of the dominated region: between two points of the front, it follows the worse of both values.
         steps = []
         for values, side in zip((x.values[best], y.values[best]), sides, strict=True):
-            turns = (np.minimum if side == "max" else np.maximum)(values[1:], values[:-1])
-            steps.append(np.append(np.stack([values[:-1], turns], axis=1).ravel(), values[-1:]))
+            corners = (np.minimum if side == "max" else np.maximum)(values[1:], values[:-1])
+            steps.append(np.append(np.stack([values[:-1], corners], axis=1).ravel(), values[-1:]))
         ax.plot(*steps, color=BEST_COLOUR, lw=1.4, zorder=3)
     ax.scatter(
         x.values[best], y.values[best], s=26, color=BEST_COLOUR, ec="white", lw=0.6, zorder=4

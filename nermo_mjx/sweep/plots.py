@@ -140,7 +140,7 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
             f"mean over {variable.spoken}; " for variable in rest if not variable.names
         )
         panels = [
-            (name, groups.of == group_index)
+            (name, groups.index == group_index)
             for group_index, name in enumerate(groups.names[:MAX_FIGURE_PANELS])
         ]
     title = f"Speed gained by the spine over {x.spoken} and {y.spoken}"

@@ -40,10 +40,13 @@ MASSES = MassModel(
     0.1647, 0.1053, np.array([0.0, -0.0317, -0.0270]), np.array([0.0, 0.0310, -0.0160])
 )
 TICKS = 300
+#: Ticks of the programs of `walk`: shorter walks are their beginnings, so that each controller has one program.
+PROGRAM_TICKS = 400
 #: The author's last ones, at 50 Hz: 300 on the change per 1/50 s.
 PUBLISHED_GAINS = {"pilot.error_gain": 40.0, "pilot.change_gain": 600.0, "pilot.guidance": 0.0}
 
 
+@jax.jit
 def sensors_at(position=(0.0, 0.0, 0.05)) -> Sensors:
     """Readings of an upright robot that stands still."""
     robot = load_robot()
@@ -56,7 +59,8 @@ def sensors_at(position=(0.0, 0.0, 0.05)) -> Sensors:
 
 def walk(controller, params, ticks=TICKS, phase=0.0, position=(0.0, 0.0, 0.05)):
     """State and servo angles at each tick, for a robot whose sensors stand still."""
-    return _walk(controller, ticks)(params, phase, sensors_at(position))
+    results = _walk(controller, max(ticks, PROGRAM_TICKS))(params, phase, sensors_at(position))
+    return jax.tree.map(lambda values: np.asarray(values)[:ticks], results)
 
 
 @functools.cache
@@ -151,7 +155,8 @@ def _walks(controller, ticks):
     def run(params):
         def step(state, _):
             state, _ = controller.update(params, state, sensors_at())
-            return state, state
+            values = {name: getattr(state, name) for name in ("time", "turn_rate", "foot")}
+            return state, values | {"points": state.gait.points}
 
         return jax.lax.scan(step, controller.init(params, sensors_at()), None, length=ticks)[1]
 
@@ -159,7 +164,8 @@ def _walks(controller, ticks):
 
 
 def walks_along(controller, params, values, ticks=TICKS):
-    """States at each tick (n, ticks, ...) with named parameters at several values (n,), in double precision."""
+    """Times, turn rates, feet and points of their paths at each tick (n, ticks, ...), with named parameters at several
+    values (n,), in double precision."""
     n = len(next(iter(values.values())))
     batched = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (n, *np.shape(leaf))), params)
     with jax.enable_x64(True):
@@ -210,17 +216,17 @@ def test_the_feet_do_not_jump_when_a_switch_falls_into_another_tick(gait, name, 
     frequency = {"frequency": low, "tracking.clock_ratio": 0.8 / high}.get(name, 0.8)
     shift = (values[1] - values[0]) * np.ones(TICKS)  # in gait cycles, at each tick
     if name in ("frequency", "tracking.clock_ratio"):
-        shift *= states.time[0] * {"frequency": 1.0, "tracking.clock_ratio": 0.8 / low**2}[name]
+        shift *= states["time"][0] * {"frequency": 1.0, "tracking.clock_ratio": 0.8 / low**2}[name]
     duty = high if name == "duty" else float(params.gait.duty)
-    stride_rate = 0.06 * np.abs(np.diff(states.turn_rate, axis=1)).max() / controller.dt
+    stride_rate = 0.06 * np.abs(np.diff(states["turn_rate"], axis=1)).max() / controller.dt
 
-    points = states.gait.points
+    points = states["points"]
     changes = np.ones(points.shape[:2], bool)  # than those of the value before, at the same tick
     changes[1:] = (points[1:] != points[:-1]).any(axis=(2, 3, 4))
     allowed = (
         steepest(points[changes]).max(axis=0) / min(duty, 1.0 - duty) + stride_rate / frequency
     )
-    step_sizes = np.abs(np.diff(states.foot, axis=0)).max(axis=0)
+    step_sizes = np.abs(np.diff(states["foot"], axis=0)).max(axis=0)
     assert (step_sizes <= 1.02 * allowed * shift[:, None, None] + 1e-9).all()
 
 
@@ -238,7 +244,7 @@ def test_the_feet_are_where_a_much_faster_controller_has_them(duty):
         )
         for rate, ticks in ((100.0, 200), (5000.0, 10000))
     )
-    np.testing.assert_allclose(slow.foot, fast.foot[:, 49::50], atol=1e-9)
+    np.testing.assert_allclose(slow["foot"], fast["foot"][:, 49::50], atol=1e-9)
 
 
 @pytest.mark.release
@@ -296,8 +302,8 @@ def test_the_first_posture_is_the_gaits_own(gait, phase):
 def test_the_servo_angles_put_the_feet_where_they_are_commanded():
     """Forward kinematics is the oracle; the tolerance is float32 rounding over an arccosine."""
     states, servo = walk(published_controller(), control_parameters("lateral_walk", frequency=0.8))
-    reached = forward_kinematics(
-        four_legs(ROBOT), jnp.stack([servo.hip, servo.knee], axis=-1), "type3"
+    reached = jax.jit(lambda angles: forward_kinematics(four_legs(ROBOT), angles, "type3"))(
+        np.stack([servo.hip, servo.knee], axis=-1)
     )
     np.testing.assert_allclose(reached.foot, states.foot, atol=2e-6)
     assert reached.reachable.all()
@@ -359,7 +365,7 @@ def test_stride_extension_is_a_cosine_of_the_phase_and_without_a_mode_the_spine_
         walk(published_controller(), control_parameters(frequency=0.8))[1].spine, 0.0
     )
     params = control_parameters(**{"spine.amplitude": 0.3, "spine.phase": -0.4})
-    states, servo = walk(published_controller(spine="stride_extension"), params)
+    states, servo = walk(published_controller(spine="stride_extension", masses=MASSES), params)
     np.testing.assert_allclose(
         servo.spine, 0.3 * np.cos(2 * np.pi * np.asarray(states.phase) - 0.4), atol=1e-6
     )
@@ -381,11 +387,17 @@ def test_spine_based_steering_bends_the_spine_and_leaves_the_strides():
 
 @pytest.mark.release
 def test_balance_rests_on_four_feet_and_acts_when_one_is_lifted():
-    feet = trajectory.neutral_feet(control_parameters().stance)
-    all_down, lifted = jnp.ones(4, bool), jnp.asarray([True, True, False, True])
-    balance = jax.jit(lambda stance: spine_modes.balance(Spine(), MASSES, feet, stance, ROBOT))
-    assert balance(all_down) == pytest.approx(0.0, abs=1e-7)  # rounding, which JAX 0.12 shows
-    angle = joint_angle(balance(lifted), ROBOT)
+    stance_box = control_parameters().stance
+
+    @jax.jit
+    def balance(stance):
+        feet = trajectory.neutral_feet(stance_box)
+        servo = spine_modes.balance(Spine(), MASSES, feet, stance, ROBOT)
+        return servo, joint_angle(servo, ROBOT)
+
+    all_down, lifted = np.ones(4, bool), np.array([True, True, False, True])
+    assert balance(all_down)[0] == pytest.approx(0.0, abs=1e-7)  # rounding, which JAX 0.12 shows
+    _, angle = balance(lifted)
     assert 0.0 < abs(float(angle)) <= 0.1 + 1e-6
 
 
@@ -406,12 +418,12 @@ def test_offset_compensation_takes_the_hips_rise_out_of_the_rear_feet():
     """(5.31): at full compensation each rear foot is lower, in its leg's frame, by what its hip has risen."""
     plain, compensated = (
         walk(
-            published_controller(spine="stride_extension"),
+            published_controller(spine="stride_extension", masses=MASSES),
             control_parameters(**{"spine.offset_compensation": share}),
         )[0]
         for share in (0.0, 1.0)
     )
-    rise = hip_height_offset(joint_angle(plain.spine, ROBOT), ROBOT)
+    rise = jax.jit(lambda servo: hip_height_offset(joint_angle(servo, ROBOT), ROBOT))(plain.spine)
     np.testing.assert_array_equal(compensated.gait.points, plain.gait.points)
     np.testing.assert_allclose(compensated.foot[:, 2:, 1] - plain.foot[:, 2:, 1], -rise, atol=1e-7)
     np.testing.assert_array_equal(compensated.foot[:, :2], plain.foot[:, :2])

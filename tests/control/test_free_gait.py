@@ -25,7 +25,7 @@ from nermo_mjx.control import (
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.spine_modes import SpineModes, harmonics, stride_extension
 from nermo_mjx.control.stepping import FreeStepping, bumps, within
-from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse_kinematics
+from nermo_mjx.kinematics.leg import LegSolution, four_legs, four_reaches, inverse_kinematics
 from nermo_mjx.optimize.search_spec import Search
 from nermo_mjx.optimize.tuning_spec import Tuning
 from nermo_mjx.robot import SERVOS
@@ -44,11 +44,26 @@ PHASES = (np.arange(400) + 0.5) / 400
 STANDS = "trajectory: free\nspine: harmonics\n"
 
 
-def feet_of(params: ControlParameters, phases: np.ndarray = PHASES) -> np.ndarray:
+@jax.jit
+def feet_at(
+    params: ControlParameters, phases: jax.Array, turn_rate: float | jax.Array
+) -> jax.Array:
+    """Feet (n, 4, 2) of a steady gait at phases, at a turn rate."""
+    drive = Drive(jnp.asarray(1.0), jnp.asarray(turn_rate))
+    return jax.vmap(lambda phase: STEPPING.start(params, phase, drive)[1])(phases)
+
+
+def feet_of(
+    params: ControlParameters, phases: np.ndarray = PHASES, turn_rate: float = 0.0
+) -> np.ndarray:
     """Feet (n, 4, 2) of a steady gait at phases."""
-    drive = Drive(jnp.asarray(1.0), jnp.asarray(0.0))
-    start = jax.jit(jax.vmap(lambda phase: STEPPING.start(params, phase, drive)[1]))
-    return np.asarray(start(jnp.asarray(phases)))
+    return np.asarray(feet_at(params, jnp.asarray(phases), turn_rate))
+
+
+@jax.jit
+def solved(feet: jax.Array) -> LegSolution:
+    """Servo angles of feet (n, 4, 2)."""
+    return inverse_kinematics(four_legs(ROBOT), feet, "type3")
 
 
 def gait_with(values: dict[str, Any], gait: str = "trot") -> ControlParameters:
@@ -147,9 +162,7 @@ def test_a_turn_shortens_the_whole_stride_of_a_free_path() -> None:
     params = gait_with(changes | {"turning.exponent": 1.0})
 
     def reach(turn_rate: float) -> np.ndarray:
-        drive = Drive(jnp.asarray(1.0), jnp.asarray(turn_rate))
-        feet = jax.vmap(lambda phase: STEPPING.start(params, phase, drive)[1])(jnp.asarray(PHASES))
-        return np.ptp(np.asarray(feet)[..., 0], axis=0)
+        return np.ptp(feet_of(params, turn_rate=turn_rate)[..., 0], axis=0)
 
     straight, half, full = reach(0.0), reach(0.5), reach(1.0)
     np.testing.assert_allclose(half[[0, 2]], 0.5 * straight[[0, 2]], atol=1e-6)
@@ -167,7 +180,7 @@ def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:
         np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=-1).max() for path in (coarse, fine)
     ]
     assert longest[1] < 0.2 * longest[0]
-    solution = inverse_kinematics(four_legs(ROBOT), jnp.asarray(fine), "type3")
+    solution = solved(fine)
     assert solution.reachable.all()
     for limb, servo in enumerate(SERVOS[4:8]):
         low, high = servo_range(servo)
