@@ -326,6 +326,7 @@ def draw_points(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> Non
 _BAR_SHAPE: Final[dict[str, Any]] = {"shrink": 0.9, "aspect": 28}
 
 
+# Long because the marks of a panel depend on the scale and the best value of all panels.
 def heat_maps(
     x: ShownValues,
     y: ShownValues,

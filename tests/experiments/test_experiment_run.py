@@ -220,7 +220,7 @@ def test_the_report_reads_well(fakes, tmp_path):
         "- **no**, ratio of speeds: no reason is known.",
         "- **no**, word: the feet are round.",
         "| predicted | not used in any decision about the twin | 4 | 2 | 2 | 0 |",
-        "| [The maze](#the-maze) | 1 of 2 | 0 of 0 | 1 of 1 | 0 of 1 | 0 of 0 | 5 | 2 | 2 | 1 |",
+        "| [The maze](#the-maze) | 1 of 2 | – | 1 of 1 | 0 of 1 | 0 of 0 | 5 | 2 | 2 | 1 |",
         "![The maze: speed](plots/maze-speed.png)",
         "| trot | 0.8 | 81.0 ± 1.0 | 96.0 | 1 of 3 |",  # mean and spread, the theory beside it, how many did
         "contact.friction=0.8",
