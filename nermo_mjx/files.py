@@ -1,8 +1,8 @@
-"""Files that a stranger may have made: read with a limit, against a declared shape, and never run.
+"""Reading of untrusted files, with limits and declared shapes, without running code from them.
 
-Every loader of the package opens its file here, and raises a `FileError` for whatever is wrong with it: nothing is
-waited for, and sizes are looked at before anything of that size is made. What a command shows of such a file, and whose
-Python is run, is in `nermo_mjx.trust`.
+Every loader of the package opens its file here. It raises a `FileError` for a file that is wrong in any way, does not wait
+for pipes, and checks sizes before it allocates memory. `nermo_mjx.trust` decides which text of a file is shown, and
+whether Python code that a file names may run.
 """
 
 from __future__ import annotations
@@ -26,19 +26,20 @@ from pydantic_core import from_json
 
 from nermo_mjx.trust import FileError, one_line, shortened
 
-#: Bytes of a file of arrays or a table, and of all its arrays; of a JSON file, whose values take up to 30 times that.
+#: Maximum size of a file of arrays or a table, and of all its arrays; and of a JSON file, whose values need up to 30
+#: times its size [bytes].
 MAX_ARRAY_BYTES: Final = 1 << 28
 MAX_JSON_BYTES: Final = 1 << 24
-#: Bytes of any file: those of the longest walk that is recorded.
+#: Maximum size of any file, which the recording of the longest walk has [bytes].
 MAX_FILE_BYTES: Final = 1 << 32
 #: Suffix of a file that is being written.
 TEMPORARY_SUFFIX: Final = ".nermo-tmp"
-#: Arrays in a file.
+#: Maximum number of arrays in a file.
 _MAX_ARRAYS: Final = 1000
 
 
 class UnfitFile(FileError, OSError):
-    """A file that is not read: a pipe, a device, or one that is too large."""
+    """A file that cannot be read safely: a pipe, a device, or a file that is too large."""
 
     def __init__(self, path: Path, why: str) -> None:
         OSError.__init__(self, errno.EINVAL, why, str(path))
@@ -59,7 +60,7 @@ def opened(path: Path) -> BinaryIO:
         return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
     file = open(path, "rb", opener=ready)  # noqa: SIM115 - the caller closes it
-    # What is judged is what was opened: a name may mean another file by now.
+    # The check uses the opened file, because the name may refer to another file in the meantime.
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
         raise UnfitFile(path, "not a regular file")
@@ -67,17 +68,17 @@ def opened(path: Path) -> BinaryIO:
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """The content of a regular file of at most `most` bytes.
+    """The content of a regular file of at most `limit` bytes.
 
     Raises:
-        UnfitFile: it is larger, or no regular file.
-        OSError: it cannot be read.
+        UnfitFile: The file is larger, or not regular.
+        OSError: The file cannot be read.
     """
     with opened(path) as file:
         size = os.fstat(file.fileno()).st_size
         content = (
             file.read(limit + 1) if size <= limit else b""
-        )  # some have more than they say, as in /proc
+        )  # some files, for example in /proc, are larger than their size in the file system
     if max(size, len(content)) > limit:
         raise UnfitFile(
             path, f"it has {_megabytes(max(size, len(content)))}: allowed are {_megabytes(limit)}"
@@ -89,7 +90,7 @@ def replace_file(path: Path, content: bytes) -> None:
     """Replace a file by new content, atomically and durably; its folder is created if missing.
 
     Raises:
-        OSError: it cannot be written; what was there is still there.
+        OSError: The file cannot be written; a former file is unchanged.
     """
     path.parent.mkdir(exist_ok=True)
     # Two processes may write the same file, even on two machines with equal process ids.
@@ -107,8 +108,8 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames in a folder durable: otherwise a power cut may undo them."""
-    # Not every system opens folders, and not every file system syncs them; there a rename is as durable as it gets.
+    """Make renames in a folder durable, so that a power cut cannot undo them."""
+    # Some systems cannot open folders, and some file systems cannot sync them; renames are not made durable there.
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -127,12 +128,12 @@ def read_as(content: bytes | str, shape: Any, called: object) -> Any:
     """JSON text as an object of its declared type.
 
     Args:
-        content: the text.
-        shape: the type, as pydantic reads it.
-        called: what holds the text, for messages.
+        content: JSON text.
+        shape: Declared type, in a form that pydantic accepts.
+        called: Name of the source of the text, for messages.
 
     Raises:
-        FileError: it is no JSON, too long, nested too deep, or has another shape.
+        FileError: The text is not JSON, too long, nested too deep, or has another shape.
     """
     if len(content) > MAX_JSON_BYTES:
         raise FileError(
@@ -152,11 +153,11 @@ def read_as(content: bytes | str, shape: Any, called: object) -> Any:
 
 
 def arrays_of(content: bytes, called: object) -> dict[str, np.ndarray]:
-    """The arrays of an NPZ file, by name; sizes are those that the file says, checked before it is unpacked.
+    """The arrays of an NPZ file by name; the sizes in its headers are checked before it is unpacked.
 
     Raises:
-        FileError: it is no such file, damaged, holds Python objects, or takes more than `MAX_ARRAY_BYTES` bytes and ten
-            times its own size.
+        FileError: The file is of another kind, damaged, contains Python objects, or needs more than `MAX_ARRAY_BYTES`
+            bytes and more than ten times its own size.
     """
     limit = max(MAX_ARRAY_BYTES, 10 * len(content))
     try:
@@ -199,13 +200,13 @@ def check_arrays(
     """Compare arrays with their declaration.
 
     Args:
-        arrays: by name.
-        declared: name -> (kinds of numbers, as in `numpy.dtype.kind`; the shape). In a shape, a text names a length
-            that is the same wherever the name stands, and `...` at the end allows further ones.
-        called: what holds them, for messages.
+        arrays: Arrays by name.
+        declared: Kinds of numbers (as in `numpy.dtype.kind`) and shape of each array by name. In a shape, a string names a
+            length that is equal in all shapes with this name, and `...` at the end allows additional dimensions.
+        called: Name of the source of the arrays, for messages.
 
     Raises:
-        FileError: one is missing, or has other numbers or another shape.
+        FileError: An array is missing, or has another type or shape.
     """
     sizes: dict[str, int] = {}
     for name, (kinds, shape) in declared.items():

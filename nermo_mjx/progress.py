@@ -1,7 +1,6 @@
-"""Progress on standard error: a bar on a terminal, a line that is written over in a notebook, otherwise an occasional
-line, nothing when quiet.
+"""Progress on standard error: a bar on a terminal, a line that is overwritten in a notebook, otherwise occasional lines.
 
-In Python jobs and walks show it where somebody looks: on a terminal, and in IPython.
+A command shows its progress unless it is quiet. Functions in Python show it only on a terminal and in IPython.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 R = TypeVar("R")
-#: Whether a job runs, which tells of its parts itself.
+#: Whether a job runs, which shows the progress of its parts itself.
 _JOB_RUNS: Final[ContextVar[bool]] = ContextVar("_JOB_RUNS", default=False)
 COMPILATION_MESSAGE = "compiling, once per machine"
-#: Seconds without any progress after which a first compilation is the reason; a cached program starts sooner.
+#: Time without progress after which a first compilation is the likely reason; a cached program starts earlier [s].
 STALL_SECONDS = 1.5
 
 
@@ -33,12 +32,12 @@ class ProgressBar:
     """Shows the progress of a job; a context manager.
 
     Args:
-        what: names the work, "sweep".
-        unit: what is counted, "runs".
-        quiet: show nothing; by default as the present command is told.
-        compiles: mention compilation if there is no progress at first.
-        every: seconds between two lines without a terminal; in a notebook 20 states of the line in this time.
-        stream: where to write; standard error by default.
+        name: Name of the work, such as "sweep".
+        unit: Unit of the count, such as "runs".
+        quiet: Whether nothing is shown; by default the option of the present command.
+        compiles: Whether a message mentions compilation if there is no progress at first.
+        every: Time between two lines without a terminal [s]; in a notebook, the line changes 20 times in this time.
+        stream: Stream for the output; standard error by default.
     """
 
     def __init__(
@@ -57,7 +56,7 @@ class ProgressBar:
         self._timer = threading.Timer(STALL_SECONDS, self._name_compilation)
         self._timer.daemon = True
         self._waits, self._compiling = compiles and not self._quiet, False
-        # When this process began to count, and at which fraction; and the same for its rate, without the compilation.
+        # Time and fraction at the beginning of the count, and of the rate, which excludes the compilation.
         self._start: tuple[float, float] | None = None
         self._pace_start = (0.0, 0.0)
         self._last_line = time.monotonic()
@@ -88,10 +87,12 @@ class ProgressBar:
     def share(
         self, fraction: float, done: int | None = None, total: int | None = None, detail: str = ""
     ) -> None:
-        """Report the fraction of the work done and the count; the first call may start above 0 if work is resumed.
+        """Report the fraction of the work that is done, and the count; resumed work starts above 0.
 
         Args:
-            detail: additional information to show.
+            fraction: Fraction of the work that is done.
+            done, total: Count of what is done, and of everything; None if nothing is counted.
+            detail: Additional information to show.
         """
         now = time.monotonic()
         if self._start is None:
@@ -114,12 +115,12 @@ class ProgressBar:
         self._note(text)
 
     def _note(self, text: str) -> None:
-        """Show what is happening, behind the bar or on a line."""
+        """Show a text behind the bar or on a line."""
         if self._bar is not None:
             self._bar.update(self._task, note=text)
         elif not self._quiet:
             line = f"{self._what}: {text}"
-            # Spaces cover the rest of a longer line; the next one begins where this one did.
+            # Spaces overwrite the rest of a longer former line.
             self._stream.write(f"{line:<{self._width}}\r" if self._writes_over else f"{line}\n")
             self._width = len(line) if self._writes_over else 0
             self._stream.flush()
@@ -129,7 +130,7 @@ class ProgressBar:
         self._note(COMPILATION_MESSAGE)
 
     def _pace(self, now: float, fraction: float, total: int | None) -> str:
-        """Rate and time left, from what this process did."""
+        """Rate and remaining time, as text, from the progress of this process."""
         seconds, share = now - self._pace_start[0], fraction - self._pace_start[1]
         if seconds <= 0 or share <= 0:
             return ""
@@ -147,13 +148,13 @@ class ProgressBar:
 
 
 class Stages:
-    """The display of a job, and of its parts one after another; to be closed at its end.
+    """The display of a job and of its parts, one after another; a context manager.
 
     Args:
-        name: of the job.
-        unit: what it counts, "runs".
-        compiles: whether a part (the job itself is called as it is) compiles something at first.
-        details: what else to show of a progress.
+        name: Name of the job.
+        unit: Unit of its count, such as "runs".
+        compiles: Function that returns whether a part compiles at first; the argument is the name of the part or the job.
+        details: Function that returns an additional text about a progress.
     """
 
     def __init__(
@@ -174,7 +175,7 @@ class Stages:
         self._what = ""
 
     def show(self, progress: JobProgress) -> None:
-        """Show how far the job is, or its part, in a display that is begun where another one was shown."""
+        """Show the progress of the job or of its part; a new part gets a new display."""
         name = progress.what or self._name
         if name != self._what:
             self.__exit__()
@@ -189,7 +190,7 @@ class Stages:
         self._progress.share(progress.fraction, count, progress.total, self._details(progress))
 
     def say(self, sentence: str) -> None:
-        """A sentence on a line of its own."""
+        """Print a sentence on its own line."""
         self.__exit__()
         if not is_given("quiet"):
             click.echo(f"{self._name}: {sentence}", err=True)
@@ -202,14 +203,14 @@ def is_given(option: str) -> bool:
 
 
 def _is_watched() -> bool:
-    """Whether somebody looks, and nothing else tells: no command, and no job."""
+    """Whether a person may watch the output, and no command or job shows the progress already."""
     if _JOB_RUNS.get() or click.get_current_context(silent=True) is not None:
         return False
     return sys.stderr.isatty() or _is_notebook()
 
 
 def _is_notebook() -> bool:
-    """Whether this is IPython, which is a notebook's where there is no terminal."""
+    """Whether this is IPython, which without a terminal runs in a notebook."""
     shell = sys.modules.get("IPython")
     return shell is not None and shell.get_ipython() is not None
 
@@ -218,7 +219,7 @@ def _is_notebook() -> bool:
 def shown_share(
     name: str, progress: Callable[[float], None] | bool | None
 ) -> Iterator[Callable[[float], None] | None]:
-    """What to tell the share done: the given function, or a display if it takes long and somebody looks, or nothing."""
+    """Yield the function for the fraction done: the given one, or a display for long work that a person may watch, or None."""
     if progress not in (None, True, False) and not callable(progress):
         raise TypeError(
             f"progress is {progress!r}: expected a function of the share done, or False to be silent."
@@ -239,12 +240,13 @@ def shown_share(
 
 
 def shows_progress(name: str, unit: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorator of a job with the options `watch` and `progress`: without the one, and unless the other is False, it
-    shows its progress where somebody looks.
+    """Decorator of a job with the options `watch` and `progress`, which adds a display of its progress.
+
+    The display appears if `watch` is not given, `progress` is not False, and a person may watch the output.
 
     Args:
-        name: of the job.
-        unit: what it counts.
+        name: Name of the job.
+        unit: Unit of its count.
     """
 
     def decorate(job: Callable[P, R]) -> Callable[P, R]:

@@ -1,4 +1,4 @@
-"""What a stranger's file may do here: which text of it is shown, and whether Python that it names is run."""
+"""Rules for untrusted files: which text of them is printed, and whether Python code that they name may run."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Final
 
 
 class FileError(Exception):
-    """A file that is not what it should be; the message is one sentence that names the file."""
+    """A file with wrong content; the message is one sentence that names the file."""
 
 
 # ---
-# What is shown of a file: a terminal would obey its control characters.
+# Text of a file is printed without its control characters, which a terminal would obey.
 
 
-#: Control characters but the line's end and the tab, and those that turn the direction of writing.
+#: Control characters other than the end of a line and the tab, and characters that change the direction of writing.
 _CONTROL_CHARACTERS: Final = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]"
 )
@@ -33,32 +33,32 @@ def printable(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """The same for a text that has one line."""
+    """A text as `printable` returns it, on one line."""
     return printable(text).replace("\n", "\\n").replace("\t", "\\t")
 
 
 def shortened(text: str, limit: int = 60) -> str:
-    """A text, or its beginning if it has more letters."""
+    """A text, or its beginning if it has more than `limit` characters."""
     return text if len(text) <= limit else f"{text[: limit - 3]}..."
 
 
 # ---
-# Whose Python is run.
+# Python code that files name.
 
 
-#: Whether the Python that files name may be run, and what is told before.
+#: Whether Python code that files name may run, and the function that prints a message before.
 CODE_EXECUTION: ContextVar[bool] = ContextVar("CODE_EXECUTION", default=True)
 MESSAGE_HANDLER: ContextVar[Callable[[str], None]] = ContextVar(
     "MESSAGE_HANDLER", default=lambda sentence: None
 )
-#: Suffixes of files that hold a controller as data instead of code, and MODULE:NAME of the function that reads them.
-#: The top of the package fills it in, as these modules are built on those that take a controller's name.
+#: Suffixes of files that contain a controller as data instead of code, with `MODULE:NAME` of the function that reads
+#: them. The top of the package fills this table, because the readers depend on modules that use it.
 DATA_CONTROLLERS: Final[dict[str, str]] = {}
 
 
 @contextlib.contextmanager
 def only_reading() -> Iterator[None]:
-    """Inside of it, or of a function that it decorates, no Python that a file names is run."""
+    """Context manager or decorator: inside, no Python code that a file names runs."""
     token = CODE_EXECUTION.set(False)
     try:
         yield

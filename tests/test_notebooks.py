@@ -46,7 +46,7 @@ from nermo_mjx.identify import identification, report
 from nermo_mjx.physics import c_engine
 from nermo_mjx.plotting import files
 c_engine.BLOCK_WORLDS, files._FILE_DPI = 8, 100
-identification.START_COUNT, identification.SCANNED_POINTS, identification.MAX_STEPS = 2, 8, 4
+identification.START_COUNT, identification.SCANNED_POINTS, identification.GAUSS_NEWTON_STEPS = 2, 8, 4
 report.ENSEMBLE_SIZE = 8
 gc.set_threshold(50_000, 20, 10)
 jax.config.update("jax_traceback_in_locations_limit", 0)

@@ -1,4 +1,4 @@
-"""The commands that read finished tables: status, plot, compare and sensitivity."""
+"""The commands that read directories of results and print, draw or compare their tables: status, plot, compare, sensitivity."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def status_command(path: Path) -> Output:
 
 
 def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """The newest sessions: when, with what, where, by which command."""
+    """The newest sessions: their times, versions, machines and commands."""
     from nermo_mjx.runs.code import local_time
 
     latest = sessions[-3:]
@@ -159,12 +159,12 @@ def plot_command(path: Path, out: Path | None, form: str | None, **columns: str 
 def _drawing(
     kind: Kind, path: Path, folder: Path, notes: list[str]
 ) -> Iterator[Callable[[Path, bytes], None]]:
-    """How figures are written into a folder, into which no other command draws meanwhile; it is made if it is missing.
+    """Lock a folder for figures, which is created if it is missing, and yield the function that writes files into it.
 
-    In a directory that knows its own files, others are moved aside.
+    In a directory that records its own files, other files are renamed as a backup.
 
     Raises:
-        DirectoryError: another command draws into it, or it cannot be written.
+        DirectoryError: Another command writes figures into the folder, or it cannot be written.
     """
     from nermo_mjx.runs import RunDirectory, Written
     from nermo_mjx.runs.directory import hold
@@ -283,7 +283,7 @@ def _report(
     out: Path | None,
     show: Callable[[], None],
 ) -> Output:
-    """The end of a command that found a table: it and its figures are written where `out` is given."""
+    """The output of a command whose result is a table; with `out`, the table and its figures are written."""
     files = list[Path]()
     if out is not None:
         from nermo_mjx.sweep.table import write_report
@@ -296,14 +296,16 @@ def _report(
     return Output({**report.about(), "files": files}, show, files)
 
 
-#: Groups of a metric that a terminal shows: those that differ most surely.
+#: Maximum number of groups of a metric that a terminal shows: those with the smallest p values.
 _MOST_GROUPS = 30
 
 
 # Long because it prints the parts of one report in their order.
 def _print_comparison(comparison: Comparison, metrics: Sequence[str], *, show_all: bool) -> None:
-    """Tables for people: the chosen metrics, or all of them, over all variants, and the drawn ones by groups; where
-    lines have an end, what differs, in the columns that fit."""
+    """Print tables of the chosen metrics, or of all metrics, over all variants, and of the drawn metrics by groups.
+
+    On a terminal, the tables have the rows that differ and the columns that fit.
+    """
     from nermo_mjx.rollout.metric_table import headed
     from nermo_mjx.sweep.table import profile_text
 
@@ -315,7 +317,7 @@ def _print_comparison(comparison: Comparison, metrics: Sequence[str], *, show_al
         return in_unit(row["metric"], row["metric_unit"])[1] or "1"
 
     def chosen(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        """Rows that say something, and among groups the surest."""
+        """Rows with a difference; of many groups, the rows with the smallest p values."""
 
         def shown(row: Mapping[str, Any]) -> bool:
             equal = (

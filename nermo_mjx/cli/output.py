@@ -1,4 +1,8 @@
-"""How a command ends and what it prints: an exit code, one sentence for an error, one JSON object, or tables."""
+"""The end of a command: its exit code, and its output as one sentence for an error, one JSON object, or tables.
+
+`command` makes a command of a function that returns an `Output`. `CommandGroup` translates the errors of the package into
+exit codes.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,7 @@ from nermo_mjx.trust import MESSAGE_HANDLER, FileError, one_line, only_reading, 
 COLLECTIONS: Final = (100_000, 50, 100)
 
 
-#: What ends a process, but for Ctrl-C, unless it is caught: a batch system, a terminal that closes, a limit of time.
+#: Signals other than Ctrl-C that end a process: they come from a batch system, a closing terminal, or a time limit.
 ENDING: Final = tuple(
     getattr(signal, f"SIG{end}")
     for end in [
@@ -55,7 +59,7 @@ ENDING: Final = tuple(
 
 
 def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
-    """Act as the handler of Ctrl-C does now."""
+    """Call the present handler of Ctrl-C."""
     handler = signal.getsignal(signal.SIGINT)
     (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)
 
@@ -79,7 +83,7 @@ class CommandGroup(click.Group):
     """A group that turns the package's own errors into exit codes, and an interruption into a sentence."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """As click does it; a log on a full disk stops no job, but output that is lost is a failure."""
+        """Run as click does. A log on a full disk stops no job, but lost output is a failure."""
         out, errors = (_Lossy(stream or io.StringIO()) for stream in (sys.stdout, sys.stderr))
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
             try:
@@ -98,7 +102,7 @@ class CommandGroup(click.Group):
                 errors.flush()
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As click does it, for texts that files, tables and pages can hold."""
+        """Parse as click does; arguments must be UTF-8, because files, tables and pages contain them."""
         for arg in args:
             try:
                 arg.encode()
@@ -123,7 +127,7 @@ class CommandGroup(click.Group):
         warned = set[str]()
 
         def warn(message: Warning | str, *_: Any) -> None:
-            """A warning is a sentence, said once, without the line of code that it comes from."""
+            """Print a warning once, as a sentence without its line of code."""
             if str(message) not in warned:
                 warned.add(str(message))
                 MESSAGE_HANDLER.get()(one_line(str(message)))
@@ -160,7 +164,7 @@ class CommandGroup(click.Group):
                 signal.signal(signal_number, handler)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        """As click does it, with the nearest command's name."""
+        """Resolve as click does; the message about an unknown command contains the nearest name."""
         import difflib
 
         name = args[0]
@@ -176,9 +180,9 @@ class CommandGroup(click.Group):
 
 
 class _Lossy:
-    """A standard stream that escapes control characters; what a full disk does not take is lost, and remembered.
+    """A standard stream that escapes control characters, and that continues on a full disk but remembers the error.
 
-    A reader that is gone ends the command, as everywhere.
+    A closed pipe ends the command as usual.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -192,7 +196,7 @@ class _Lossy:
         return self.styled(printable(text))
 
     def styled(self, text: str) -> Any:
-        """Write a text whose control characters are the command's own."""
+        """Write a text of the command itself, whose control characters are not escaped."""
         return self._kept(self._stream.write, text)
 
     def flush(self) -> None:
@@ -239,14 +243,14 @@ def _translate(error: Exception) -> NoReturn:
 
 @dataclasses.dataclass(frozen=True)
 class Output:
-    """What a command ends with.
+    """The result of a command.
 
     Attributes:
-        content: for --json.
-        show: prints it for people.
-        files: that were written, which are named last.
-        failure: a sentence with which the command fails after it has told this.
-        always: show it with --quiet, too.
+        content: Content of the JSON object of `--json`.
+        show: Function that prints the result for people.
+        files: Files that the command wrote; their names are printed last.
+        failure: Message with which the command fails after this output; empty for success.
+        always: Whether the result is also shown with `--quiet`.
     """
 
     content: Any
@@ -256,19 +260,19 @@ class Output:
     always: bool = False
 
 
-#: All of them, in the order in which their modules are imported.
+#: All commands, in the order in which their modules are imported.
 ALL_COMMANDS: Final[list[click.Command]] = []
 
 
 def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]], click.Command]:
-    """A command of a function that does the work, and returns how it ended; its `--json` and `--quiet` are added.
+    """Decorator that makes a command of a function, and adds `--json` and `--quiet`.
 
-    Its docstring is the help; the epilog begins with the first list in it that has a heading. What libraries print goes
-    to standard error.
+    The docstring of the function is the help; the epilog begins with its first list that has a heading. Output of
+    libraries is redirected to standard error.
 
     Args:
-        name: as it is typed.
-        reads: it runs no Python that files name.
+        name: Name of the command.
+        reads: Whether the command only reads, so that it runs no Python that files name.
     """
 
     def make(function: Callable[..., Any]) -> click.Command:
@@ -321,7 +325,7 @@ def say(sentence: str) -> None:
 
 
 def print_pairs(pairs: Iterable[tuple[str, Any]]) -> None:
-    """Lines of a name and a text; those without a text are left out."""
+    """Print lines of a name and a text; pairs without a text are omitted."""
     lines = [(name, text) for name, text in pairs if text]
     width = max([8, *(len(name) for name, _ in lines)])
     for name, text in lines:
@@ -329,12 +333,12 @@ def print_pairs(pairs: Iterable[tuple[str, Any]]) -> None:
 
 
 def print_places(out: Path, **places: Any) -> None:
-    """Where the files are, by what they are: names in `out`, or whole paths; those that were not made are left out."""
+    """Print the paths of files by their meaning: names in `out`, or whole paths; empty ones are omitted."""
     print_pairs((name, file and out / file) for name, file in places.items())
 
 
 def in_unit(name: str, unit: str, *values: float) -> tuple[list[float], str]:
-    """Values in SI units as people read them, and their unit, which is empty for pure numbers."""
+    """Values in SI units converted into their display unit, and this unit, which is empty for pure numbers."""
     from nermo_mjx.plotting.shown import shown
 
     quantity = shown(name, unit, values)
@@ -342,7 +346,7 @@ def in_unit(name: str, unit: str, *values: float) -> tuple[list[float], str]:
 
 
 def room() -> int | None:
-    """How many characters a line has, by the terminal or COLUMNS; None where it may have any number."""
+    """Width of a line in characters, from the terminal or COLUMNS; None if it is unlimited."""
     is_known = sys.stdout.isatty() or os.environ.get("COLUMNS")
     return shutil.get_terminal_size().columns if is_known else None
 
@@ -353,14 +357,14 @@ def print_table(
     rows: Iterable[Sequence[Any]],
     spare: Sequence[int] = (),
 ) -> list[str]:
-    """A table for people; returns the headings that it leaves out. Without a terminal, lines are never wrapped.
+    """Print a table for people; returns the headings of omitted columns. Without a terminal, lines are never wrapped.
 
     Args:
-        title: above it.
-        headings: of its columns, or a text of them separated by ", "; each is (heading, "left" or "right"), or a
-            heading, which ends with > where texts are on the right.
-        rows: a text for each column.
-        spare: the columns that it leaves out where the lines have no room, the least important first.
+        title: Title above the table.
+        headings: Headings of the columns, or one text in which ", " separates them. Each is (heading, "left" or "right"),
+            or a heading, which ends with > if the texts of its column are aligned to the right.
+        rows: Texts of the columns for each row.
+        spare: Indices of the columns that may be omitted on a narrow terminal, the least important first.
     """
     from rich.box import SIMPLE_HEAD
     from rich.console import Console

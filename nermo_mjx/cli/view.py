@@ -32,7 +32,7 @@ def load_recording(path: Path) -> Recording:
     """The recording of a file.
 
     Raises:
-        WrongUse: it is none, is not one of this version's robot, or has nothing to show; the sentence names the file.
+        WrongUse: The file is no recording of a robot of this version, or it has nothing to show; the message names it.
     """
     from nermo_mjx.robot import ParameterError
     from nermo_mjx.view import Recording, RecordingError, robot_of
@@ -111,9 +111,9 @@ def save_run(recording: Recording, record: Path | None, video: Path | None, came
 def render_with_progress(
     recordings: Sequence[Recording], path: Path, names: Sequence[str] = ("",), **video_options: Any
 ) -> None:
-    """Render with a progress bar; several side by side, each below its name, its title and its figures.
+    """Render a video with a progress bar; several recordings are side by side, with their names, titles and metrics.
 
-    Robots are built from the recordings' own setups.
+    Robots are built from the setups of the recordings.
     """
     from nermo_mjx.view import render, robot_of, shown_model
     from nermo_mjx.view.recorded import headline_of, title_of
@@ -134,7 +134,7 @@ def render_with_progress(
         render(panes, robots[0].model, path, progress=progress.count, **video_options)
 
 
-#: Options of `play` that need another kind of file, and which.
+#: Options of `play` that require a certain kind of file.
 _TASK, _RECORDED = "a training", "a recording"
 PLAY_NEEDS = dict.fromkeys(
     ("policy", "scene", "assignments", "seconds", "video", "camera"), _TASK
@@ -295,16 +295,16 @@ def _shown(
         "" if opened or no_open else "; no browser was found, open it in one"
     )
     content = {"page": str(file), "bytes": file.stat().st_size, **amounts, "opened": opened}
-    # Nobody else knows where it is.
+    # The file is in a temporary folder, so that its path is printed unless the browser shows it.
     return Output(content, lambda: click.echo(sentence), always=out is None and not opened)
 
 
-#: After how many seconds a browser loads the page of a training at work anew.
+#: Interval at which a browser reloads the page of a running training [s].
 _RELOAD = 20.0
 
 
 def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
-    """Write the page of a training anew after each of its checkpoints, until it has ended."""
+    """Write the page of a training again after each checkpoint, until the training has ended."""
     from nermo_mjx.learn.directory import HISTORY_FILE, training_status
     from nermo_mjx.view.trained import trained
 
@@ -340,7 +340,7 @@ def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
 def _page(
     path: Path, other: Path | None, recordings: int | None, notes: list[str]
 ) -> tuple[Page, dict[str, Any]]:
-    """The page of a recording or a directory, and how much it shows."""
+    """The page of a recording or a directory, and the numbers of its samples, rows and recordings."""
     from nermo_mjx.view import show
     from nermo_mjx.view.explore import MAX_RECORDINGS
 
@@ -350,14 +350,14 @@ def _page(
                 f"--recordings is for the page of a directory, but {path} is a recording."
             )
         for file in (path, *([] if other is None else [other])):
-            load_recording(file)  # refuses what cannot be shown, and says which file that is
+            load_recording(file)  # refuses a file that cannot be shown, with its name
         page = show(path, other)
         return page, {"samples": page.samples}
     if other is not None:
         raise WrongUse(
             f"{path} is a directory: it has its own page; show {other} with a separate command."
         )
-    kind_of_directory(path)  # refuses what is none
+    kind_of_directory(path)  # refuses a directory of no known kind
     limit = MAX_RECORDINGS if recordings is None else recordings
     page = directory_page(path, recordings=limit, notify=notes.append)
     if page.samples:

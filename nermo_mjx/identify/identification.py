@@ -53,7 +53,7 @@ GENERATIONS_PER_START: Final = 25
 #: Number of repeated searches for a robot on the ground: with contacts, other minima can be as deep as the true one.
 SEARCH_REPEATS: Final = 6
 #: Maximum number of Gauss-Newton steps.
-MAX_STEPS: Final = 14
+GAUSS_NEWTON_STEPS: Final = 14
 #: Two results are the same minimum if the mean logarithms of their residuals differ by less.
 SAME_MINIMUM_TOLERANCE: Final = 1e-3
 #: A smaller class is accepted if its error on validation samples exceeds the error of the larger class by less.
@@ -383,7 +383,7 @@ def _fit(
         stages,
         x,
         sigma,
-        MAX_STEPS,
+        GAUSS_NEWTON_STEPS,
         repeats,
         seed,
         lambda done_count: report((starts + 1 + done_count) / total),
@@ -413,7 +413,7 @@ def _find_start(
 
     ends = list[tuple[np.ndarray, np.ndarray]]()
     for i, start in enumerate(starts()):
-        ends.append(piece.search(start, iterations=MAX_STEPS, rounds=2))
+        ends.append(piece.search(start, iterations=GAUSS_NEWTON_STEPS, rounds=2))
         costs = [float(np.sum(np.log(sigma))) for _, sigma in ends]
         x, sigma = ends[int(np.argmin(costs))]
         report(i + 1)
@@ -443,7 +443,7 @@ def _fit_reduced(
     names = [parameter.name for parameter in space.parameters]
     estimation = Estimation(space, LoggedTwin(body, split.fitted, names), cache)
     start, others = space.coordinates(fit.values[columns]), list(fit.others[:, columns])
-    reduced = estimation.fit(start, fit.sigma, MAX_STEPS, 1, seed, others)
+    reduced = estimation.fit(start, fit.sigma, GAUSS_NEWTON_STEPS, 1, seed, others)
     return reduced, split.residual(body, names, reduced.values, fit.sigma)
 
 

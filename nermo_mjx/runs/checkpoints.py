@@ -21,7 +21,7 @@ from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, replace_file
 
-#: Bytes that must be free for a checkpoint to be started.
+#: Free space that a checkpoint requires [bytes].
 ROOM: Final = 1 << 18
 #: Number of checkpoints to keep; all but the latest are backups in case it is damaged.
 KEPT: Final = 3
@@ -33,11 +33,11 @@ About = Mapping[str, Any]
 class Checkpoints:
     """The checkpoints of one directory, by number; use it in a `with` statement.
 
-    A checkpoint has parts, each a pytree of arrays, and says what they are (item `about`, with checksums).
+    A checkpoint contains parts, each of them a pytree of arrays, and their description (item `about`, with checksums).
 
     Args:
-        held: the directory; checkpoints are in its folder `checkpoints`, which is made if it does not exist.
-        item: name of the parts' item, such as "tuning".
+        directory: Directory of results; checkpoints are in its folder `checkpoints`, which is created if it is missing.
+        item: Name of the item of the parts, such as "tuning".
     """
 
     def __init__(self, directory: RunDirectory, item: str) -> None:
@@ -91,12 +91,12 @@ class Checkpoints:
         """The latest intact checkpoint, None if there is none. Newer ones that are damaged are moved aside.
 
         Args:
-            like: parts of the same shapes, for what a checkpoint says of itself; it raises a `DirectoryError` where
-                that is of something else.
-            warn: called with a message about each checkpoint that is moved aside.
+            like: Function that returns parts of the same shapes for the description of a checkpoint; it raises a
+                `DirectoryError` if the description does not fit the job.
+            warn: Function that is called with a message about each damaged checkpoint, which is renamed as a backup.
 
         Raises:
-            DirectoryError: one cannot be read now, or `like` refuses it; nothing has been changed.
+            DirectoryError: A checkpoint cannot be read now, or does not fit the job; nothing has been changed.
         """
         damaged, result = [], None
         with _quiet():

@@ -1,6 +1,6 @@
-"""Which code computes a result, where and with what: enough to run it again.
+"""Provenance of a result: its code (`CodeStamp`), and the versions, machine and command of each session.
 
-A directory records it, and mixes results of different codes only on request.
+A directory records both, and mixes results of different codes only on request.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from typing import Any, Final
 from nermo_mjx.runtime import processor_line
 from nermo_mjx.version import __version__
 
-#: Rooms of the package that determine what a world does and what is measured.
+#: Subpackages that determine the simulation of a world and its metrics.
 ROOMS: Final = ("robot", "kinematics", "control", "dynamics", "physics", "rollout")
-#: Sources among the files of a room, and of the robot's model.
+#: Suffixes of source files of a subpackage, and of the robot's model.
 _SUFFIXES: Final = (".py", ".csv", ".xml", ".obj")
 #: Name of each field of a stamp in messages.
 _CALLED: Final = {
@@ -40,14 +40,14 @@ _CALLED: Final = {
 
 @dataclasses.dataclass(frozen=True)
 class CodeStamp:
-    """What made a row: equal stamps mean that equal results can be expected, on one kind of machine.
+    """Identifies the code that made a row: with equal stamps, results are equal on one kind of machine.
 
     Attributes:
-        package: version of nermo-mjx.
-        sources: digest of the sources that compute.
-        model: digest of the robot's model, or of what else is simulated.
-        engine: name of the engine that ran.
-        mujoco, mujoco_mjx, jax: versions.
+        package: Version of nermo-mjx.
+        sources: Digest of the sources that affect results.
+        model: Digest of the model of the robot, or of another simulated model.
+        engine: Name of the engine.
+        mujoco, mujoco_mjx, jax: Versions of these packages.
     """
 
     package: str
@@ -85,9 +85,9 @@ def stamp(model: str, engine: str, subpackages: tuple[str, ...] = ()) -> CodeSta
     """The stamp of the code that runs here.
 
     Args:
-        model: digest of the model, as `nermo_mjx.robot.Robot.fingerprint`.
-        engine: name of the engine that runs, never "auto".
-        subpackages: further rooms of the package that affect the results, in addition to `ROOMS`.
+        model: Digest of the model, as in `nermo_mjx.robot.Robot.fingerprint`.
+        engine: Name of the engine, never "auto".
+        subpackages: Subpackages that affect the results in addition to `ROOMS`.
     """
     return CodeStamp(
         package=__version__,
@@ -112,7 +112,7 @@ def stored_stamp(fields: Any) -> CodeStamp | None:
 
 @functools.cache
 def sources(subpackages: tuple[str, ...] = ()) -> str:
-    """Digest of the sources in `ROOMS`, and in more of them, and of the robot's model files."""
+    """Digest of the sources in `ROOMS` and in additional subpackages, and of the files of the robot's model."""
     package = Path(__file__).parents[1]
     inside = package / "mjcf"
     roots = [
@@ -172,7 +172,7 @@ def machine() -> dict[str, Any]:
 
 
 def session(**entries: Any) -> dict[str, Any]:
-    """One session of work: when, by which command, with which versions, where."""
+    """Record of one session: its start, command, versions and machine."""
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
     return {
         "started": started,
@@ -184,7 +184,7 @@ def session(**entries: Any) -> dict[str, Any]:
 
 
 def local_time(started: Any) -> str:
-    """When a session started, for people: in this machine's time zone, and with its name."""
+    """The start of a session in the time zone of this machine, with the name of the zone."""
     try:
         return f"{datetime.datetime.fromisoformat(str(started)).astimezone():%Y-%m-%d %H:%M %Z}"
     except (ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""What all jobs have in common: how far they are, who is told, and their end by Ctrl-C or SIGTERM."""
+"""Parts that all jobs share: their progress, their callbacks, their forecast, their interruption by Ctrl-C or SIGTERM."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from nermo_mjx.runs.workers import WorkersLost
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """How far a job is.
+    """The progress of a job.
 
     Attributes:
-        fraction: share of the work that is done, 0 to 1; what an earlier session has done counts.
-        done, total: runs of a sweep, evaluations of a search or a tuning, which has one more of
-            them than steps; None where nothing is counted, or there is no total.
-        resumed: of these, how many an earlier session had done, or another directory has.
-        what: the part that is at work, such as "plots", or an experiment; empty: the job itself.
-        best: lowest objective so far; None without one.
-        numbers: what else is known by now: the filled `cells` of an atlas; `objective`, metrics and `simulated_seconds`
-            [s] of a tuning, the first two of the best point of its last iteration.
+        fraction: Fraction of the work that is done, 0 to 1, including earlier sessions.
+        done, total: Numbers of runs of a sweep, or of evaluations of a search or a tuning (which has one more evaluation
+            than steps); None if nothing is counted, or if the total is unknown.
+        resumed: Number of these that an earlier session or another directory has done.
+        what: Name of the running part, such as "plots" or an experiment; empty for the job itself.
+        best: Lowest objective so far; None without an objective.
+        numbers: Other values: the filled `cells` of an atlas; `objective`, metrics and `simulated_seconds` [s] of a
+            tuning, of which the first two belong to the best point of its last iteration.
     """
 
     fraction: float
@@ -48,9 +48,9 @@ class Watch:
     3 parts are damaged.
 
     Attributes:
-        progress: is told from time to time how far the job is.
-        warn: gets a sentence about what is unusual, such as a damaged file that is moved aside.
-        notify: gets a sentence if something takes long, such as compiling.
+        progress: Function that is called with the progress of the job from time to time.
+        warn: Function that is called with a message about an unusual event, such as a damaged file.
+        notify: Function that is called with a message if something takes long, such as compilation.
     """
 
     progress: Callable[[Progress], None] = lambda _: None
@@ -58,23 +58,23 @@ class Watch:
     notify: Callable[[str], None] = lambda _: None
 
 
-#: Nobody watches.
+#: Callbacks that do nothing.
 SILENT: Final = Watch()
 
 
 @dataclasses.dataclass(frozen=True)
 class Forecast:
-    """What a job would cost on this machine, before it starts.
+    """The estimated cost of a job on this machine.
 
     Attributes:
-        engine: that would run.
-        counts: how many there are of what it is made of, by name, such as rows or evaluations.
-        simulated_seconds: of all worlds, gradients at their cost in forward runs [s].
-        wall_seconds: of that, without compiling [s]; NaN if it is not known.
-        rate_from: the rate and its source, in words.
-        disk_bytes: of what would be written, without figures; None if it is not known.
-        method: of a tuning.
-        notes: sentences.
+        engine: Name of the engine that would run.
+        counts: Numbers of the parts of the job by name, such as rows or evaluations.
+        simulated_seconds: Simulated time of all worlds, with gradients at their cost in forward runs [s].
+        wall_seconds: Wall time without compilation [s]; NaN if it is unknown.
+        rate_from: The rate and its source, in words.
+        disk_bytes: Size of the results without figures [bytes]; None if it is unknown.
+        method: Method of a tuning.
+        notes: Additional sentences.
     """
 
     engine: str
@@ -88,7 +88,7 @@ class Forecast:
 
     @property
     def content(self) -> dict[str, Any]:
-        """For programs: the counts beside the other fields, but for those that are not known."""
+        """Content for programs: the counts, and the other fields that are known."""
         others = {
             name: value
             for name, value in vars(self).items()
@@ -98,15 +98,15 @@ class Forecast:
 
 
 class JobFailed(RuntimeError):
-    """A job that cannot go on; the message is one sentence that says why, and how to resume."""
+    """A job that cannot continue; the message is one sentence with the reason and how to resume."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to resume."""
+    """An interruption by Ctrl-C or SIGTERM; the message contains how to resume."""
 
 
 class Interruption:
-    """Raises `KeyboardInterrupt` on Ctrl-C or SIGTERM, but not inside of `shielded`: there at its end."""
+    """Raises `KeyboardInterrupt` on Ctrl-C or SIGTERM; inside of `shielded`, it is raised at the end of the block."""
 
     def __init__(self) -> None:
         self._shielded = self._pending = False
@@ -123,12 +123,12 @@ class Interruption:
             raise KeyboardInterrupt
 
     def check(self) -> None:
-        """Raise an interruption that was lost where nothing can be raised, as in a destructor; call it often."""
+        """Raise an interruption that was lost, for example in a destructor, which cannot raise; call this often."""
         if self._pending and not self._shielded:
             raise KeyboardInterrupt
 
     def watched(self, watch: Watch) -> Watch:
-        """The same, with a check whenever progress is told."""
+        """The callbacks, with a check at every report of progress."""
 
         def progress(done: Progress) -> None:
             self.check()
@@ -144,7 +144,7 @@ class Interruption:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Handles both signals inside of it, in the main thread; elsewhere no signal arrives."""
+    """Handle both signals inside of the context, in the main thread; other threads receive no signals."""
     interruption = Interruption()
     numbers = (
         (signal.SIGINT, signal.SIGTERM)
@@ -161,11 +161,11 @@ def interruptible() -> Iterator[Interruption]:
 
 @contextlib.contextmanager
 def resumable(out: Path, again: str = "") -> Iterator[Interruption]:
-    """`interruptible`, with errors that say how to resume: `Interrupted`, and `JobFailed` if all workers are lost.
+    """`interruptible`, with messages about how to resume: `Interrupted`, and `JobFailed` if all workers are lost.
 
     Args:
-        out: the directory.
-        again: a command that resumes it from the files in it, if there is one.
+        out: Directory of the job.
+        again: Command that resumes the job from the files of the directory; empty if there is none.
     """
     try:
         with interruptible() as interruption:

@@ -20,15 +20,15 @@ class Status:
     """Status of a directory.
 
     Attributes:
-        unit: what its rows are, such as "runs".
-        rows_done: rows that it holds.
-        rows: rows that it will have; None while that is decided by what is found.
-        complete: whether all that it was started for is there.
-        command: that resumes it, or redraws the figures if nothing is left to do; empty if unknown.
-        engine: that made the rows; None if it is not known.
-        code: short names of what made the rows, where the directory has no codes of its own.
-        sessions: that made it, where run.json has none.
-        notes: sentences.
+        unit: Unit of its rows, such as "runs".
+        rows_done: Number of existing rows.
+        rows: Number of rows of the complete directory; None if it depends on results.
+        complete: Whether the job is complete.
+        command: Command that resumes the job, or redraws the figures of a complete one; empty if it is unknown.
+        engine: Engine that made the rows; None if it is unknown.
+        code: Short names of the codes that made the rows, if run.json contains none.
+        sessions: Sessions that made the directory, if run.json contains none.
+        notes: Additional sentences.
     """
 
     unit: str
@@ -63,7 +63,7 @@ def status_of(
 
 
 def metadata_of(path: Path, notes: list[str], remedy: str) -> pq.FileMetaData | None:
-    """What a Parquet file says of itself; None if it is absent or damaged, with a note and its remedy."""
+    """Metadata of a Parquet file; None if it is absent, or damaged, which adds a note with the remedy."""
     try:
         if not path.exists():
             return None

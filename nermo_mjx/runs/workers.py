@@ -1,4 +1,4 @@
-"""What computes the tasks of a run: one interface for this process and for a cluster (`ray_workers`).
+"""Workers that compute the tasks of a run: one interface for this process and for a cluster (`ray_workers`).
 
 The process that drives a run submits tasks and receives results as they finish, in any order; only it writes.
 """

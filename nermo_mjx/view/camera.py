@@ -1,4 +1,4 @@
-"""The picture of the robot: cameras that follow it, light, rendering without a window, the support polygon."""
+"""The view of the robot in videos and in the viewer: following cameras, light, and the support polygon."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ def body_radius(
 
 
 def following_camera(name: str, radius: float, fovy: float, aspect: float) -> mujoco.MjvCamera:
-    """The free camera of a named view, as far away as a body of this radius needs; fovy in degrees.
+    """The free camera of a named view, at the distance that a body of this radius requires; fovy in degrees.
 
-    In a square picture the body's sphere fills the height; a wide one shows the long, level body larger.
+    In a square image, the bounding sphere of the body fills the height. In a wide image, the long, level body is larger.
     """
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultCamera(camera)
@@ -92,7 +92,7 @@ _DIRECTIONAL_LIGHT = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 def put_sun_overhead(model: mujoco.MjModel) -> None:
     """Point the shadow-casting light straight down, in place.
 
-    A slanting sun speckles the floor at the edge of the shadow map; one overhead also shows where the feet stand.
+    Slanting light speckles the floor at the edge of the shadow map; light from above also shows the positions of the feet.
     """
     overhead = (model.light_type == _DIRECTIONAL_LIGHT) & (model.light_castshadow != 0)
     model.light_dir[overhead] = (0.0, 0.0, -1.0)
@@ -109,7 +109,7 @@ def move_sun_above(
 
 #: Thickness of the lines, radius of the points, and their height above the ground [m].
 _LINE_METRES, _POINT_METRES, _HEIGHT_METRES = 0.0006, 0.0024, 0.0008
-#: Where the centre of mass is inside, and where it is not (Okabe and Ito); of the polygon.
+#: Colours of a centre of mass inside and outside of the polygon, and of the polygon (Okabe and Ito).
 INSIDE_COLOUR: Final = (0.0, 0.62, 0.45, 1.0)
 OUTSIDE_COLOUR: Final = (0.84, 0.37, 0.0, 1.0)
 _EDGE_COLOUR: Final = (0.0, 0.45, 0.70, 1.0)
@@ -149,11 +149,11 @@ def draw_support(
     """Add the support polygon of feet and tail in a sample, and the centre of mass with its plumb line, to a scene.
 
     Args:
-        scene: of the frame, updated already; what it has no room for is left out.
-        recording: with sensors `foot_position` and `foot_force`.
-        sample: of the recording.
-        com: centre of mass in the world [m].
-        tail: tip of the tail [m], included if the recording has its force.
+        scene: Updated scene of the frame; geoms beyond its capacity are omitted.
+        recording: Recording with the sensors `foot_position` and `foot_force`.
+        sample: Index of the sample.
+        com: Centre of mass in the world [m].
+        tail: Tip of the tail [m], which is used if the recording contains its force.
     """
 
     def add(

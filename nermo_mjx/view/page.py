@@ -1,4 +1,4 @@
-"""A page for the browser in one self-contained file: its document, and the arrays that are packed into it."""
+"""A page for the browser in one self-contained file, which contains a document and packed arrays."""
 
 from __future__ import annotations
 
