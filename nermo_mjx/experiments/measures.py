@@ -340,11 +340,11 @@ def _spoken(*names: str) -> dict[str, str]:
 
 
 #: Spine of a walk through the maze -> whether it is active.
-_SPINE: Final = {"without": False, "with": True}
+_SPINE_STATES: Final = {"without": False, "with": True}
 #: Lift of a leg -> the leg, and whether the spine compensates the balance.
 _LIFTS: Final = {
     f"{text} lifted, {word}": (limb, sbc)
-    for word, sbc in _SPINE.items()
+    for word, sbc in _SPINE_STATES.items()
     for text, limb in _spoken(*LIMBS).items()
 }
 #: Columns of the maze whose values are published, and a column without and with the spine.
@@ -352,7 +352,7 @@ _MAZE_COLUMNS: Final = ("time", "mean_speed", "roll_std", "pitch_std")
 _MAZE_CASES: Final = {
     f"{text} {word}": (column, spine)
     for text, column in _spoken(*_MAZE_COLUMNS).items()
-    for word, spine in _SPINE.items()
+    for word, spine in _SPINE_STATES.items()
 }
 
 
@@ -700,12 +700,12 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         **_family(
             "end reached {} spine",
             lambda measured, spine: measured.maze("reached", spine) == 1,
-            _SPINE,
+            _SPINE_STATES,
         ),
         **_family(
             "no box touched {} spine",
             lambda measured, spine: measured.maze("touched", spine) == 0,
-            _SPINE,
+            _SPINE_STATES,
         ),
         **_family("{} spine", lambda measured, case: measured.maze(*case), _MAZE_CASES),
         **_family(
