@@ -22,7 +22,7 @@ from nermo_mjx.view.camera import (
     put_sun_overhead,
     root_body,
 )
-from nermo_mjx.view.recorded import robot_of, shown_spec
+from nermo_mjx.view.recorded import recorded_spec, robot_of
 
 #: Frame rate of the viewer [Hz].
 _REFRESH_HZ: Final = 60.0
@@ -128,7 +128,7 @@ def write_keyframes(
         )
     times = recording.time[0] + np.arange(count) / rate
     samples = np.unique(np.abs(recording.time - times[:, None]).argmin(axis=1))
-    spec = shown_spec(recording, robot) or mujoco.MjSpec.from_string(robot.to_xml())
+    spec = recorded_spec(recording, robot)
     for sample in samples:
         key = spec.add_key(
             name=f"t{recording.time[sample]:.3f}", time=float(recording.time[sample])

@@ -14,8 +14,11 @@ from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.shown import titled
 from nermo_mjx.recording import LOG_PREFIX, Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
+from nermo_mjx.robot.assembly import assemble
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.model_parameters import Build
+from nermo_mjx.robot.masses import mass_values
+from nermo_mjx.robot.meshes.body import redraw
+from nermo_mjx.robot.model_parameters import Build, gravity_values
 from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.robot.terrains import terrain_values
@@ -77,6 +80,20 @@ def shown_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
     """The robot's whole model for rendering, compiled from `shown_spec`."""
     spec = shown_spec(recording, robot)
     return robot.model if spec is None else spec.compile()
+
+
+def recorded_spec(recording: Recording, robot: Robot) -> mujoco.MjSpec:
+    """An editable specification of the robot with all body parameters of the run."""
+    names = {name for name, _ in quantities(ModelParameters)}
+    recorded = recording.metadata.get("parameters") or {}
+    values = mass_values(robot.config.robot) | gravity_values(robot.gravity)
+    values |= {
+        name: value for name, value in recorded.items() if name in names and value is not None
+    }
+    parameters = replace_quantities(ModelParameters(), values)
+    spec = assemble(robot.config, parameters)
+    redraw(spec, parameters.geometry)
+    return spec
 
 
 def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:

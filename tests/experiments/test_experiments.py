@@ -183,7 +183,8 @@ def test_the_spine_makes_both_trots_faster_and_roll_and_yaw_noisier(line, gait, 
 
 
 def test_offset_compensation_lowers_the_roll(line):
-    """To 0.95 of its std and 0.79 of its amplitude (published: 0.85 and 0.875, see the report's reasons)."""
+    """To 0.83 of its amplitude (published: 0.875). In `exact` the standard deviation stays the same (published: 0.85; 0.72
+    in `as_published`, see the report's reasons)."""
     bare, compensated = (
         [
             walk(line, f"roll_{end}", "trot", 0.67, True, compensated=on)
@@ -191,7 +192,7 @@ def test_offset_compensation_lowers_the_roll(line):
         ]
         for on in (False, True)
     )
-    assert compensated[0] <= 0.97 * bare[0]
+    assert compensated[0] == pytest.approx(bare[0], rel=0.03)
     assert compensated[2] - compensated[1] <= 0.88 * (bare[2] - bare[1])
 
 
@@ -237,15 +238,12 @@ def check_speeds(turns: CaseRuns, gait: str, frequency: float, radius: float) ->
 def test_the_paths_that_are_followed_are_the_published_ones(turns):
     """The publication lost one of its 54: the lateral walk at 0.8 Hz, by the spine, on 0.5 m.
 
-    Here it is followed, within 25 mm as all others are. The lateral walk at 0.8 Hz comes nearest to being lost,
-    too, but by both.
+    Here it is followed, within 25 mm as all others are.
     """
-    cases, followed, error = circles(turns)
+    cases, followed, _ = circles(turns)
     published = ("lateral_walk", 0.8, "spine", 0.5)
     assert [case for case in cases if not followed[case] and case != published] == []
-    assert (
-        max((case for case in cases if case[3] == 0.5), key=error.__getitem__)[:2] == published[:2]
-    )
+    assert followed[published]
 
 
 @pytest.mark.long
@@ -410,8 +408,8 @@ def test_profiles_with_other_robots_are_simulated_apart_and_come_back_in_order()
 
     outcome = in_each_robot(run, Settings(progress=told.append))
     rigid, author = (
-        {"tail": "rigid", "feet": "spheres"},
-        {"tail": "articulated", "feet": "capsules"},
+        {"robot": "nermo_lite", "tail": "rigid", "feet": "spheres"},
+        {"robot": "author", "tail": "articulated", "feet": "capsules"},
     )
     assert seen == [(("exact", "as_built"), rigid), (("as_published",), author)]
     assert outcome.columns["profile"].tolist() == [name for name in PROFILES for _ in range(2)]
