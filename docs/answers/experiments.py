@@ -219,9 +219,10 @@ def quoted(by_name: dict[str, Line]) -> dict[str, str]:
 
 def set_up(walks: pd.DataFrame) -> dict[str, str]:
     """Of the trot of `as_published`, without a pilot: means of the starts, spine held and free."""
-    trot = walks[(walks.profile == "as_published") & (walks.gait == "trot") & (walks.stride == 1.0)]
-    means = trot[~trot.compensated].groupby(["frequency", "spine"]).mean(numeric_only=True)
-    gains = [means.speed[each, True] / means.speed[each, False] for each in (0.8, 0.67, 0.5)]
+    is_trot = (walks.profile == "as_published") & (walks.gait == "trot")
+    trot = walks[is_trot & (walks.stride == 1.0)]
+    means = trot[trot.compensated == 0].groupby(["frequency", "spine"]).mean(numeric_only=True)
+    gains = [means.speed[each, 1.0] / means.speed[each, 0.0] for each in (0.8, 0.67, 0.5)]
     roll, pitch = (
         np.degrees(means.loc[0.67, f"{name}_std"]).to_numpy() for name in ("roll", "pitch")
     )
@@ -240,7 +241,7 @@ def circles(turns: pd.DataFrame) -> dict[str, str]:
     each = cases.groupby(["gait", "frequency"]).agg({"followed": "all", "cross_track_peak": "mean"})
     far = 1e3 * each.cross_track_peak
     return {
-        "circles.left": f"{(~each.followed).sum()} of {len(each)}",
+        "circles.left": f"{(~each.followed.astype(bool)).sum()} of {len(each)}",
         "circles.far": f"{far.min():.0f} to {far.max():.0f}",
     }
 
@@ -249,7 +250,7 @@ if __name__ == "__main__":
     lines = json.loads((Path(sys.argv[1]) / "report.json").read_text())["lines"]
     by_name = {line["figure"]: line for line in lines}
     straight, turns = (
-        pd.read_parquet(Path(sys.argv[1]) / "results" / f"{name}.parquet")
+        pd.read_parquet(Path(sys.argv[1]) / name / "results")
         for name in ("straight-line", "turning")
     )
     found = (
