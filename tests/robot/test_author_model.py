@@ -1,4 +1,4 @@
-# Tests of robot/assembly.py, robot/equipment.py, control/parameters.py, physics/variation.py
+# Tests of robot/assembly.py, robot/equipment.py, control/parameters.py, physics/variation.py, view/recorded.py
 """The robot model `author` walks as the author's MuJoCo model does under the same commands of the servos."""
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from nermo_mjx.control.parameters import author_body
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 from nermo_mjx.rollout import Run, Setup
+from nermo_mjx.view.playing import write_keyframes
 
 DATA = Path(__file__).parents[1] / "data"
 WALKS = pd.read_csv(DATA / "author_walks.csv", comment="#")
@@ -163,8 +164,11 @@ def test_in_as_published_nermo_lite_is_the_author_model():
     assert exact.defaults()["servo.kp"] == 300.0
 
 
-def test_a_written_model_has_servos_that_reach_the_recorded_commands(simulator):
-    """The range of the knees, which `servo.knee_range` extends, is that of the MJCF; the walk reaches 118 degrees."""
+def test_a_written_model_has_servos_that_reach_the_recorded_commands(simulator, tmp_path):
+    """The range of the knees, which `servo.knee_range` extends, is that of the MJCF; the walk reaches 118 degrees.
+
+    The file of `play --xml` has all body parameters of the run.
+    """
     simulation = simulator(profile="as_published", pilot="open_loop")
     run = Run(cycles=2.0, warmup_cycles=0.5)
     recording = simulation.run({"frequency": 0.67}, run, record=True).recording()
@@ -174,3 +178,9 @@ def test_a_written_model_has_servos_that_reach_the_recorded_commands(simulator):
     assert (commands >= low - 1e-6).all()
     assert (commands <= high + 1e-6).all()
     assert np.degrees(np.abs(commands).max()) > 100.0
+    write_keyframes(recording, tmp_path / "walk.xml")
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "walk.xml"))
+    for field in ("actuator_ctrlrange", "actuator_gainprm", "body_mass", "tendon_range"):
+        np.testing.assert_allclose(
+            getattr(written, field), getattr(model, field), rtol=1e-4, atol=1e-6, err_msg=field
+        )
