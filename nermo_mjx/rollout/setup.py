@@ -593,6 +593,13 @@ class Setup(RobotConfig):
             declaration.check(name, getattr(getattr(world.model, part), field))
         check_geometry(world.model.geometry)
         check_servo(world.model.servo.kp, world.model.servo.kv, self.timestep)
+        if self.robot == "author" and "servos" not in self.simplified:
+            for field in ("dead_band", "backlash"):
+                if np.any(getattr(world.model.servo, field)):
+                    raise ParameterError(
+                        f"servo.{field} is not 0: its model needs servos of one gain, which robot 'author' has with "
+                        "simplifications 'servos+contact+noslip'."
+                    )
         controller = self._unbalanced
         if jointly and world.schedule is not None:
             check_schedule(

@@ -154,6 +154,29 @@ def test_only_the_robot_author_is_simplified():
         Setup(robot="author", simplifications=3)
 
 
+@pytest.mark.parametrize("field", ["dead_band", "backlash"])
+def test_play_of_servos_with_different_gains_is_rejected(field):
+    setup = Setup(profile="as_published")
+    with pytest.raises(ParameterError, match=f"servo.{field} is not 0.*servos.contact.noslip"):
+        setup.check(setup.world({f"servo.{field}": 0.01}))
+    simple = Setup(profile="as_published", simplifications="servos+contact+noslip")
+    simple.check(simple.world({f"servo.{field}": 0.01}))
+
+
+@pytest.mark.parametrize("rate", [0.0, -100.0, float("nan"), float("inf"), True, "100"])
+def test_a_wrong_control_rate_is_rejected(rate):
+    with pytest.raises(ParameterError, match="control_rate is"):
+        Setup(control_rate=rate)
+
+
+def test_the_time_step_divides_the_control_period():
+    """Without a time step of its own, a setup takes the longest one up to that of its preset."""
+    assert Setup(profile="as_published", physics="fast").timestep == pytest.approx(0.002)
+    assert Setup(control_rate=333.0).timestep == pytest.approx(1 / 333 / 2)
+    with pytest.raises(ParameterError, match="timestep is 0.003"):
+        Setup(control_rate=250.0, timestep=0.003)
+
+
 def test_in_as_published_nermo_lite_is_the_author_model():
     assert Setup(profile="as_published", robot="nermo_lite") == Setup(profile="as_published")
     assert Setup(profile="as_published").robot == "author"
