@@ -34,8 +34,8 @@ def outcome():
 def test_outcome_is_the_published_one(outcome, profile, leg, sbc):
     """Without SBC the front legs pass and the rear legs fail; with it all four pass.
 
-    In `as_published` a rear leg that is lifted with SBC passes in most starts only, since the rear centre of mass is
-    where the author's model has it. In `exact` it grazes the mat with its soft sole for 7 % of the time, at 0.1 mN.
+    In `as_published` a rear leg that is lifted with SBC passes in most starts only; the cause is not
+    known. In `exact` it grazes the mat with its soft sole for 7 % of the time, at 0.1 mN.
     """
     passed = outcome.columns["passed"][outcome.where(profile=profile, leg=leg, sbc=sbc)]
     is_rear_with_sbc = leg.startswith("rear") and sbc

@@ -173,7 +173,7 @@ def test_the_time_step_divides_the_control_period():
     """Without a time step of its own, a setup takes the longest one up to that of its preset."""
     assert Setup(profile="as_published", physics="fast").timestep == pytest.approx(0.002)
     assert Setup(control_rate=333.0).timestep == pytest.approx(1 / 333 / 2)
-    with pytest.raises(ParameterError, match="timestep is 0.003"):
+    with pytest.raises(ParameterError, match=r"timestep is 0\.003"):
         Setup(control_rate=250.0, timestep=0.003)
 
 
