@@ -34,15 +34,15 @@ def outcome():
 def test_outcome_is_the_published_one(outcome, profile, leg, sbc):
     """Without SBC the front legs pass and the rear legs fail; with it all four pass.
 
-    In `as_published` a rear leg that is lifted with SBC passes in most starts only; the cause is not
-    known. In `exact` it grazes the mat with its soft sole for 7 % of the time, at 0.1 mN.
+    In `as_published` a rear leg that is lifted with SBC passes in most starts only, because of the high servo
+    gain. In `exact` each leg that is lifted with SBC grazes the mat with its soft sole for 4 to 7 % of the time.
     """
     passed = outcome.columns["passed"][outcome.where(profile=profile, leg=leg, sbc=sbc)]
     is_rear_with_sbc = leg.startswith("rear") and sbc
     if profile == "as_published" and is_rear_with_sbc:
         assert passed.mean() > 0.5
         return
-    grazes = profile == "exact" and leg.startswith("rear")
+    grazes = profile == "exact" and sbc
     assert passed.tolist() == [PUBLISHED[leg, sbc] and not grazes] * REPEATS
 
 
@@ -103,12 +103,13 @@ def test_a_leg_that_passes_carries_nothing(outcome):
         lifted = columns["leg"][i]
         assert columns["contact_share"][i] == 0.0
         assert columns[f"force_swing_{lifted}"][i] <= balance.TOUCH
-        assert columns["clearance"][i] > 0.0018 * -(
-            columns["profile"][i] == "exact"
-        )  # what a soft sole may give
+        assert columns["clearance"][i] > 0.0
         assert columns["com_margin_swing"][i] > 0.0
         assert all(columns[f"force_swing_{limb}"][i] > 0.02 for limb in LIMBS if limb != lifted)
     grazes = (columns["profile"] == "exact") & columns["sbc"]
+    for i in np.flatnonzero(grazes):
+        assert columns[f"force_swing_{columns['leg'][i]}"][i] < 0.001
+        assert columns["com_margin_swing"][i] > 0.0
     failed = ~columns["passed"] & ~grazes
     assert (columns["contact_share"][failed] > 0.4).all()
     assert (columns["com_margin_lift"][failed] < 0.0).all()

@@ -102,9 +102,10 @@ def test_contact_points_are_at_the_feet_on_the_ground(walk: Recording, motion: M
         np.testing.assert_allclose(contact.point[loaded, 2], 0.0, atol=0.0015)
         if contact.limb < 0:  # the tail
             continue
-        feet = walk.sensors["foot_position"][loaded, contact.limb]
-        # A sole is a sphere of 3.8 mm; the sensor's reading is one step old.
-        assert np.linalg.norm(contact.point[loaded] - feet, axis=1).max() < 0.004
+        # A sole is a sphere of 3.8 mm. The sensors' readings are one step old, so that the pose gives the foot.
+        for sample in np.flatnonzero(loaded)[::5]:
+            foot = posed(walk, sample).site(f"{LIMBS[contact.limb]}_foot").xpos
+            assert np.linalg.norm(contact.point[sample] - foot) < 0.0038
 
 
 def test_tensions_are_those_that_turn_the_pulleys(walk: Recording, motion: Motion) -> None:
