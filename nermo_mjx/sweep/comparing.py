@@ -490,7 +490,9 @@ def _measured(
         2 * len(units) + unit[1][~pairs[1]],
     ]
     cell, cell_index = np.unique(np.concatenate(cells), return_inverse=True)
-    interval = two_stage(values, cell_index, cell % len(units), group)
+    observed = np.concatenate([first, second])
+    observed[:, sides[0].columns.isin(OF_ALL_RUNS)] = 0.0  # they have a rule of their own
+    interval = two_stage(values, cell_index, cell % len(units), group, observed)
     means = [
         side_means.groupby(level=0).mean().groupby(group).mean().to_numpy() for side_means in sides
     ]

@@ -201,6 +201,10 @@ def matched(
 # by Welch's t, with no more degrees of freedom than if both sides had the same spread: few runs may have a small one.
 
 
+#: Number of runs of a cell that may be equal by chance, because a metric has steps.
+_FEW_RUNS: Final = 3
+
+
 class Interval(NamedTuple):
     """Estimates of m metrics, (m,) each, or with groups (groups, m).
 
@@ -217,7 +221,11 @@ class Interval(NamedTuple):
 
 
 def two_stage(
-    values: np.ndarray, cell: np.ndarray, variant: np.ndarray, group: np.ndarray | None = None
+    values: np.ndarray,
+    cell: np.ndarray,
+    variant: np.ndarray,
+    group: np.ndarray | None = None,
+    observed: np.ndarray | None = None,
 ) -> Interval:
     """The mean over variants of the sum of their cells' means, with its interval and p-value.
 
@@ -229,6 +237,8 @@ def two_stage(
         cell: the cell of each run, (n,), from 0 to c - 1; runs of a cell are exchangeable.
         variant: the variant of each cell, (c,), from 0 to v - 1.
         group: the group of each variant, (v,), from 0 to g - 1; none is empty. Without it, all are one.
+        observed: Values of each metric (k, m) whose smallest difference is its resolution, by default `values`. The noise
+            of a cell of a few equal values is that of rounding to it: they do not make a certain mean.
     """
     cells, variants = len(variant), int(variant.max()) + 1
     owner_group = np.zeros(variants, int) if group is None else group
@@ -241,6 +251,14 @@ def two_stage(
     mean = sums(values, cell, cells) / count
     rounding = 1e-12 * np.abs(values).max(axis=0)
     noise = sums(_without(values - mean[cell], rounding) ** 2, cell, cells) / (count * freedom)
+    tied = (noise == 0.0) & (count <= _FEW_RUNS)
+    for metric in np.flatnonzero(tied.any(axis=0)):
+        resolution = (
+            resolution_of(values[:, metric]) or float(np.abs(values[:, metric]).max()) or 1.0
+            if observed is None
+            else resolution_of(observed[:, metric])
+        )
+        noise[tied[:, metric], metric] = resolution**2 / 12 / count[tied[:, metric], 0]
     rest_sums = _without(sums(mean, variant, variants), rounding)
     estimate = sums(rest_sums, owner_group, groups) / several
     across = sums(
@@ -269,6 +287,16 @@ def two_stage(
     half, p = np.where(unknown, np.nan, half), np.where(unknown, np.nan, p)
     estimates = (estimate, estimate - half, estimate + half, p)
     return Interval(*((part[0] for part in estimates) if group is None else estimates))
+
+
+def resolution_of(values: np.ndarray) -> float:
+    """Smallest difference between two different values of (n,); 0 if all are equal.
+
+    >>> resolution_of(np.array([2.0, 5.0, 2.0])), resolution_of(np.array([4.0, 4.0]))
+    (3.0, 0.0)
+    """
+    distinct = np.unique(same_values(values[np.isfinite(values)]))
+    return float(np.diff(distinct).min()) if len(distinct) > 1 else 0.0
 
 
 def _without(values: np.ndarray, rounding: np.ndarray) -> np.ndarray:

@@ -14,11 +14,20 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy import stats
 
-from nermo_mjx.plotting.shown import half_width, shown, spoken, titled
+from nermo_mjx.plotting.shown import CONFIDENCE_LEVEL, half_width, shown, spoken, titled
 from nermo_mjx.runs.files import plain_json
 from nermo_mjx.runs.rows import part_files
-from nermo_mjx.sweep.counting import Variants, counts, losses, losses_text, matched, two_stage
+from nermo_mjx.sweep.counting import (
+    Interval,
+    Variants,
+    counts,
+    losses,
+    losses_text,
+    matched,
+    two_stage,
+)
 from nermo_mjx.sweep.selection import Judged, judged
 from nermo_mjx.sweep.spec import SoughtOptimum
 from nermo_mjx.sweep.table import (
@@ -74,7 +83,7 @@ class FoundOptimum:
         asked: what was sought.
         results: the table.
         answers: of each group.
-        metrics: what is told of the best points: what was sought, then both costs of transport.
+        metrics: metrics of the best points: the metric that was sought, then those of `_REPORTED`.
         over: what the intervals are over, in words.
     """
 
@@ -176,6 +185,11 @@ class FoundOptimum:
                 fresh = f", {f'{pairs} fresh pairs' if pairs else single_note}{losses_text(answer.lost)}"
             fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
             sentences.append(f"{name}: {verdict.runs} runs a point{fresh}; {why}{lost_note}.")
+            if outliers := answer.lines.get(self.asked.metric, {}).get("outliers", 0):
+                sentences.append(
+                    f"{name}: {outliers} of {answer.lines[self.asked.metric]['pairs']} pairs are outliers, more than five "
+                    "standard deviations from the median: the interval can be too narrow."
+                )
             for column, ends in self.ends(answer).items():
                 sentences.append(f"{name}: the best {spoken(column)} is the {ends} that was tried.")
         return sentences
@@ -229,8 +243,9 @@ class FoundOptimum:
         }
 
 
-#: Told beside what is sought, where a table has them.
-_COSTS: Final = ("cost_of_transport", "electrical_cost_of_transport")
+#: Metrics that are reported with the metric that is sought, if a table has them: both costs, and the fraction of time in
+#: which the spine's servo is at its torque limit.
+_REPORTED: Final = ("cost_of_transport", "electrical_cost_of_transport", "limited_spine")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -243,6 +258,7 @@ class _Runs:
         metrics, good: the values of each metric, and which runs count for it.
         status: how the runs ended.
         chose: the runs that choose the best point; the others are fresh.
+        samples: Random parameters of the runs, (runs, draws), as distances from the means of their distributions.
     """
 
     row: np.ndarray
@@ -253,6 +269,7 @@ class _Runs:
     good: Mapping[str, np.ndarray]
     status: np.ndarray
     chose: np.ndarray
+    samples: np.ndarray
 
 
 def find_optimum(
@@ -267,7 +284,9 @@ def find_optimum(
     """
     names, ((by, base),) = columns_of(results, "varied"), question.base.items()
     metrics = tuple(
-        dict.fromkeys([question.metric, *(name for name in _COSTS if name in results.schema.names)])
+        dict.fromkeys(
+            [question.metric, *(name for name in _REPORTED if name in results.schema.names)]
+        )
     )
     columns = dict(results.columns(["row", "variant", "repeat", "seed", *names, *metrics]))
     variant_set, repeat = Variants.of(columns["variant"]), columns["repeat"]
@@ -281,6 +300,7 @@ def find_optimum(
         good={name: counts(name, columns[name], results.well) for name in metrics},
         status=results.column("status"),
         chose=(repeat < repeats) | (repeat >= repeats + question.fresh),
+        samples=_samples_of(results),
     )
     groups = question.grouped(names)
     of_base = np.array([same_value(number, base) for number in value[by]])
@@ -313,6 +333,17 @@ def find_optimum(
     if "body" in results.schema.names:
         over = {"bodies": None, **{name: None for name in over if name == "starts"}}
     return FoundOptimum(question, results, tuple(answers), metrics, ", ".join(over) or "starts")
+
+
+def _samples_of(results: Results) -> np.ndarray:
+    """Random parameters of all runs, (runs, draws), as distances from the means of their distributions."""
+    means = {
+        name: float(text)
+        for name in columns_of(results, "randomized")
+        if (text := meta(results.schema.field(name)).get("mean"))
+    }
+    distances = [results.column(name) - mean for name, mean in means.items()]
+    return np.nan_to_num(np.array(distances).reshape(len(means), -1).T)
 
 
 def _answer(
@@ -375,7 +406,7 @@ def _fresh(
     lines = {
         name: line
         for name, values in runs.metrics.items()
-        if (line := _measured(values, runs.good[name], runs.seed, fresh))
+        if (line := _measured(values, runs.good[name], runs.seed, fresh, runs.samples))
     }
     fresh_rows = np.concatenate(fresh)
     lost_counts = losses(runs.status[fresh_rows], runs.good[metric][fresh_rows])
@@ -409,57 +440,113 @@ def same_value(value: Any, target: Any) -> bool:
 
 
 def _measured(
-    values: np.ndarray, good: np.ndarray, seed: np.ndarray, fresh: Sequence[np.ndarray]
+    values: np.ndarray,
+    good: np.ndarray,
+    seed: np.ndarray,
+    fresh: Sequence[np.ndarray],
+    samples: np.ndarray,
 ) -> dict[str, float]:
-    """Means of the base's and the best point's fresh runs with their 95 % intervals, and the same of their difference;
-    of pairs, where seeds are common; empty where one side has no run that counts."""
+    """Means of the base's and the best point's fresh runs with 95 % intervals, and those of their difference.
+
+    The relative difference of pairs is the geometric mean of their ratios.
+
+    Args:
+        values, good, seed: Of all runs, (runs,): the metric, whether it counts, and the seed.
+        fresh: Rows of the fresh runs of the base and of the best point.
+        samples: Random parameters of all runs, (runs, draws), which explain a part of the differences of pairs.
+
+    Returns:
+        Numbers by name; empty if one side has no run that counts.
+    """
     import pandas as pd
 
     sides = [
         pd.DataFrame(
-            {"m": values[pair_values]},
-            pd.MultiIndex.from_arrays([0 * pair_values, seed[pair_values]]),
+            {"value": values[rows], "row": rows},
+            pd.MultiIndex.from_arrays([0 * rows, seed[rows]]),
         )
-        for pair_values in fresh
+        for rows in fresh
     ]
-    (base, best), paired = matched(sides, [good[pair_values] for pair_values in fresh])
+    (base, best), paired = matched(sides, [good[rows] for rows in fresh])
     if base.empty or best.empty:
         return {}
-    first, second = base.m.to_numpy(), best.m.to_numpy()
-    if len(paired):
-        interval = two_stage((second - first)[:, None], np.zeros(len(first), int), np.zeros(1, int))
-    else:
-        cells = np.repeat([0, 1], [len(first), len(second)])
-        interval = two_stage(np.concatenate([-first, second])[:, None], cells, np.zeros(2, int))
-    low, middle, high = (
-        float(bound[0]) for bound in (interval.low, interval.estimate, interval.high)
-    )
+    first, second = base.value.to_numpy(), best.value.to_numpy()
     line = dict[str, float]()
-    for name, pair_values in (("mean", second), ("base", first)):
-        half = float(
-            half_width(
-                pair_values.std(ddof=1) if len(pair_values) > 1 else math.nan, len(pair_values)
-            )
-        )
+    for name, side_values in (("mean", second), ("base", first)):
+        spread = side_values.std(ddof=1) if len(side_values) > 1 else math.nan
+        half = float(half_width(spread, len(side_values)))
         line |= {
-            name: float(pair_values.mean()),
-            f"{name}_low": pair_values.mean() - half,
-            f"{name}_high": pair_values.mean() + half,
+            name: float(side_values.mean()),
+            f"{name}_low": side_values.mean() - half,
+            f"{name}_high": side_values.mean() + half,
         }
     # Where the base's mean is nothing but noise, no share of it says anything.
     scale = abs(line["base"]) if abs(line["base"]) > line["base_high"] - line["base"] else math.nan
-    line |= {
-        "difference": middle,
-        "low": low,
-        "high": high,
-        "p": float(interval.p[0]),
-        "pairs": len(first) * bool(len(paired)),
-    }
-    return line | {
-        "relative": middle / scale,
-        "relative_low": low / scale,
-        "relative_high": high / scale,
-    }
+    observed = np.concatenate([first, second])[:, None]
+    if not len(paired):
+        cells = np.repeat([0, 1], [len(first), len(second)])
+        signed_values = np.concatenate([-first, second])[:, None]
+        interval = two_stage(signed_values, cells, np.zeros(2, int), None, observed)
+        relative = Interval(*(bound / scale for bound in interval))
+    else:
+        rows = best.row.to_numpy().astype(int)
+        difference = second - first
+        interval = _mean_of_pairs(difference, samples[rows], observed)
+        relative = Interval(*(bound / scale for bound in interval))
+        if math.isfinite(scale) and (first * second > 0.0).all():
+            ratios = np.log(second / first)
+            logarithms = np.log(np.abs(observed))
+            relative = Interval(
+                *(np.expm1(bound) for bound in _mean_of_pairs(ratios, samples[rows], logarithms))
+            )
+        line["outliers"] = int(_outliers(difference).sum())
+    names = ("difference", "low", "high", "p", "relative", "relative_low", "relative_high")
+    bounds = (*interval, *relative[:3])
+    line |= {name: float(bound[0]) for name, bound in zip(names, bounds, strict=True)}
+    return line | {"pairs": len(first) * bool(len(paired))}
+
+
+#: Pairs for each random parameter, below which a regression on the parameters is not tried.
+_PAIRS_PER_SAMPLE: Final = 2
+
+
+def _mean_of_pairs(differences: np.ndarray, samples: np.ndarray, observed: np.ndarray) -> Interval:
+    """The mean of pairs over the distribution of their random parameters, with its 95 % interval.
+
+    A linear regression on the parameters, at the mean of their distributions, so that the interval contains the noise of
+    the pairs and not the distance of the sample's mean from that of the distribution. With fewer than
+    `_PAIRS_PER_SAMPLE` pairs for each parameter, and for equal differences, it is Student's interval of the mean.
+
+    Args:
+        differences: Differences of the pairs, (n,).
+        samples: Random parameters as distances from the means of their distributions, (n, draws).
+        observed: Argument of `two_stage`.
+    """
+    samples = samples[:, np.ptp(samples, axis=0) > 0.0]
+    count, parameters = samples.shape
+    plain = two_stage(differences[:, None], np.zeros(count, int), np.zeros(1, int), None, observed)
+    if not parameters or count < _PAIRS_PER_SAMPLE * (parameters + 1) or not differences.std():
+        return plain
+    design = np.column_stack([np.ones(count), samples / np.abs(samples).max(axis=0)])
+    coefficients, _, rank, _ = np.linalg.lstsq(design, differences, rcond=None)
+    freedom = count - rank
+    variance = float(((differences - design @ coefficients) ** 2).sum()) / freedom
+    error = math.sqrt(variance * float(np.linalg.pinv(design.T @ design)[0, 0]))
+    half = float(stats.t.ppf((1 + CONFIDENCE_LEVEL) / 2, freedom)) * error
+    mean = coefficients[:1]
+    p = 2 * stats.t.sf(np.abs(mean) / error, freedom) if error else plain.p
+    return Interval(mean, mean - half, mean + half, p)
+
+
+def _outliers(differences: np.ndarray) -> np.ndarray:
+    """Which differences (n,) lie more than five standard deviations of normal noise from their median, (n,).
+
+    >>> _outliers(np.array([1.0, 1.1, 0.9, 1.05, 0.95, -9.0])).tolist()
+    [False, False, False, False, False, True]
+    """
+    distance = np.abs(differences - np.median(differences))
+    # The median distance of normal noise is 0.674 standard deviations.
+    return np.asarray(distance > 5.0 * np.median(distance) / 0.674)
 
 
 def _gain(line: Mapping[str, float]) -> tuple[str, str]:

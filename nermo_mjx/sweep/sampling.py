@@ -20,6 +20,7 @@ from nermo_mjx.specs.values import QUANTITY_SCHEMA, Numbers, Whole, check_value
 
 _LARGEST_AXIS: Final = 1_000_000
 _MAX_TRIES: Final = 5
+_MEAN_SHARES: Final = 4096
 _Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3)]
 _Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
 
@@ -135,6 +136,10 @@ class Draw(_Values):
             return _between(a, b, share, log=self.form == "loguniform")
         low, high = (special.ndtr((end - a) / b) for end in self._range)
         return np.clip(a + b * special.ndtri(low + (high - low) * share), *self._range)
+
+    def mean(self) -> float:
+        """Mean of the distribution."""
+        return float(self.at((np.arange(_MEAN_SHARES) + 0.5) / _MEAN_SHARES).mean())
 
     def tried(self) -> np.ndarray:
         """A few values within the bounds; for a normal draw, all but one in a thousand on either side."""

@@ -2,8 +2,9 @@
 
 Hsu (Ann. Stat. 12, 1984): a point may be the best unless its mean is further below the highest one than the largest
 of its differences to the others would be by chance. Runs of a repeat share their draws, and count by their distance
-from the repeat's mean (Nelson and Matejcik, Manage. Sci. 41, 1995); the noise of all contenders is one number. Points
-far below are left out first, at a tenth of the error, so that neither their number nor their noise counts.
+from the best point's value in this repeat (Nelson and Matejcik, Manage. Sci. 41, 1995). Each difference has its own
+variance, moderated by those of the others. Points far below are left out first, at a tenth of the error, so that neither
+their number nor their noise counts.
 """
 
 from __future__ import annotations
@@ -63,39 +64,64 @@ def undistinguished(values: np.ndarray, level: float = CONFIDENCE_LEVEL) -> np.n
         values: of each repeat and point, (n, k), all finite; higher is better.
         level: the probability.
     """
-    mean, best, contenders = (
-        values.mean(axis=0),
-        int(values.mean(axis=0).argmax()),
-        np.full(values.shape[1], True),
-    )
+    mean = values.mean(axis=0)
+    best, contenders = int(mean.argmax()), np.full(len(mean), True)
     skew = _skewness(values) / math.sqrt(len(values))
     for share in (_SCREENED, 1 - _SCREENED):
         if (contender_count := int(contenders.sum())) > 1:
-            contender_values, freedom = (
-                values[:, contenders],
-                (len(values) - 1) * (contender_count - 1),
+            others = contenders.copy()
+            others[best] = False
+            variance, freedom = moderated_variance(
+                (values[:, [best]] - values[:, others]).var(axis=0, ddof=1), len(values) - 1
             )
-            residuals = (
-                contender_values
-                - contender_values.mean(axis=0)
-                - contender_values.mean(axis=1, keepdims=True)
-                + contender_values.mean()
-            )
-            noise = np.full(len(mean), math.sqrt((residuals**2).sum() / freedom))
-            if share == _SCREENED:  # a point that is noisier than most is not lost for it
-                noise = np.maximum(
-                    noise, (values - values[:, [best]]).std(axis=0, ddof=1) / math.sqrt(2)
-                )
-            margin = hsu_margin(contender_count, freedom, 1 - share * (1 - level), round(skew, 1))
-            contenders &= mean >= mean[best] - margin * noise * math.sqrt(2 / len(values))
+            margin = hsu_margin(
+                contender_count, freedom, 1 - share * (1 - level), round(skew, 1)
+            ) * np.sqrt(variance / len(values))
+            contenders[others] = mean[others] >= mean[best] - margin
     return contenders
 
 
-def _skewness(values: np.ndarray) -> float:
-    """Of the noise of each value (n, k), if it is positive, which makes the highest mean one of luck; else 0.
+def moderated_variance(variance: np.ndarray, freedom: int) -> tuple[np.ndarray, int]:
+    """Variances of several differences, each moved towards their common value, and their degrees of freedom.
 
-    Of residuals about the means of repeats and points, whose second and third cumulants are smaller by known factors.
+    The estimate is that of Smyth (Stat. Appl. Genet. Mol. Biol. 3, 2004): the more alike the variances are, the more
+    they are moved. Variances that differ only by chance become equal, with the most degrees of freedom.
+
+    >>> moderated_variance(np.array([1.0, 1.2, 0.9, 1.1]), 8)
+    (array([1.05, 1.05, 1.05, 1.05]), 32)
+
+    Args:
+        variance: Estimated variances (k,), of which some may be 0.
+        freedom: Degrees of freedom of each of them.
+
+    Returns:
+        The moderated variances (k,), and the degrees of freedom of each, at most those of all together.
     """
+    pooled, all_together = float(variance.mean()), freedom * len(variance)
+    positive = np.log(variance[variance > 0.0])
+    if len(positive) < 2:
+        return np.full(len(variance), pooled), all_together
+    excess = float(positive.var(ddof=1)) - float(special.polygamma(1, freedom / 2))
+    if excess <= float(special.polygamma(1, all_together / 2)):
+        return np.full(len(variance), pooled), all_together
+    prior_freedom = 2 * float(
+        optimize.brentq(lambda half: float(special.polygamma(1, half)) - excess, 1e-3, 1e9)
+    )
+    offset = float(special.digamma(freedom / 2) - math.log(freedom / 2))
+    prior_offset = float(special.digamma(prior_freedom / 2) - math.log(prior_freedom / 2))
+    prior = math.exp(float(positive.mean()) - offset + prior_offset)
+    moderated = (prior_freedom * prior + freedom * variance) / (prior_freedom + freedom)
+    return moderated, min(all_together, max(1, int(prior_freedom + freedom)))
+
+
+def _skewness(values: np.ndarray) -> float:
+    """Skewness of the noise of values (n, k) if it is positive, which makes the highest mean one of luck; otherwise 0.
+
+    With fewer than three repeats or points nothing is known, and the result is 0. It is estimated from residuals about the
+    means of repeats and points, whose second and third cumulants are smaller by known factors.
+    """
+    if min(values.shape) < 3:
+        return 0.0
     rest = values - values.mean(axis=0) - values.mean(axis=1, keepdims=True) + values.mean()
     second, third = (
         math.prod(1 - m / size for size in values.shape for m in range(1, upto)) for upto in (2, 3)

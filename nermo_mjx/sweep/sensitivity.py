@@ -54,7 +54,7 @@ class Sensitivity:
             pair, else empty), `order` ("first", "total" or "second"), `index`, `low`, `high` (its 95 % interval).
         metric: whose variance it is.
         method: "sobol", or "rbd_fast" where the sample is not of Saltelli's design.
-        noise: the share of the variance that is noise: randomized parameters and starts, estimated from the spread of
+        noise: the share of the variance that is noise: randomized parameters and starts, at most, estimated from the spread of
             the repeats; NaN with a single repeat.
         notes: omissions and caveats, in sentences.
     """
@@ -148,7 +148,7 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         if math.isfinite(noise):
             bias_note = "a total index of a parameter without effect is about as large"
             bias_note = bias_note if method == "sobol" else "which no parameter explains"
-            about_noise = f", {noise:.1%} of the variance: {bias_note}".replace("%", " %")
+            about_noise = f", at most {noise:.1%} of the variance: {bias_note}".replace("%", " %")
         notes.append(f"What is randomized counts as noise{about_noise}.")
     profile_note = profile_text(profiles_of(results))
     notes, columns = (

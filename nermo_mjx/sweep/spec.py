@@ -805,6 +805,8 @@ def start_draws(sweep: Sweep) -> tuple[Draw, ...]:
 # The rows of a sweep. They depend on it alone, never on chunks, order or engine.
 
 
+#: Resolution of the samples of repeats.
+_SOBOL_BITS: Final = 52
 #: Rows made at once where a column of all rows is wanted.
 _COLUMN_BLOCK_ROWS = 65_536
 
@@ -852,10 +854,13 @@ class Sample:
 
     Structures run slowest. For each of them a grid runs through the product of its axes, the last one fastest. Sobol
     and Latin hypercube points come from `scipy.stats.qmc`, scrambled with the sweep's seed, and are the same for all
-    structures. The draws of a row, its body among them, are seeded by the sweep's seed, the repeat, and the varied
-    parameters that are not `paired`: not by the structure, so that runs of two structures have the same draws and can
-    be compared one by one. A grid of millions of rows takes no memory; of a sampler, its points do: one number per
-    variant and axis.
+    structures. A grid of millions of rows takes no memory; of a sampler, its points do: one number per variant and axis.
+
+    The random parameters of the repeats of a variant, and its body, come from a Sobol sequence: point `i` belongs to
+    repeat `i`. Repeats 0 to n - 1 are a Latin hypercube if n is a power of two, as are n repeats that begin at a multiple
+    of n, and more repeats do not change the earlier ones. The sequence is scrambled with the sweep's seed, and shifted
+    (by bits) at random for each combination of the varied parameters that are not `paired`. The structure does not
+    matter: runs of two structures have the same samples and can be compared one by one.
     """
 
     def __init__(self, sweep: Sweep, shares: np.ndarray | None = None) -> None:
@@ -879,6 +884,7 @@ class Sample:
             exponent = max(sweep.samples - 1, 0).bit_length()
             shares = qmc.Sobol(dimensions, rng=rng).random_base2(exponent)[: sweep.samples].copy()
         self._shares = shares
+        self._points = np.empty((0, 0), np.int64)
         self._read = [
             [axis.name for axis in sweep.read_axes(structure)] for structure in sweep.structures
         ]
@@ -909,23 +915,24 @@ class Sample:
             else np.empty((len(variant), 0))
         )
         is_set, seed = ~np.isnan(table), np.empty(len(variant), np.int64)
+        sample_seed = np.empty(len(variant), np.int64)
         for i, repeat_number in enumerate(repeat.tolist()):
             content = zip(names, table[i].tolist(), is_set[i], strict=True)
-            text = [
-                f"{sweep.seed} {repeat_number}",
-                *(f"{name} {value!r}" for name, value, is_there in content if is_there),
-            ]
-            digest = hashlib.blake2b(" ".join(text).encode(), digest_size=8).digest()
-            seed[i] = int.from_bytes(digest, "little") >> 11
+            texts = [f"{name} {value!r}" for name, value, is_there in content if is_there]
+            seed[i] = _seed_of([f"{sweep.seed} {repeat_number}", *texts])
+            sample_seed[i] = _seed_of([f"{sweep.seed}", *texts])
         values = {name: self._masked(name, points[name], structure) for name in sweep.varied}
         body = None
         draw_count = len(sweep.draws) + bool(sweep.bodies)
         if draw_count:
-            shares = [
-                np.random.default_rng(repeat_number).random(draw_count)
-                for repeat_number in seed.tolist()
+            distinct, stream = np.unique(sample_seed, return_inverse=True)
+            shifts = [
+                np.random.default_rng(number).integers(1 << _SOBOL_BITS, size=draw_count)
+                for number in distinct.tolist()
             ]
-            columns = np.reshape(shares, (len(variant), draw_count)).T
+            shift = np.reshape(shifts, (len(distinct), draw_count))[stream]
+            points = self._sobol_points(int(repeat.max(initial=0)) + 1)[repeat, :draw_count]
+            columns = ((points ^ shift) / (1 << _SOBOL_BITS)).T
             for draw, column in zip(sweep.draws, columns, strict=False):
                 value = (
                     np.where(repeat == 0, 0.0, draw.at(column)) if draw.implied else draw.at(column)
@@ -936,6 +943,18 @@ class Sample:
                 body = ensemble.at(columns[-1])
                 values |= ensemble.take(body)
         return Rows(variant, repeat, seed, values, structure, body)
+
+    def _sobol_points(self, count: int) -> np.ndarray:
+        """At least `count` points for repeats, (points, draws and body) int: shares times 2^`_SOBOL_BITS`."""
+        if len(self._points) < count:
+            sweep = self.sweep
+            # With or without a body, the other samples are the same.
+            sequence = qmc.Sobol(
+                len(sweep.draws) + 1, bits=_SOBOL_BITS, rng=np.random.default_rng(sweep.seed)
+            )
+            shares = sequence.random_base2((count - 1).bit_length())
+            self._points = np.round(shares * (1 << _SOBOL_BITS)).astype(np.int64)
+        return self._points
 
     def column(self, name: str) -> np.ndarray:
         """One varied or randomized parameter of all rows, (rows,)."""
@@ -984,6 +1003,12 @@ class Sample:
             structure_index for structure_index, names in enumerate(self._unread) if name in names
         ]
         return np.where(np.isin(structure, blind), np.nan, values) if blind else values
+
+
+def _seed_of(texts: Sequence[str]) -> int:
+    """A seed below 2^53 that depends on all texts."""
+    digest = hashlib.blake2b(" ".join(texts).encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little") >> 11
 
 
 def sample(sweep: Sweep) -> Rows:

@@ -88,11 +88,16 @@ def chunk_table(
     for name in sweep.labelled:
         labels = np.array([walk.labels[name] for walk in sweep.structures], object)[rows.structure]
         columns.add(name, labels, "varied", "1", about_structure(name), scale="structure")
+    means = {draw.name: repr(draw.mean()) for draw in sweep.draws}
     for name, values in rows.values.items():
         role = "varied" if name in sweep.varied else "randomized"
         scale = "log" if forms[name].startswith("log") else "linear"
+        declaration = parameters[name]
         columns.add(
-            name, values, role, parameters[name].unit, parameters[name].doc, nulls=True, scale=scale
+            *(name, values, role, declaration.unit, declaration.doc),
+            nulls=True,
+            scale=scale,
+            mean=means.get(name),
         )
     for name, metric in sweep.metrics.items():
         if name in metrics:

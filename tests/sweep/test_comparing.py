@@ -594,7 +594,7 @@ def test_the_command_prints_and_writes(tmp_path: Path, monkeypatch: pytest.Monke
     output = call(*arguments, "--out", tmp_path / "gain.csv")
     assert "0.4 minus 0, profile exact" in output.stdout
     assert "24 ok" in output.stdout
-    assert re.search(r"^speed +mm/s +6\d\.", output.stdout, re.MULTILINE)
+    assert re.search(r"^speed +mm/s +\d\d\.", output.stdout, re.MULTILINE)
     assert re.search(r"^roll_std +deg ", output.stdout, re.MULTILINE)
     assert "speed [mm/s]: 0.4 minus 0, profile exact" in output.stdout
     stored = pq.read_table(tmp_path / "gain" / "comparison.parquet")

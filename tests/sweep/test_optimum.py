@@ -176,7 +176,8 @@ def test_further_runs_are_rows_of_the_table_and_fresh_ones_chose_nothing(done):
         interval = stats.ttest_1samp(gain, 0.0).confidence_interval(0.95)
         assert line["difference"] == pytest.approx(gain.mean())
         assert (line["low"], line["high"]) == pytest.approx(tuple(interval))
-        assert line["relative"] == pytest.approx(gain.mean() / base.mean())
+        ratios = best.set_index("seed").speed / base
+        assert line["relative"] == pytest.approx(np.exp(np.log(ratios).mean()) - 1.0)
         half = stats.t.ppf(0.975, 3) * best.speed.std() / 2
         assert line["mean_high"] - line["mean"] == pytest.approx(half)
         second = here[here.repeat >= 7]
@@ -355,7 +356,8 @@ def test_lost_points_are_not_the_best(tmp_path):
     """The fastest points fall: the best is among those that lost no run, and how many are out is said."""
     result = run_sweep(SPEC, tmp_path, simulator=Noisy(falls_above=0.0755))
     table = result.table.to_pandas()
-    fell = table[table.status == "fell"]
+    chose = (table.repeat < 3) | (table.repeat >= 7)
+    fell = table[(table.status == "fell") & chose]
     assert {*fell["spine.amplitude"]} >= {0.3}
     for answer in result.summary["optimum"]["answers"]:
         gait_rows = fell[fell.gait == answer["for"]["gait"]]

