@@ -288,8 +288,12 @@ class Controller:
         return with_gait_factor(values)
 
     def check(self, params: ControlParameters) -> None:
-        """Reject unreachable strides (see `check_workspace`), and limbs that would always or never be in stance."""
+        """Reject unreachable strides (see `check_workspace`), limbs that would always or never be in stance, and
+        amplitudes of the spine that would be clipped.
+        """
         check_workspace(params, routing=self.routing)
+        if isinstance(self.spine, SpineModes):
+            self.spine.check(params)
         if isinstance(self.gait, FreeStepping):
             self.gait.check(params)
 

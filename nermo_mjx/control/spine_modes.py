@@ -24,6 +24,7 @@ from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot.assembly import RobotConfig
 from nermo_mjx.robot.geometry import Geometry, geometry_of
 from nermo_mjx.robot.masses import MassModel
+from nermo_mjx.robot.parameters import SPINE_GEOMETRY
 from nermo_mjx.robot.quantity import ParameterError, choice, of_type
 from nermo_mjx.robot.robot import mass_model_of
 from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
@@ -105,6 +106,22 @@ class SpineModes:
         if "harmonics" in self.modes:
             auxiliary += harmonics(params.spine, phase)
         return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
+
+    def check(self, params: ControlParameters) -> None:
+        """Reject an amplitude that the default limit of the servo's angle would clip.
+
+        A limit below the default one is a choice, such as that of the profile `as_built`: it clips.
+        """
+        amplitude = np.asarray(params.spine.amplitude, float)
+        limit = np.maximum(params.spine.max_servo_angle, SPINE_GEOMETRY.max_servo_angle)
+        is_clipped = amplitude > limit * (1.0 + 1e-9)
+        if "stride_extension" in self.modes and is_clipped.any():
+            value = np.broadcast_to(amplitude, is_clipped.shape)[is_clipped].flat[0]
+            allowed = np.broadcast_to(limit, is_clipped.shape)[is_clipped].flat[0]
+            raise ParameterError(
+                f"spine.amplitude is {value:g}, which spine.max_servo_angle would clip: allowed is at most {allowed:g} "
+                "rad, or a larger spine.max_servo_angle."
+            )
 
 
 def mode_names(

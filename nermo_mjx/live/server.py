@@ -61,7 +61,7 @@ SLIDERS: Final = {
     "frequency": ("frequency", "Hz", 0.2, 2.0),
     "stride": ("stride", "", 0.0, 1.2),
     "pilot.turn_rate": ("turn", "", -1.0, 1.0),
-    "spine.amplitude": ("spine amplitude", "rad", 0.0, 0.6),
+    "spine.amplitude": ("spine amplitude", "rad", 0.0, 0.4),
     "spine.phase": ("spine phase", "rad", -3.15, 3.15),
 }
 

@@ -185,6 +185,13 @@ class FoundOptimum:
                 fresh = f", {f'{pairs} fresh pairs' if pairs else single_note}{losses_text(answer.lost)}"
             fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
             sentences.append(f"{name}: {verdict.runs} runs a point{fresh}; {why}{lost_note}.")
+            if "r2" in (line := answer.lines.get(self.asked.metric, {})):
+                explanation = str(self.asked.explain)
+                unit = meta(self.results.schema.field(explanation))["unit"]
+                sentences.append(
+                    f"{name}: {spoken(explanation)} explains {100 * line['r2']:.0f} % of the variance of the gain, which "
+                    f"changes by {100 * line['slope']:+.3g} points for 1 {unit if unit != '1' else 'more'} of it."
+                )
             if outliers := answer.lines.get(self.asked.metric, {}).get("outliers", 0):
                 sentences.append(
                     f"{name}: {outliers} of {answer.lines[self.asked.metric]['pairs']} pairs are outliers, more than five "
@@ -259,6 +266,7 @@ class _Runs:
         status: how the runs ended.
         chose: the runs that choose the best point; the others are fresh.
         samples: Random parameters of the runs, (runs, draws), as distances from the means of their distributions.
+        explanation: Random parameter that is to explain the gains, (runs,), or None.
     """
 
     row: np.ndarray
@@ -270,6 +278,7 @@ class _Runs:
     status: np.ndarray
     chose: np.ndarray
     samples: np.ndarray
+    explanation: np.ndarray | None
 
 
 def find_optimum(
@@ -301,6 +310,7 @@ def find_optimum(
         status=results.column("status"),
         chose=(repeat < repeats) | (repeat >= repeats + question.fresh),
         samples=_samples_of(results),
+        explanation=results.column(question.explain) if question.explain else None,
     )
     groups = question.grouped(names)
     of_base = np.array([same_value(number, base) for number in value[by]])
@@ -406,7 +416,11 @@ def _fresh(
     lines = {
         name: line
         for name, values in runs.metrics.items()
-        if (line := _measured(values, runs.good[name], runs.seed, fresh, runs.samples))
+        if (
+            line := _measured(
+                values, runs.good[name], runs.seed, fresh, runs.samples, runs.explanation
+            )
+        )
     }
     fresh_rows = np.concatenate(fresh)
     lost_counts = losses(runs.status[fresh_rows], runs.good[metric][fresh_rows])
@@ -445,6 +459,7 @@ def _measured(
     seed: np.ndarray,
     fresh: Sequence[np.ndarray],
     samples: np.ndarray,
+    explanation: np.ndarray | None,
 ) -> dict[str, float]:
     """Means of the base's and the best point's fresh runs with 95 % intervals, and those of their difference.
 
@@ -454,6 +469,7 @@ def _measured(
         values, good, seed: Of all runs, (runs,): the metric, whether it counts, and the seed.
         fresh: Rows of the fresh runs of the base and of the best point.
         samples: Random parameters of all runs, (runs, draws), which explain a part of the differences of pairs.
+        explanation: Random parameter of all runs, (runs,), for the line of the relative differences over it.
 
     Returns:
         Numbers by name; empty if one side has no run that counts.
@@ -500,6 +516,9 @@ def _measured(
                 *(np.expm1(bound) for bound in _mean_of_pairs(ratios, samples[rows], logarithms))
             )
         line["outliers"] = int(_outliers(difference).sum())
+        if explanation is not None and np.ptp(explanation[rows]) > 0.0 and math.isfinite(scale):
+            fit = stats.linregress(explanation[rows], difference / scale)
+            line |= {"slope": float(fit.slope), "r2": float(fit.rvalue**2)}
     names = ("difference", "low", "high", "p", "relative", "relative_low", "relative_high")
     bounds = (*interval, *relative[:3])
     line |= {name: float(bound[0]) for name, bound in zip(names, bounds, strict=True)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import math
 from typing import Final
 
 import numpy as np
@@ -73,20 +74,29 @@ def optimum_table(optimum: FoundOptimum) -> pa.Table:
         doc = metadata.get("description", _ANSWER_FIELDS.get(name, name))
         unit = metadata.get(
             "unit",
-            "1" if name.startswith(("relative", "p", "metric", "region")) else "that of the metric",
+            "that of the metric" if name in _OF_THE_METRIC else "1",
         )
-        columns.add(name, np.array([line[name] for line in lines]), role, unit, doc)
+        values = np.array([line.get(name, math.nan) for line in lines])
+        columns.add(name, values, role, unit, doc, nulls=True)
     return columns.table({"optimum": optimum.asked.metric, "base": optimum.base})
 
 
+_OF_THE_METRIC: Final = frozenset(
+    [f"{side}{end}" for side in ("mean", "base") for end in ("", "_low", "_high")]
+    + ["difference", "low", "high"]
+)
 _ANSWER_FIELDS: Final = {
     "metric": "what it is about",
     "region": "number of points that cannot be told from the best one",
     "mean": "mean of the best point's fresh runs; _low and _high: its 95 % interval",
     "base": "mean of the base's fresh runs; _low and _high: its 95 % interval",
     "difference": "best point minus base, in fresh runs; low and high: its 95 % interval",
-    "relative": "difference over the magnitude of the base's mean; _low and _high: the same of its interval",
-    "pairs": "number of pairs of fresh runs with the same draws",
+    "relative": "of pairs, the geometric mean of their ratios, minus 1; otherwise the difference over the magnitude of "
+    "the base's mean; _low and _high: its 95 % interval",
+    "pairs": "number of pairs of fresh runs with the same samples",
+    "outliers": "number of pairs whose difference lies more than five standard deviations from the median",
+    "slope": "change of the relative difference for 1 unit of the parameter of `explain`",
+    "r2": "share of the variance of the differences that this parameter explains",
     "p": "probability of so large a difference by chance, two-sided",
 }
 

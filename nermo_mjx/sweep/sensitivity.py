@@ -54,8 +54,8 @@ class Sensitivity:
             pair, else empty), `order` ("first", "total" or "second"), `index`, `low`, `high` (its 95 % interval).
         metric: whose variance it is.
         method: "sobol", or "rbd_fast" where the sample is not of Saltelli's design.
-        noise: the share of the variance that is noise: randomized parameters and starts, at most, estimated from the spread of
-            the repeats; NaN with a single repeat.
+        noise: Largest share of the variance that can be noise (of randomized parameters and starts), estimated from the
+            spread of the repeats, whose mean has less because they are stratified; NaN with a single repeat.
         notes: omissions and caveats, in sentences.
     """
 

@@ -150,6 +150,9 @@ class SoughtOptimum(Fields):
     until: Annotated[int, Whole(1, LARGEST_SWEEP)] = Field(
         3, description="no further runs for so few points left"
     )
+    explain: str = optional(
+        "a randomized parameter: the line of the gains of the fresh pairs over it, and its r²"
+    )
 
     @property
     def metric(self) -> str:
@@ -462,6 +465,12 @@ def check_optimum(doc: Document, sweep: Sweep, question: SoughtOptimum) -> None:
         doc.fail(
             ("optimum", "for"),
             f"leaves out {', '.join(remaining)}, which varies, too: name it under over or for.",
+        )
+    names = [draw.name for draw in sweep.draws]
+    if question.explain is not None and question.explain not in names:
+        doc.fail(
+            ("optimum", "explain"),
+            f"names {question.explain!r}, which is not randomized{did_you_mean(question.explain, names)}",
         )
     if sweep.repeats < 2:
         doc.fail(
