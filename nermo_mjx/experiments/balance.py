@@ -33,6 +33,7 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.recording import recording_of
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, ServoAngles, load_robot
 from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.parameters import FOOT_RADIUS
 from nermo_mjx.robot.quantity import (
     check_quantities,
     choice,
@@ -566,8 +567,7 @@ def run(settings: Settings) -> CaseRuns:
         """The model that gives the centre of mass."""
         return compile_model(robot, dict(masses))
 
-    default_radius = robot.model.geom(f"{LIMBS[0]}_sole").size[0]
-    radii = worlds.on_body.get("geometry.foot.radius", np.full(len(ticks), default_radius))
+    radii = worlds.on_body.get("geometry.foot.radius", np.full(len(ticks), FOOT_RADIUS))
     rows, recordings = [], {}
     for i, (row, length, ratio) in enumerate(zip(worlds.labels, ticks, worlds.ratios, strict=True)):
         masses = [(name, column) for name, column in worlds.on_body.items() if name[:5] == "mass."]

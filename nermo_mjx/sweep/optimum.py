@@ -517,7 +517,8 @@ def _measured(
             )
         line["outliers"] = int(_outliers(difference).sum())
         if explanation is not None and np.ptp(explanation[rows]) > 0.0 and math.isfinite(scale):
-            fit = stats.linregress(explanation[rows], difference / scale)
+            gains = second / first - 1.0 if (first * second > 0.0).all() else difference / scale
+            fit = stats.linregress(explanation[rows], gains)
             line |= {"slope": float(fit.slope), "r2": float(fit.rvalue**2)}
     names = ("difference", "low", "high", "p", "relative", "relative_low", "relative_high")
     bounds = (*interval, *relative[:3])

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import itertools
+import types
+
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -15,8 +18,8 @@ from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 from nermo_mjx.sweep.counting import two_stage
 from nermo_mjx.sweep.optimum import optimum_in
 from nermo_mjx.sweep.plots import sweep_figures
-from nermo_mjx.sweep.selection import hsu_margin, judged
-from nermo_mjx.sweep.spec import SoughtOptimum
+from nermo_mjx.sweep.selection import hsu_margin, judged, undistinguished
+from nermo_mjx.sweep.spec import SoughtOptimum, sample
 
 REPEATS, FRESH, TRIALS = 4, 24, 400
 AMPLITUDES, PHASES = np.array([0.1, 0.2, 0.3, 0.4])[:, None], np.arange(12) * np.pi / 6
@@ -379,3 +382,128 @@ def test_runs_that_measure_the_gain_are_not_among_those_that_choose():
     is_there[first.wanted] = True
     second = judged(values, is_there, question, 2)
     assert set(second.wanted[0].tolist()) <= {9, 10}
+
+
+# --- one point, samples, seeds and outliers
+
+
+class GainsWithFriction:
+    """A spine that makes the fake robot 5 % faster at a friction of 0.8 and 11 % at 1.4, with noise of 0.05 points.
+
+    The true mean gain over the uniform distribution is that of the middle, 8 %. With the spine, runs with more friction
+    than `stumbles_above` lose half of their speed.
+    """
+
+    engine = "fake"
+
+    def __init__(self, stumbles_above: float = np.inf) -> None:
+        self.random, self.stumbles_above = np.random.default_rng(0), stumbles_above
+
+    def run(self, values, run, *, progress=None, notify=None):
+        friction = values["contact.friction"]
+        gain = 0.08 + 0.1 * (friction - 1.1) + 0.0005 * self.random.normal(size=len(friction))
+        gain[friction > self.stumbles_above] = -0.5
+        is_bent = np.nan_to_num(values.get("spine.amplitude", np.zeros(len(friction)))) > 0.0
+        speed = 0.1 * friction * np.where(is_bent, 1.0 + gain, 1.0)
+        metrics = {"speed": speed, "fell": np.zeros(len(speed))}
+        status = np.full(len(speed), "ok")
+        return types.SimpleNamespace(metrics=metrics, status=status, engine="fake", steps=1)
+
+
+ONE_POINT = {
+    "run": {"duration": 0.2, "warmup": 0},
+    "plots": False,
+    "vary": {"spine": ["none", "stride_extension"], "spine.amplitude": [0.2]},
+    "randomize": {
+        "repeats": 4,
+        "paired": ["spine.amplitude"],
+        "contact.friction": {"uniform": [0.8, 1.4]},
+    },
+    "optimum": {
+        "over": ["spine.amplitude"],
+        "base": {"spine": "none"},
+        "fresh": 24,
+        "explain": "contact.friction",
+    },
+}
+
+
+def gain_of(out, seed: int = 0, stumbles_above: float = np.inf):
+    """The answer on the gain of the one point, and the sentences."""
+    run_sweep(ONE_POINT | {"seed": seed}, out, simulator=GainsWithFriction(stumbles_above))
+    optimum = optimum_in(out)
+    (answer,) = optimum.answers
+    return answer.lines["speed"], optimum.how()
+
+
+def test_one_point_has_a_gain_and_another_seed_agrees(tmp_path):
+    """The interval contains the noise and not the sample: it holds the true mean in 19 of 20 seeds, and it is narrow."""
+    lines = [gain_of(tmp_path / str(seed), seed)[0] for seed in range(20)]
+    holds = [line["relative_low"] <= 0.08 <= line["relative_high"] for line in lines]
+    assert sum(holds) >= 18
+    assert max(line["relative_high"] - line["relative_low"] for line in lines) < 0.002
+    agreements = [
+        line["relative_low"] - 0.0005 <= other["relative"] <= line["relative_high"] + 0.0005
+        for line, other in itertools.pairwise(lines)
+    ]
+    assert sum(agreements) >= 18
+
+
+def test_friction_explains_the_gain(tmp_path):
+    line, sentences = gain_of(tmp_path)
+    assert line["r2"] > 0.98
+    assert line["slope"] == pytest.approx(0.1, abs=0.005)
+    assert any("contact friction explains" in sentence for sentence in sentences)
+    with pytest.raises(SpecError, match=r"explain.*names 'friction', which is not randomized"):
+        Sweep.from_dict(ONE_POINT | {"optimum": ONE_POINT["optimum"] | {"explain": "friction"}})
+
+
+def test_outliers_are_reported(tmp_path):
+    line, sentences = gain_of(tmp_path, stumbles_above=1.36)
+    assert line["outliers"] == 2
+    assert any("2 of 24 pairs are outliers" in sentence for sentence in sentences)
+
+
+def test_one_contender_is_the_answer():
+    """Two of three points lose a run: the third one is the best point and its region."""
+    question = SoughtOptimum.model_validate({"over": ["a"], "base": {"b": "none"}})
+    values = np.array([[1.0, 2.0, 3.0], [1.1, np.nan, np.nan]])
+    verdict = judged(values, np.full(values.shape, True), question, 2)
+    assert (verdict.best, verdict.region.tolist()) == (0, [True, False, False])
+
+
+def test_a_noisy_point_does_not_widen_the_margin_of_the_others():
+    """One point has sixty times the noise of the others: it may be the best, and clear differences stay clear."""
+    random = np.random.default_rng(1)
+    truth = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5])
+    values = truth + random.normal(size=(6, 6)) * np.array([0.01, 0.01, 0.01, 0.01, 0.01, 0.6])
+    assert undistinguished(values).tolist()[:5] == [True, False, False, False, False]
+
+
+@pytest.mark.release
+def test_points_of_unequal_spread_keep_the_best_one():
+    """A plateau of 48 points, of which each has its own spread (log-normal, 1.2): the pooled noise held it in 75 %."""
+    random, shares_held = np.random.default_rng(1), []
+    truth = LANDSCAPES["plateau"]
+    spread = 0.001 * np.exp(1.2 * np.random.default_rng(9).normal(size=48))
+    for _ in range(150):
+        values = truth + spread * random.normal(size=(4, 48))
+        shares_held.append(undistinguished(values)[17])
+    assert np.mean(shares_held) > 0.9
+
+
+def test_samples_are_stratified_and_more_of_them_keep_the_first():
+    """Of 16 repeats one in each sixteenth of each range; 24 are the first of 64; structures share them."""
+    randomize = ONE_POINT["randomize"] | {"mass.front": {"uniform": [0.15, 0.19]}}
+
+    def frictions(repeats: int, name: str = "contact.friction") -> np.ndarray:
+        spec = {key: value for key, value in ONE_POINT.items() if key != "optimum"}
+        rows = sample(Sweep.from_dict(spec | {"randomize": randomize | {"repeats": repeats}}))
+        return rows.values[name].reshape(-1, repeats)
+
+    for name, low, width in (("contact.friction", 0.8, 0.6), ("mass.front", 0.15, 0.04)):
+        stiff, bent = frictions(16, name)
+        np.testing.assert_array_equal(stiff, bent)
+        assert sorted(np.floor((stiff - low) / width * 16).astype(int)) == list(range(16))
+        np.testing.assert_array_equal(frictions(24, name), frictions(64, name)[:, :24])
+    assert frictions(24)[0].mean() == pytest.approx(1.1, abs=0.01)
