@@ -179,7 +179,8 @@ def map_figure(table: pd.DataFrame) -> Figure:
     """Speed over frequency, stiff and at the best amplitude and phase, for each profile and gait."""
     figure = Figure(figsize=(11, 6.2), layout="constrained")
     axes = figure.subplots(len(PROFILES), len(GAITS), sharex=True, sharey=True)
-    colors = {1.0: "#0b5fa5", 0.6: "#d9822b"}
+    colors = {1.0: "#0b5fa5", 0.6: "#b85c00"}
+    frequencies = sorted(set(table["frequency"]))
     for row_axes, (profile, title) in zip(axes, PROFILES.items(), strict=True):
         for ax, gait in zip(row_axes, GAITS, strict=True):
             for stride, color in colors.items():
@@ -207,17 +208,24 @@ def map_figure(table: pd.DataFrame) -> Figure:
                     hatch="////",
                     linewidth=0,
                 )
-                for i, gain in enumerate(cells["gain"]):
-                    above = 7 if best[i] >= stiff[i] else -13
+                # Above the long strides, and below the short ones.
+                places = np.maximum(stiff, best) if stride == 1.0 else np.minimum(stiff, best)
+                for at, place, gain in zip(x, places, cells["gain"], strict=True):
                     ax.annotate(
                         f"{100 * gain:+.0f}".replace("-", "−"),
-                        (x[i], best[i]),
-                        (0, above),
+                        (at, place),
+                        (0, 7 if stride == 1.0 else -13),
                         textcoords="offset points",
                         ha="center",
-                        fontsize=7.5,
+                        fontsize=8,
                         color=color,
                     )
+            ax.set_xscale("log")
+            ax.set_yscale("log")
+            ax.set_xticks(frequencies, [f"{value:g}" for value in frequencies])
+            ax.set_yticks([25, 50, 100, 200], ["25", "50", "100", "200"])
+            ax.minorticks_off()
+            ax.margins(y=0.12)
             ax.grid(alpha=0.25)
             ax.spines[["top", "right"]].set_visible(False)
             if profile == "exact":
@@ -232,7 +240,13 @@ def map_figure(table: pd.DataFrame) -> Figure:
     first.fill_between(
         [], [], [], facecolor="none", edgecolor="#666666", hatch="////", label="stiff gait stumbles"
     )
-    first.legend(fontsize=7.5, loc="upper left", frameon=False)
+    figure.legend(
+        *first.get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=5,
+        fontsize=8.5,
+        frameon=False,
+    )
     figure.suptitle(
         "What the best amplitude and phase of the spine add to the speed (numbers: %)", fontsize=11
     )
