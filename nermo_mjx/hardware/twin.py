@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.log import CHANNEL_PARTS, QUANTITIES, Channel, Log
 from nermo_mjx.hardware.signals import (
     Difference,
     axes_of,
@@ -22,7 +22,6 @@ from nermo_mjx.hardware.signals import (
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import LOG_PREFIX, Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, ServoAngles
-from nermo_mjx.robot.parameters import READINGS
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.rollout import Run, Setup, Simulator
 
@@ -153,11 +152,9 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     begin = recording.time - (np.median(np.diff(recording.time)) if len(times) > 1 else 0.0)
 
     def add(
-        quantity: str,
-        unit: str,
-        columns: Mapping[str, np.ndarray],
-        sample_times: np.ndarray = times,
+        quantity: str, columns: Mapping[str, np.ndarray], sample_times: np.ndarray = times
     ) -> None:
+        unit = next(iter(QUANTITIES[quantity]))
         channels.extend(
             Channel(f"{quantity} {element}", quantity, element, sample_times, values, unit)
             for element, values in columns.items()
@@ -166,18 +163,14 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     def each(names: tuple[str, ...], values: np.ndarray) -> dict[str, np.ndarray]:
         return dict(zip(names, values.T, strict=True))
 
-    add("command", "rad", each(robot.servos, recording.ctrl), begin)
+    add("command", each(robot.servos, recording.ctrl), begin)
     for last in ("angle", "velocity", "torque"):
-        add(last, READINGS[f"servo_{last}"].unit, each(robot.servos, sensors[f"servo_{last}"]))
-    for name, element in (("gyro", "imu"), ("accelerometer", "imu"), ("position", "torso")):
-        add(name, READINGS[name].unit, {element: sensors[name]})
-    add(
-        "yaw",
-        "rad",
-        {"torso": np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])},
-    )
-    add("force", "N", each(LIMBS, sensors["foot_force"]))
-    add("contact", "switch", each(LIMBS, (sensors["foot_force"] > _SWITCH_NEWTONS).astype(float)))
+        add(last, each(robot.servos, sensors[f"servo_{last}"]))
+    sensors["yaw"] = np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])
+    for name, element in CHANNEL_PARTS.items():
+        add(name, {element: sensors[name]})
+    add("force", each(LIMBS, sensors["foot_force"]))
+    add("contact", each(LIMBS, (sensors["foot_force"] > _SWITCH_NEWTONS).astype(float)))
     return Log(tuple(channels), "the twin")
 
 

@@ -1,0 +1,76 @@
+# Tests of rollout/metric_table.py, cli/kinds.py, hardware/log.py, recording.py
+"""One record each for the columns of tables, logs and recordings, the kinds of directories, and the units of metrics."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import nermo_mjx
+from nermo_mjx.hardware.log import CHANNEL_PARTS, QUANTITIES
+from nermo_mjx.recording import ARRAYS
+from nermo_mjx.rollout.metric_table import RUN_COLUMNS
+
+PACKAGE = Path(nermo_mjx.__file__).parent
+
+
+def modules(*records: str) -> Iterator[tuple[str, ast.Module]]:
+    """The modules of the package, except the records."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        place = str(path.relative_to(PACKAGE))
+        if place not in records and "vendor" not in path.parts:
+            yield place, ast.parse(path.read_text())
+
+
+def texts_in(node: ast.AST) -> set[str]:
+    """The texts that a dict, tuple, list, set or call contains directly; of a dict, its keys and values."""
+    match node:
+        case ast.Dict():
+            parts = [*node.keys, *node.values]
+        case ast.Tuple() | ast.List() | ast.Set():
+            parts = [*node.elts]
+        case ast.Call():
+            parts = [*node.args, *(keyword.value for keyword in node.keywords)]
+        case _:
+            return set()
+    return {
+        part.value
+        for part in parts
+        if isinstance(part, ast.Constant) and isinstance(part.value, str)
+    }
+
+
+def constants(tree: ast.Module) -> Iterator[ast.AST]:
+    """All parts of the values that a module assigns outside of functions."""
+    for statement in tree.body:
+        if isinstance(statement, ast.Assign | ast.AnnAssign) and statement.value:
+            yield from ast.walk(statement.value)
+
+
+def test_columns_of_tables_and_arrays_of_recordings_are_declared_in_one_place() -> None:
+    """No other constant lists four of the columns, or all arrays."""
+    wrong = [
+        f"{place}:{node.lineno}"
+        for place, tree in modules("rollout/metric_table.py", "recording.py")
+        for node in constants(tree)
+        if len(texts_in(node) & RUN_COLUMNS.keys()) > 3 or texts_in(node) >= ARRAYS.keys()
+    ]
+    assert wrong == []
+
+
+def test_the_units_and_the_parts_of_a_quantity_are_declared_in_one_place() -> None:
+    """No collection or call of a subpackage that uses logs contains a quantity, and one of its units or its part."""
+    described = {
+        name: {*units, CHANNEL_PARTS.get(name, "")} - {"g"} for name, units in QUANTITIES.items()
+    }
+    wrong = [
+        f"{place}:{node.lineno} {name}"
+        for place, tree in modules("hardware/log.py")
+        if place.startswith(("cli", "hardware", "identify", "live"))
+        for node in ast.walk(tree)
+        if (texts := texts_in(node))
+        for name in texts & QUANTITIES.keys()
+        if texts & described[name]
+    ]
+    assert wrong == []
