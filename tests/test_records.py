@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import nermo_mjx
+from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.hardware.log import CHANNEL_PARTS, QUANTITIES
 from nermo_mjx.recording import ARRAYS
 from nermo_mjx.rollout.metric_table import RUN_COLUMNS
@@ -74,3 +75,21 @@ def test_the_units_and_the_parts_of_a_quantity_are_declared_in_one_place() -> No
         if texts & described[name]
     ]
     assert wrong == []
+
+
+def test_kinds_of_directories_are_declared_in_one_place() -> None:
+    """Every job makes a known kind, and no other constant lists three kinds."""
+    names, wrong = set[str](), list[str]()
+    for place, tree in modules("cli/kinds.py", "runs/directory.py"):
+        for node in ast.walk(tree):
+            match node:
+                case ast.Call(func=ast.Name("RunDirectory"), args=[_, ast.Constant(name), *_]):
+                    names.add(name)
+        wrong += [
+            f"{place}:{node.lineno}"
+            for node in constants(tree)
+            if len(texts_in(node) & KINDS.keys()) > 2
+        ]
+    assert wrong == []
+    assert names
+    assert names <= KINDS.keys()
