@@ -9,11 +9,19 @@ from pathlib import Path
 
 import nermo_mjx
 from nermo_mjx.cli.kinds import KINDS
+from nermo_mjx.experiments.cases import texts
 from nermo_mjx.hardware.log import CHANNEL_PARTS, QUANTITIES
+from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import ARRAYS
-from nermo_mjx.rollout.metric_table import RUN_COLUMNS
+from nermo_mjx.rollout.metric_table import METRICS, RUN_COLUMNS, TRANSITION
 
 PACKAGE = Path(nermo_mjx.__file__).parent
+#: Files in which a name of a metric has another meaning, and a unit of its own.
+HOMONYMS = {
+    "learn/task.py": "rewards, and fields of a task",
+    "rollout/run.py": "arguments of a run",
+    "view/recorded.py": "curves of a page",
+}
 
 
 def modules(*records: str) -> Iterator[tuple[str, ast.Module]]:
@@ -93,3 +101,20 @@ def test_kinds_of_directories_are_declared_in_one_place() -> None:
     assert wrong == []
     assert names
     assert names <= KINDS.keys()
+
+
+def test_units_of_metrics_are_declared_in_one_place() -> None:
+    """No other collection or call contains a metric and a unit of metrics, and no experiment declares the unit again."""
+    metrics = METRICS | TRANSITION
+    units = {metric.unit for metric in metrics.values()}
+    units = (units | {shown("", unit, 1.0).unit for unit in units}) - {"", "1"}
+    places = {
+        place
+        for place, tree in modules("rollout/metric_table.py")
+        for node in ast.walk(tree)
+        if texts_in(node) & metrics.keys() and texts_in(node) & units
+    }
+    assert places == HOMONYMS.keys()
+    for experiment, columns in texts("columns").items():
+        # A stand has no walk: its `speed` is its own measurement.
+        assert experiment.endswith("-stand") or not columns.keys() & metrics.keys()

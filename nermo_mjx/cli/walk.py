@@ -18,7 +18,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS
 from nermo_mjx.cli.logs import LOGS, log_channels, log_of, print_differences
 from nermo_mjx.cli.options import assigned, number, text
-from nermo_mjx.cli.output import Failure, Output, WrongUse, command, print_table, say
+from nermo_mjx.cli.output import Failure, Output, WrongUse, command, in_unit, print_table, say
 from nermo_mjx.cli.view import load_recording, refuse_video, save_run
 from nermo_mjx.progress import ProgressBar, is_given
 from nermo_mjx.trust import only_reading
@@ -138,18 +138,18 @@ def _shifted_start(seed: int) -> dict[str, float]:
     return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
 
 
-#: Other lines of the table: metric, how it is called, its unit, and the factor from SI.
-LINES = (
-    ("distance", "distance", "mm", 1e3),
-    ("duration", "measured time", "s", 1.0),
-    ("lateral_drift", "lateral drift", "mm", 1e3),
-    ("slip", "slip of loaded feet", "mm/s", 1e3),
-    ("stride_length", "length of a stride", "mm", 1e3),
-    ("stride_length_cv", "its variability", "%", 1e2),
-    ("servo_work", "servo work", "J", 1.0),
-    ("cost_of_transport", "cost of transport, mechanical", "", 1.0),
-    ("electrical_cost_of_transport", "cost of transport, electrical", "", 1.0),
-)
+#: Other lines of the table: metric, and how it is called.
+LINES = {
+    "distance": "distance",
+    "duration": "measured time",
+    "lateral_drift": "lateral drift",
+    "slip": "slip of loaded feet",
+    "stride_length": "length of a stride",
+    "stride_length_cv": "its variability",
+    "servo_work": "servo work",
+    "cost_of_transport": "cost of transport, mechanical",
+    "electrical_cost_of_transport": "cost of transport, electrical",
+}
 
 
 def print_walk(report: dict[str, Any]) -> None:
@@ -160,7 +160,8 @@ def print_walk(report: dict[str, Any]) -> None:
     from nermo_mjx.rollout.stride_metrics import SPREAD_STRIDES
 
     metrics, setup, parameters = report["metrics"], report["setup"], report["parameters"]
-    lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
+    speed_unit = _shown_unit("speed")
+    lines = [("speed", metrics.get("speed"), *speed_unit)]
     if setup["controller"]:
         how = setup["controller"]
     else:
@@ -173,10 +174,10 @@ def print_walk(report: dict[str, Any]) -> None:
         values["spine.amplitude"] = (
             values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
         )
-        lines.append(("speed in theory", float(theory.speed(values)), "mm/s", 1e3))
+        lines.append(("speed in theory", float(theory.speed(values)), *speed_unit))
     lines += [
-        (title, metrics[name], unit, factor)
-        for name, title, unit, factor in LINES
+        (title, metrics[name], *_shown_unit(name))
+        for name, title in LINES.items()
         if name in metrics
     ]
     rows = [[title, _number(value, factor), unit] for title, value, unit, factor in lines]
@@ -217,6 +218,14 @@ def print_ending(metrics: Mapping[str, Any]) -> None:
     ending = Ending[metrics["status"]]
     if ending is not Ending.ok:
         click.echo(ending.value)
+
+
+def _shown_unit(metric: str) -> tuple[str, float]:
+    """Display unit of a metric, which is percent for a variability, and the factor from the SI unit."""
+    from nermo_mjx.rollout import METRICS
+
+    (factor,), unit = in_unit("", METRICS[metric].unit, 1.0)
+    return ("%", 1e2) if metric.endswith("_cv") else (unit, factor)
 
 
 def _number(value: float | None, factor: float) -> str:

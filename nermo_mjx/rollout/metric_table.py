@@ -140,6 +140,19 @@ METRICS: Final[dict[str, Metric]] = {
     ),
 }
 
+#: Metrics of a run with switches, see `transitions`.
+TRANSITION: Final[dict[str, Metric]] = {
+    "transition_roll": Metric(
+        "rad", "largest roll to either side while switches act, and a cycle longer", "low"
+    ),
+    "transition_slip": Metric("m/s", "mean horizontal speed of loaded feet in that time", "low"),
+    "transition_time": Metric(
+        "s",
+        "how much later it has its new speed than at once; NaN if it changes by less than 5 %",
+        "low",
+    ),
+}
+
 #: Columns of a table of runs that are neither parameters nor metrics, and their meanings.
 RUN_COLUMNS: Final = {
     "row": "position of the run in the sweep",

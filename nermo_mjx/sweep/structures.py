@@ -26,8 +26,7 @@ from nermo_mjx.files import read_bytes
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.scene import is_mjcf, scene_name
 from nermo_mjx.rollout import METRICS, Setup
-from nermo_mjx.rollout.metric_table import RUN_COLUMNS
-from nermo_mjx.rollout.transitions import TRANSITION
+from nermo_mjx.rollout.metric_table import RUN_COLUMNS, TRANSITION
 from nermo_mjx.runs.files import parquet_bytes, parquet_table
 from nermo_mjx.specs.controllers import code_identity
 from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
