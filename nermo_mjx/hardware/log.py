@@ -30,7 +30,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
-from nermo_mjx.robot.quantity import did_you_mean
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import Document, SpecError, describe, read_file, read_mapping
 from nermo_mjx.specs.values import Choice, Finite, Positive
@@ -184,6 +184,18 @@ class Log:
     def of_quantity(self, quantity: str) -> dict[str, Channel]:
         """The channels of a quantity, by what they are of."""
         return {channel.of: channel for channel in self.channels if channel.quantity == quantity}
+
+    def commands(self) -> dict[str, Channel]:
+        """The commands by which a model can be driven, by servo.
+
+        Raises:
+            ParameterError: no channel is a command.
+        """
+        if not (commands := self.of_quantity("command")):
+            raise ParameterError(
+                f"{self.file}: no channel is a command, by which the model could be driven."
+            )
+        return commands
 
     def channel(self, quantity: str, of: str | None = None) -> Channel | None:
         """The channel of a quantity and of a name, or the first one of any name; None if there is none."""

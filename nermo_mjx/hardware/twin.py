@@ -21,7 +21,7 @@ from nermo_mjx.hardware.signals import (
 )
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import LOG_PREFIX, Recording
-from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, ServoAngles
+from nermo_mjx.robot import LIMBS, Robot, RobotConfig, ServoAngles
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.rollout import Run, Setup, Simulator
 
@@ -83,11 +83,7 @@ def command_table(
     Raises:
         ParameterError: there is no command, or one of no such servo.
     """
-    commands = log.of_quantity("command")
-    if not commands:
-        raise ParameterError(
-            f"{log.file}: no channel is a command, by which the twin could be driven."
-        )
+    commands = log.commands()
     table = np.zeros((math.ceil(log.duration / dt) + 1, len(servos)))
     ticks = dt * np.arange(len(table)) + 1e-9
     for servo, channel in commands.items():
@@ -110,6 +106,12 @@ def replay_log(
     """Drive the twin by a log's commands at their times, to the next step of its physics.
 
     It has stood at the first ones for `SETTLING_SECONDS` when the log begins.
+
+    `identify.twin` simulates the same commands for any MJCF. Its numbers differ, therefore it is another implementation:
+    a command is held here until the next one, as a servo does it, and `identify.twin` takes the mean of the commands in
+    each step, so that its predictions are smooth in the delay. The simulation here has all choices of `Setup`, either
+    engine, metrics and a recording of the IMU; `identify.twin` simulates batches of bodies in MuJoCo alone, and reads
+    the places of the channels of a log. The commands, the time of standing and the comparison are shared.
 
     Args:
         log: see `read_log`.
