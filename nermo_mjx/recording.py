@@ -36,7 +36,7 @@ _REMEDY: Final = (
 )
 
 #: The arrays of a file, T samples each; with them a text `header`, and `sensor.NAME`.
-_ARRAYS: Final[dict[str, tuple[str, tuple[Any, ...]]]] = {
+ARRAYS: Final[dict[str, tuple[str, tuple[Any, ...]]]] = {
     "time": ("fiu", ("T",)),
     "qpos": ("fiu", ("T", "nq")),
     "qvel": ("fiu", ("T", "nv")),
@@ -90,7 +90,7 @@ class Recording:
     metadata: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        arrays = {"qpos": self.qpos, "qvel": self.qvel, "ctrl": self.ctrl}
+        arrays = {name: getattr(self, name) for name in ARRAYS}
         arrays |= {f"sensor {name}": values for name, values in self.sensors.items()}
         if np.ndim(self.time) != 1 or len(self.time) == 0:
             raise RecordingError(
@@ -111,9 +111,7 @@ class Recording:
         """The samples from one time to another [s], both included; at least the first one after `begin`."""
         first = min(int(np.searchsorted(self.time, begin - 1e-9)), len(self.time) - 1)
         last = max(first + 1, int(np.searchsorted(self.time, end + 1e-9)))
-        arrays = {
-            name: getattr(self, name)[first:last] for name in ("time", "qpos", "qvel", "ctrl")
-        }
+        arrays = {name: getattr(self, name)[first:last] for name in ARRAYS}
         sensors = {name: values[first:last] for name, values in self.sensors.items()}
         return dataclasses.replace(self, **arrays, sensors=sensors)
 
@@ -133,15 +131,9 @@ class Recording:
             "model_hash": self.model_hash,
             "metadata": dict(self.metadata),
         }
-        arrays = {
-            "header": np.array(json.dumps(header)),
-            "time": self.time,
-            "qpos": self.qpos,
-            "qvel": self.qvel,
-        }
-        arrays |= {"ctrl": self.ctrl} | {
-            f"sensor.{name}": values for name, values in self.sensors.items()
-        }
+        arrays = {"header": np.array(json.dumps(header))}
+        arrays |= {name: getattr(self, name) for name in ARRAYS}
+        arrays |= {f"sensor.{name}": values for name, values in self.sensors.items()}
         file = io.BytesIO()
         np.savez_compressed(
             file, allow_pickle=False, **{key: np.asarray(v) for key, v in arrays.items()}
@@ -170,9 +162,9 @@ class Recording:
                     f"{LAYOUT_VERSION}; record the run again."
                 )
             sensors = {key for key in arrays if key.startswith("sensor.")}
-            check_arrays(arrays, _ARRAYS | dict.fromkeys(sensors, ("fiub", ("T", ...))), path)
+            check_arrays(arrays, ARRAYS | dict.fromkeys(sensors, ("fiub", ("T", ...))), path)
             sensor_arrays = {key.removeprefix("sensor."): arrays[key] for key in sensors}
-            motion = {name: arrays[name] for name in _ARRAYS}
+            motion = {name: arrays[name] for name in ARRAYS}
             recording = cls(
                 **motion,
                 sensors=sensor_arrays,

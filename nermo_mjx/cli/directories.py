@@ -149,7 +149,8 @@ def plot_command(path: Path, out: Path | None, form: str | None, **columns: str 
     with _drawing(kind, path, folder, notes) as write:
         files = write_figures(figures, folder, write, FORMATS if form is None else (form,))
     if not files:
-        raise Failure(f"there is nothing to draw of {path}: {' '.join(notes)}")
+        reason = " ".join(notes) or "its tables have no figures."
+        raise Failure(f"there is nothing to draw of {path}: {reason}")
     for note in notes:
         say(note)
     return Output({"path": path, "kind": kind.name, "files": files, "notes": notes}, files=files)

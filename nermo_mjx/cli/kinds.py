@@ -21,7 +21,6 @@ class Kind:
 
     Attributes:
         name: as run.json has it.
-        called: in a sentence.
         figures: module and name of the function that names its figures: `figures(path, **options)` reads and checks,
             and returns `plotting.files.Figures`, of which each is made when it is written.
         status: the same of the function that says how far such a directory is.
@@ -32,13 +31,19 @@ class Kind:
     """
 
     name: str
-    called: str
     figures: str
     status: str = ""
     tracked: bool = False
     options: tuple[str, ...] = ()
     page: str = ""
     follows: bool = False
+
+    @property
+    def called(self) -> str:
+        """The kind in a sentence."""
+        from nermo_mjx.runs.directory import with_article
+
+        return with_article(self.name)
 
     def load(self, location: str) -> Callable[..., Any]:
         """The function of a place, imported now."""
@@ -52,7 +57,6 @@ _RUNS: Final = "view.explore:explore"
 _DIRECTORY_KINDS: Final = (
     Kind(
         "sweep",
-        "a sweep",
         "sweep.plots:sweep_figures",
         "sweep.table:sweep_status",
         False,
@@ -61,7 +65,6 @@ _DIRECTORY_KINDS: Final = (
     ),
     Kind(
         "search",
-        "a search",
         "optimize.search_figures:search_figures",
         "optimize.search_directory:search_status",
         False,
@@ -70,13 +73,11 @@ _DIRECTORY_KINDS: Final = (
     ),
     Kind(
         "tuning",
-        "a tuning",
         "optimize.tuning_figures:tuning_figures",
         "optimize.tuning_directory:tuning_status",
     ),
     Kind(
         "training",
-        "a training",
         "learn.plots:training_figures",
         "learn.directory:training_status",
         page="view.trained:trained",
@@ -84,7 +85,6 @@ _DIRECTORY_KINDS: Final = (
     ),
     Kind(
         "experiments",
-        "published experiments",
         "experiments.run:images",
         "experiments.run:experiments_status",
         True,
@@ -92,7 +92,6 @@ _DIRECTORY_KINDS: Final = (
     ),
     Kind(
         "experiment",
-        "the rows of an experiment",
         "sweep.plots:sweep_figures",
         "experiments.run:experiment_status",
         False,
@@ -102,7 +101,6 @@ _DIRECTORY_KINDS: Final = (
     *(
         Kind(
             name,
-            f"an {name}",
             "identify.report:reject_figures",
             "identify.run:identification_status",
             page="identify.report:identification_page",
@@ -111,14 +109,12 @@ _DIRECTORY_KINDS: Final = (
     ),
     Kind(
         "comparison",
-        "a comparison",
         "sweep.comparing:comparison_figures",
         "sweep.table:report_status",
         True,
     ),
     Kind(
         "sensitivity",
-        "a sensitivity analysis",
         "sweep.sensitivity:sensitivity_figures",
         "sweep.table:report_status",
         True,
@@ -126,7 +122,7 @@ _DIRECTORY_KINDS: Final = (
 )
 #: Kinds of directories, by name.
 KINDS: Final = {kind.name: kind for kind in _DIRECTORY_KINDS}
-RECORDING: Final = Kind("recording", "a recording", "cli.view:figures_of_file", options=("notify",))
+RECORDING: Final = Kind("recording", "cli.view:figures_of_file", options=("notify",))
 
 
 def kind_of_directory(path: Path) -> Kind:

@@ -18,7 +18,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS
 from nermo_mjx.cli.logs import LOGS, log_channels, log_of, print_differences
 from nermo_mjx.cli.options import assigned, number, text
-from nermo_mjx.cli.output import Failure, Output, WrongUse, command, print_table, say
+from nermo_mjx.cli.output import Failure, Output, WrongUse, command, in_unit, print_table, say
 from nermo_mjx.cli.view import load_recording, refuse_video, save_run
 from nermo_mjx.progress import ProgressBar, is_given
 from nermo_mjx.trust import only_reading
@@ -138,18 +138,18 @@ def _shifted_start(seed: int) -> dict[str, float]:
     return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
 
 
-#: Other lines of the table: metric, how it is called, its unit, and the factor from SI.
-LINES = (
-    ("distance", "distance", "mm", 1e3),
-    ("duration", "measured time", "s", 1.0),
-    ("lateral_drift", "lateral drift", "mm", 1e3),
-    ("slip", "slip of loaded feet", "mm/s", 1e3),
-    ("stride_length", "length of a stride", "mm", 1e3),
-    ("stride_length_cv", "its variability", "%", 1e2),
-    ("servo_work", "servo work", "J", 1.0),
-    ("cost_of_transport", "cost of transport, mechanical", "", 1.0),
-    ("electrical_cost_of_transport", "cost of transport, electrical", "", 1.0),
-)
+#: Other lines of the table: metric, and how it is called.
+LINES = {
+    "distance": "distance",
+    "duration": "measured time",
+    "lateral_drift": "lateral drift",
+    "slip": "slip of loaded feet",
+    "stride_length": "length of a stride",
+    "stride_length_cv": "its variability",
+    "servo_work": "servo work",
+    "cost_of_transport": "cost of transport, mechanical",
+    "electrical_cost_of_transport": "cost of transport, electrical",
+}
 
 
 def print_walk(report: dict[str, Any]) -> None:
@@ -160,7 +160,8 @@ def print_walk(report: dict[str, Any]) -> None:
     from nermo_mjx.rollout.stride_metrics import SPREAD_STRIDES
 
     metrics, setup, parameters = report["metrics"], report["setup"], report["parameters"]
-    lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
+    speed_unit = _shown_unit("speed")
+    lines = [("speed", metrics.get("speed"), *speed_unit)]
     if setup["controller"]:
         how = setup["controller"]
     else:
@@ -173,10 +174,10 @@ def print_walk(report: dict[str, Any]) -> None:
         values["spine.amplitude"] = (
             values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
         )
-        lines.append(("speed in theory", float(theory.speed(values)), "mm/s", 1e3))
+        lines.append(("speed in theory", float(theory.speed(values)), *speed_unit))
     lines += [
-        (title, metrics[name], unit, factor)
-        for name, title, unit, factor in LINES
+        (title, metrics[name], *_shown_unit(name))
+        for name, title in LINES.items()
         if name in metrics
     ]
     rows = [[title, _number(value, factor), unit] for title, value, unit, factor in lines]
@@ -217,6 +218,14 @@ def print_ending(metrics: Mapping[str, Any]) -> None:
     ending = Ending[metrics["status"]]
     if ending is not Ending.ok:
         click.echo(ending.value)
+
+
+def _shown_unit(metric: str) -> tuple[str, float]:
+    """Display unit of a metric, which is percent for a variability, and the factor from the SI unit."""
+    from nermo_mjx.rollout import METRICS
+
+    (factor,), unit = in_unit("", METRICS[metric].unit, 1.0)
+    return ("%", 1e2) if metric.endswith("_cv") else (unit, factor)
 
 
 def _number(value: float | None, factor: float) -> str:
@@ -580,10 +589,8 @@ def replay_command(
     options.refuse_without(
         REPLAY_NEEDS, given_options | {"a directory or --commands LOG": not of_drive}
     )
-    if commands is not None and model is not None:
-        return _replay_on_model(commands, channels, model)
     if commands is not None:
-        return _replay_log(commands, channels, engine, body, saved)
+        return _replay_log(commands, channels, model, engine, body, saved)
     assert out is not None
     if of_drive:
         return _replay_drive(out, sweep, controller, saved)
@@ -628,91 +635,65 @@ def replay_command(
 def _replay_log(
     file: Path,
     channels: Path | None,
+    model: Path | None,
     engine: str | None,
     body: dict[str, Any],
     saved: dict[str, Any],
 ) -> Output:
-    """Drive the twin by a log's commands, and lay what was measured beside it."""
-    from nermo_mjx.hardware.signals import findings_of
+    """Simulate Nermo or any MJCF under the commands of a log, and compare the measurements with the simulation."""
+    from nermo_mjx.hardware.signals import channel_differences, findings_of
     from nermo_mjx.hardware.twin import replay_log, with_log
+    from nermo_mjx.identify.twin import replay_on_model
     from nermo_mjx.rollout import Setup, all_parameters
 
+    for name, flag in options.given().items() if model else ():
+        if name not in ("commands", "channels", "model", "as_json", "quiet"):
+            raise WrongUse(f"{flag} is for Nermo: it has no effect with --model.")
     log, assignments = log_of(file, channels), body.pop("assignments")
-    setup = Setup(**{name: value for name, value in body.items() if value is not None})
-    refuse_video(setup, saved["video"], saved["camera"])
-    with ProgressBar("replay", compiles=True) as progress:
-        replay = replay_log(
-            log, setup, assigned(assignments, all_parameters(setup)), engine or "c", progress.share
-        )
-    recording, differences = with_log(replay, log, setup.load())
-    save_run(recording, **saved)
-    for sentence in findings_of(log):
+    content: dict[str, Any] = {"log": file, "model": model}
+    if model:
+        twin, notes = replay_on_model(log, model)
+        differences = channel_differences(log, twin)
+        simulated_names = [channel.name for channel in twin.channels]
+    else:
+        setup = Setup(**{name: value for name, value in body.items() if value is not None})
+        refuse_video(setup, saved["video"], saved["camera"])
+        with ProgressBar("replay", compiles=True) as progress:
+            values = assigned(assignments, all_parameters(setup))
+            replay = replay_log(log, setup, values, engine or "c", progress.share)
+        recording, differences = with_log(replay, log, setup.load())
+        save_run(recording, **saved)
+        simulated_names, notes = recording.metadata["log"]["shown"], ()
+        content = {**replay.metadata, "log": file}
+    for sentence in (*findings_of(log), *notes):
         say(sentence)
-    shown_names = recording.metadata["log"]["shown"]
     missing_names = [
         channel.name
         for channel in log.channels
-        if channel.name not in shown_names and channel.quantity != "command"
+        if channel.name not in simulated_names and channel.quantity != "command"
     ]
-    content = {
-        **replay.metadata,
-        "log": file,
-        "channels": [*map(dataclasses.asdict, differences)],
-        "not_simulated": missing_names,
-    }
+    content["channels"] = [*map(dataclasses.asdict, differences)]
+    content["not_simulated"] = missing_names
 
     def show() -> None:
-        title = f"{file}, {log.duration:.4g} s: measured minus simulated, engine {replay.metadata['engine']}"
+        duration = f"{log.duration:.4g} s"
+        if model:
+            print_differences(f"{file} minus {model}, {duration}", differences, missing_names)
+            return
+        metrics, engine = content["metrics"], f"engine {content['engine']}"
         if differences or missing_names:
+            title = f"{file}, {duration}: measured minus simulated, {engine}"
             print_differences(title, differences, missing_names)
         else:
-            metrics = replay.metadata["metrics"]
             angles = [math.degrees(metrics[f"{axis}_std"]) for axis in ("roll", "pitch", "yaw")]
             print_table(
-                f"{file}, {log.duration:.4g} s, engine {replay.metadata['engine']}: mean speed and standard deviations",
+                f"{file}, {duration}, {engine}: mean speed and standard deviations",
                 "speed [mm/s]>, roll [deg]>, pitch [deg]>, yaw [deg]>",
                 [[f"{1e3 * metrics['speed']:.1f}", *(f"{angle:.2f}" for angle in angles)]],
             )
-        print_ending(replay.metadata["metrics"])
+        print_ending(metrics)
 
-    return Output(
-        content, show, [channel for channel in (saved["record"], saved["video"]) if channel]
-    )
-
-
-def _replay_on_model(file: Path, channels: Path | None, model: Path) -> Output:
-    """Drive any MJCF by a log's commands, and compare what was measured with it."""
-    from nermo_mjx.hardware.signals import channel_differences, findings_of
-    from nermo_mjx.identify.twin import replay_on_model
-
-    for name, flag in options.given().items():
-        if name not in ("commands", "channels", "model", "as_json", "quiet"):
-            raise WrongUse(f"{flag} is for Nermo: it has no effect with --model.")
-    log = log_of(file, channels)
-    twin, notes = replay_on_model(log, model)
-    for sentence in (*findings_of(log), *notes):
-        say(sentence)
-    differences, simulated = (
-        channel_differences(log, twin),
-        [channel.name for channel in twin.channels],
-    )
-    missing_names = [
-        channel.name
-        for channel in log.channels
-        if channel.name not in simulated and channel.quantity != "command"
-    ]
-    content = {
-        "log": file,
-        "model": model,
-        "channels": [*map(dataclasses.asdict, differences)],
-        "not_simulated": missing_names,
-    }
-    return Output(
-        content,
-        lambda: print_differences(
-            f"{file} minus {model}, {log.duration:.4g} s", differences, missing_names
-        ),
-    )
+    return Output(content, show, [path for path in (saved["record"], saved["video"]) if path])
 
 
 def _replay_drive(

@@ -30,7 +30,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from nermo_mjx.files import MAX_ARRAY_BYTES, read_bytes
-from nermo_mjx.robot.quantity import did_you_mean
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import Document, SpecError, describe, read_file, read_mapping
 from nermo_mjx.specs.values import Choice, Finite, Positive
@@ -61,14 +61,13 @@ QUANTITIES: Final[dict[str, dict[str, float]]] = {
     "current": {"A": 1.0, "mA": 1e-3},
     "torque": _TORQUE_UNITS,
 }
-#: What a channel is of where a file does not say it: the only such sensor of this robot.
-_CHANNEL_PARTS: Final = {"gyro": "imu", "accelerometer": "imu", "position": "torso", "yaw": "torso"}
+#: What a channel is of where a file does not say it: the only such sensor of this robot. These are the quantities that
+#: the base moves.
+CHANNEL_PARTS: Final = {"gyro": "imu", "accelerometer": "imu", "position": "torso", "yaw": "torso"}
 #: How many columns a channel may have: one for each axis of these quantities.
-_AXIS_COUNTS: Final = {"gyro": (3,), "accelerometer": (3,), "position": (2, 3)}
+AXIS_COUNTS: Final = {"gyro": (3,), "accelerometer": (3,), "position": (2, 3)}
 _TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-#: Quantities that never stand still when they are measured; an angle may, unless its command moves by more than this
-#: [rad, m].
-_MOVING_QUANTITIES: Final = ("velocity", "gyro", "accelerometer", "position", "yaw")
+#: An angle may stand still when it is measured, unless its command moves by more than this [rad, m].
 MOTION_THRESHOLD: Final = 0.05
 #: Rows in a row that may be stamped before an earlier one: more are of a clock that was set back.
 _MAX_LATE_ROWS: Final = 10
@@ -186,6 +185,18 @@ class Log:
         """The channels of a quantity, by what they are of."""
         return {channel.of: channel for channel in self.channels if channel.quantity == quantity}
 
+    def commands(self) -> dict[str, Channel]:
+        """The commands by which a model can be driven, by servo.
+
+        Raises:
+            ParameterError: no channel is a command.
+        """
+        if not (commands := self.of_quantity("command")):
+            raise ParameterError(
+                f"{self.file}: no channel is a command, by which the model could be driven."
+            )
+        return commands
+
     def channel(self, quantity: str, of: str | None = None) -> Channel | None:
         """The channel of a quantity and of a name, or the first one of any name; None if there is none."""
         candidates = self.of_quantity(quantity)
@@ -300,7 +311,7 @@ def read_log(
     reader, channel_map = _Reader(doc, fields, str(file), table), dict[tuple[str, str], Channel]()
     for name, entry in fields.channels.items():
         quantity = entry.quantity
-        key = (quantity, entry.of or _CHANNEL_PARTS.get(quantity, ""))
+        key = (quantity, entry.of or CHANNEL_PARTS.get(quantity, ""))
         if not key[1]:
             doc.fail(
                 ("channels", name), "has no 'of': expected the name of its servo, joint or foot."
@@ -314,7 +325,7 @@ def read_log(
         channel_map[key] = Channel(name, *key, times, values, unit)
     for (quantity, source), channel in channel_map.items():
         command = channel_map.get(("command", source)) if quantity == "angle" else None
-        moves = quantity in _MOVING_QUANTITIES or (
+        moves = quantity in ("velocity", *CHANNEL_PARTS) or (
             command is not None and np.ptp(command.values) > MOTION_THRESHOLD
         )
         still = np.flatnonzero(np.ptp(channel.values, axis=0).reshape(-1) == 0.0) if moves else ()
@@ -436,7 +447,7 @@ class _Reader:
 
     def columns(self, name: str, entry: SignalFields) -> list[str]:
         """The names of a channel's columns."""
-        axes = _AXIS_COUNTS.get(entry.quantity, (1,))
+        axes = AXIS_COUNTS.get(entry.quantity, (1,))
         names = [entry.column or name] if entry.columns is None else entry.columns
         if len(names) not in axes or (entry.column is not None and entry.columns is not None):
             allowed = " or ".join(map(str, axes))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.log import CHANNEL_PARTS, QUANTITIES, Channel, Log
 from nermo_mjx.hardware.signals import (
     Difference,
     axes_of,
@@ -21,8 +21,7 @@ from nermo_mjx.hardware.signals import (
 )
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import LOG_PREFIX, Recording
-from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, ServoAngles
-from nermo_mjx.robot.parameters import READINGS
+from nermo_mjx.robot import LIMBS, Robot, RobotConfig, ServoAngles
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.rollout import Run, Setup, Simulator
 
@@ -84,11 +83,7 @@ def command_table(
     Raises:
         ParameterError: there is no command, or one of no such servo.
     """
-    commands = log.of_quantity("command")
-    if not commands:
-        raise ParameterError(
-            f"{log.file}: no channel is a command, by which the twin could be driven."
-        )
+    commands = log.commands()
     table = np.zeros((math.ceil(log.duration / dt) + 1, len(servos)))
     ticks = dt * np.arange(len(table)) + 1e-9
     for servo, channel in commands.items():
@@ -111,6 +106,12 @@ def replay_log(
     """Drive the twin by a log's commands at their times, to the next step of its physics.
 
     It has stood at the first ones for `SETTLING_SECONDS` when the log begins.
+
+    `identify.twin` simulates the same commands for any MJCF. Its numbers differ, therefore it is another implementation:
+    a command is held here until the next one, as a servo does it, and `identify.twin` takes the mean of the commands in
+    each step, so that its predictions are smooth in the delay. The simulation here has all choices of `Setup`, either
+    engine, metrics and a recording of the IMU; `identify.twin` simulates batches of bodies in MuJoCo alone, and reads
+    the places of the channels of a log. The commands, the time of standing and the comparison are shared.
 
     Args:
         log: see `read_log`.
@@ -153,11 +154,9 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     begin = recording.time - (np.median(np.diff(recording.time)) if len(times) > 1 else 0.0)
 
     def add(
-        quantity: str,
-        unit: str,
-        columns: Mapping[str, np.ndarray],
-        sample_times: np.ndarray = times,
+        quantity: str, columns: Mapping[str, np.ndarray], sample_times: np.ndarray = times
     ) -> None:
+        unit = next(iter(QUANTITIES[quantity]))
         channels.extend(
             Channel(f"{quantity} {element}", quantity, element, sample_times, values, unit)
             for element, values in columns.items()
@@ -166,18 +165,14 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     def each(names: tuple[str, ...], values: np.ndarray) -> dict[str, np.ndarray]:
         return dict(zip(names, values.T, strict=True))
 
-    add("command", "rad", each(robot.servos, recording.ctrl), begin)
+    add("command", each(robot.servos, recording.ctrl), begin)
     for last in ("angle", "velocity", "torque"):
-        add(last, READINGS[f"servo_{last}"].unit, each(robot.servos, sensors[f"servo_{last}"]))
-    for name, element in (("gyro", "imu"), ("accelerometer", "imu"), ("position", "torso")):
-        add(name, READINGS[name].unit, {element: sensors[name]})
-    add(
-        "yaw",
-        "rad",
-        {"torso": np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])},
-    )
-    add("force", "N", each(LIMBS, sensors["foot_force"]))
-    add("contact", "switch", each(LIMBS, (sensors["foot_force"] > _SWITCH_NEWTONS).astype(float)))
+        add(last, each(robot.servos, sensors[f"servo_{last}"]))
+    sensors["yaw"] = np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])
+    for name, element in CHANNEL_PARTS.items():
+        add(name, {element: sensors[name]})
+    add("force", each(LIMBS, sensors["foot_force"]))
+    add("contact", each(LIMBS, (sensors["foot_force"] > _SWITCH_NEWTONS).astype(float)))
     return Log(tuple(channels), "the twin")
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.log import CHANNEL_PARTS, Channel, Log
 from nermo_mjx.identify.estimation import Parameter
 from nermo_mjx.physics.servo_play import Play
 from nermo_mjx.physics.variation import Variation
@@ -243,7 +243,7 @@ class MjcfBody(Body):
             quantities = {
                 logged_channel.quantity for log_part in log for logged_channel in log_part.channels
             }
-            is_held = not quantities & {"gyro", "accelerometer", "position", "yaw"} and _hold(spec)
+            is_held = quantities.isdisjoint(CHANNEL_PARTS) and _hold(spec)
             super().__init__(spec.compile(), free)
             self._spec = full_spec if is_held else spec
         except ParameterError:

@@ -33,7 +33,6 @@ from nermo_mjx.runs.rows import Runs, keys_of, part_files
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.specs.described import digest_of
 
-KIND: Final = "identification from a log"
 #: Subpackages that affect the results, in addition to `code.ROOMS`.
 CODE_SUBPACKAGES: Final = ("hardware", "identify")
 
@@ -104,7 +103,7 @@ def run_identification(
     ]
     parameters = [repr(parameter) for parameter in body.parameters.values()]
     job = digest_of(stamp.id, parameters, ranges, len(logs), seed, channels)
-    with RunDirectory(out, KIND) as directory, resumable(directory.out):
+    with RunDirectory(out, "identification from a log") as directory, resumable(directory.out):
         directory.note_session(code.session())
         runs = Runs(directory.out, job, warn=watch.warn, directory=directory)
         runs.take_codes([stamp], accept=True)

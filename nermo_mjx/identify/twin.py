@@ -7,6 +7,11 @@ depends on the model:
 - A model with position servos starts at the first angles of the log.
 - A model with a free base first stands at the first commands for `SETTLING_SECONDS`.
 - A model with motors restarts from the measured angles every `RESTART_SECONDS`, because its errors grow.
+
+`hardware.twin.replay_log` simulates Nermo under the same commands, and holds each command until the next one. Its numbers
+differ for this reason, and because its track is the track of the IMU: a position here is the origin of a body, and a
+yaw the direction of the body's x axis. It records one run of `Simulator`, which this module cannot: `predict` simulates
+batches of bodies, of which each has its own delay, and the predictions must be smooth in the delay.
 """
 
 from __future__ import annotations
@@ -79,11 +84,8 @@ class LoggedTwin:
             ParameterError: The model lacks a part that a channel names, a log contains no command, or no channel is
                 predicted.
         """
-        for log in logs:
-            if body.model.nu and not log.of_quantity("command"):
-                raise ParameterError(
-                    f"{log.file}: no channel is a command, by which the model could be driven."
-                )
+        for log in logs if body.model.nu else ():
+            log.commands()
         self.body, self.names, self.logs = body, tuple(names), tuple(logs)
         pushed = not body.servos.all() and body.model.nu > 0
         self._simulations = [

@@ -44,6 +44,7 @@ from nermo_mjx.hardware.live import (
     linked,
     servo_message,
 )
+from nermo_mjx.hardware.log import AXIS_COUNTS
 from nermo_mjx.hardware.table import channels_of, sent_angles
 from nermo_mjx.live.driving import Appended, Driving
 from nermo_mjx.physics.c_engine import CBodies, CEngine
@@ -64,8 +65,6 @@ SENSORS_TYPE: Final = "mouse_controller/mouse_sensors"
 _LEG_SERVOS: Final = 8
 #: Parts of `imu_sensor`, in its order, and their lengths.
 _IMU: Final = {"position": 3, "orientation": 4, "linear_velocity": 3, "accelerometer": 3, "gyro": 3}
-#: Vectors among what is logged.
-_LOGGED_VECTORS: Final = ("gyro", "accelerometer", "position")
 #: How long a robot may say nothing before it is driven in an open loop [s].
 SILENCE_SECONDS: Final = 2.0
 #: Speed at which servos go to the pose in which the gait begins [rad/s].
@@ -287,7 +286,7 @@ class LinkLog(Appended):
         self.about, self._begun, self._offset = path.with_suffix(".yaml"), clock(), math.inf
         self._robot = robot
         self._servos = {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos}
-        axes = {name: list(reading_names(name)) for name in _LOGGED_VECTORS}
+        axes = {name: list(reading_names(name)) for name in AXIS_COUNTS}
         channel_specs: dict[str, dict[str, Any]] = {}
         for mapped_channel in (channel for channel in channels if channel.servo in robot.servos):
             spec = {"unit": "deg", "sign": mapped_channel.direction, "zero": mapped_channel.zero}
@@ -299,17 +298,18 @@ class LinkLog(Appended):
             channel_specs[f"{mapped_channel.servo}_servo_angle"] = {
                 "quantity": "angle",
                 "of": mapped_channel.servo,
-                "unit": "rad",
+                "unit": READINGS["servo_angle"].unit,
             }
         feet = zip(reading_names("foot_force"), LIMBS, strict=True)
         channel_specs |= {
-            name: {"quantity": "force", "of": limb, "unit": "N"} for name, limb in feet
+            name: {"quantity": "force", "of": limb, "unit": READINGS["foot_force"].unit}
+            for name, limb in feet
         }
         channel_specs |= {
             name: {"quantity": name, "columns": axes[name], "unit": READINGS[name].unit}
-            for name in _LOGGED_VECTORS
+            for name in AXIS_COUNTS
         }
-        self._told = channel_specs | {"yaw": {"quantity": "yaw", "unit": "rad"}}
+        self._told = channel_specs | {"yaw": {"quantity": "yaw", "unit": READINGS["attitude"].unit}}
         self._names = [name for key in self._told for name in axes.get(key, [key])] + ["stamp"]
         self._counts, self._new, self._written = Counter[str](), deque[str](), b""
         self._left = (",".join(["t", *self._names]) + "\n").encode()
@@ -323,7 +323,7 @@ class LinkLog(Appended):
         """A message that came at a time [s], by field of `Sensors`, and its own time."""
         row = {} if stamp is None else {"stamp": stamp}
         self._offset = min(self._offset, now - self._begun - row.get("stamp", -math.inf))
-        for name in ("servo_angle", "foot_force", *_LOGGED_VECTORS):
+        for name in ("servo_angle", "foot_force", *AXIS_COUNTS):
             row |= dict(
                 zip(reading_names(name, self._robot.servos), readings.get(name, ()), strict=False)
             )

@@ -475,6 +475,11 @@ def _read_search(doc: Document) -> Search:
         if axis.form == "values":
             advice = "a search moves between bounds; give {uniform: [low, high]} or {loguniform: [low, high]}."
             doc.fail(path, f"is {describe(list(axis.numbers))}: {advice}", axis.name)
+    if file.randomize.paired:
+        doc.fail(
+            ("randomize", "paired"),
+            "is for a sweep: the draws of a search depend on all of its parameters.",
+        )
     randomized = file.randomize.model_extra or {}
     sweep = Sweep(
         **walk,

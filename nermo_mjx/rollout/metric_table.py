@@ -1,4 +1,4 @@
-"""The built-in metrics of every run: name, unit, meaning, and better direction."""
+"""The columns of a table of runs: built-in metrics with unit, meaning and better direction, and other columns."""
 
 from __future__ import annotations
 
@@ -138,6 +138,30 @@ METRICS: Final[dict[str, Metric]] = {
     "failure_time": Metric(
         "s", "end of the first control tick in which it fell or diverged; NaN if it did neither"
     ),
+}
+
+#: Metrics of a run with switches, see `transitions`.
+TRANSITION: Final[dict[str, Metric]] = {
+    "transition_roll": Metric(
+        "rad", "largest roll to either side while switches act, and a cycle longer", "low"
+    ),
+    "transition_slip": Metric("m/s", "mean horizontal speed of loaded feet in that time", "low"),
+    "transition_time": Metric(
+        "s",
+        "how much later it has its new speed than at once; NaN if it changes by less than 5 %",
+        "low",
+    ),
+}
+
+#: Columns of a table of runs that are neither parameters nor metrics, and their meanings.
+RUN_COLUMNS: Final = {
+    "row": "position of the run in the sweep",
+    "variant": "index of the variant",
+    "repeat": "index of the repeat within its variant",
+    "seed": "seed of the row's random draws",
+    "body": "body of the identified ensemble; 0 is the default one",
+    "status": "ok, or how the run ended",
+    "code": "which code made the row, as run.json names it",
 }
 
 #: The headings of lists of metrics, by the first metric below each.

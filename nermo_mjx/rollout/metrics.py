@@ -36,7 +36,7 @@ from nermo_mjx.rollout import (
     transitions,
 )
 from nermo_mjx.rollout.custom_metrics import OwnMetric
-from nermo_mjx.rollout.metric_table import ANGLES, METRICS, PAIRS
+from nermo_mjx.rollout.metric_table import ANGLES, METRICS, PAIRS, TRANSITION
 from nermo_mjx.rollout.path_metrics import MeasuredPart, begins_in_run, measured_part, root
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.shapes import Array, Scalar, Truth
@@ -524,7 +524,7 @@ def result(
     metrics |= stride_metrics.stride_result(state.strides, per(custom, "stride"))
     if state.own is not None:
         metrics |= reduction.own_result(per(custom, "run"), state.own, has_begun, time)
-    names = (*METRICS, *transitions.TRANSITION, *(custom_metric.name for custom_metric in custom))
+    names = (*METRICS, *TRANSITION, *(custom_metric.name for custom_metric in custom))
     return {name: metrics[name] for name in names if name in metrics}
 
 

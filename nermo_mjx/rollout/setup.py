@@ -70,8 +70,7 @@ from nermo_mjx.robot.quantity import (
 from nermo_mjx.robot.scene import is_mjcf, load_scene
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout.custom_metrics import OwnMetric, load_metrics
-from nermo_mjx.rollout.metric_table import METRICS, Metric
-from nermo_mjx.rollout.transitions import TRANSITION
+from nermo_mjx.rollout.metric_table import METRICS, RUN_COLUMNS, TRANSITION, Metric
 
 # ---
 # Everything that may differ between the worlds of a batch, under one set of names.
@@ -130,13 +129,7 @@ def bounded_by_step(declarations: Mapping[str, Quantity], timestep: float) -> di
 RESERVED_NAMES: Final = frozenset(
     (
         *(
-            "row",
-            "variant",
-            "repeat",
-            "seed",
-            "body",
-            "status",
-            "code",
+            *RUN_COLUMNS,
             "batch",
             "cell",
             "time",

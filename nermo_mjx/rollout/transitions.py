@@ -17,22 +17,10 @@ from typing import Any, Final
 import jax.numpy as jnp
 
 from nermo_mjx.control.schedule import Schedule
-from nermo_mjx.rollout.metric_table import Metric
 from nermo_mjx.shapes import Array, Scalar
 
 #: Share by which speeds must differ for a time between them.
 LEAST: Final = 0.05
-TRANSITION: Final[dict[str, Metric]] = {
-    "transition_roll": Metric(
-        "rad", "largest roll to either side while switches act, and a cycle longer", "low"
-    ),
-    "transition_slip": Metric("m/s", "mean horizontal speed of loaded feet in that time", "low"),
-    "transition_time": Metric(
-        "s",
-        "how much later it has its new speed than at once; NaN if it changes by less than 5 %",
-        "low",
-    ),
-}
 
 
 def span(schedule: Schedule, cycle_rate: Any) -> tuple[Scalar, Scalar]:
@@ -72,7 +60,7 @@ def integrals(
 
 
 def transition_result(sums: Mapping[str, Array], roll: Scalar) -> dict[str, Scalar]:
-    """The metrics, named as in `TRANSITION`, of `integrals` and of the largest roll; NaN where nothing was measured."""
+    """The metrics of `TRANSITION` from `integrals` and the largest roll; NaN where nothing was measured."""
     time, distance = sums["switching_time"], sums["switching_way"]
     has_time, has_load = time > 0.0, sums["switching_loaded"] > 0.0
     speed_before, _, speed_after = distance / jnp.where(has_time, time, 1.0)

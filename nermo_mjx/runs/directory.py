@@ -284,11 +284,17 @@ def engine_of(out: Path) -> str | None:
     return next(reversed(codes.values())).engine if codes else None
 
 
+#: Kinds of directories whose names are no nouns for a sentence.
+_KIND_PHRASES: Final = {
+    "experiments": "published experiments",
+    "experiment": "the rows of an experiment",
+    "sensitivity": "a sensitivity analysis",
+}
+
+
 def with_article(kind: str) -> str:
     """A kind of directory in a sentence."""
-    if kind == "experiments":
-        return "published experiments"
-    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
+    return _KIND_PHRASES.get(kind) or f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 # ---

@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Series
+from nermo_mjx.rollout.metric_table import RUN_COLUMNS
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.rollout.saving import Signal, chosen_signals
 from nermo_mjx.runs.code import CodeStamp
@@ -318,7 +319,7 @@ def series_table(sweep: Sweep, index: np.ndarray, series: Series) -> pa.Table:
         "time": pa.array(np.broadcast_to(chunk.time, is_recorded.shape)[is_recorded]),
     }
     fields = [
-        _field("row", pa.int64(), "1", "position of the run in the sweep", "index"),
+        _field("row", pa.int64(), "1", RUN_COLUMNS["row"], "index"),
         _field("time", pa.float64(), "s", "since the start, warm-up included", "index"),
     ]
     for signal in signals_of(sweep):

@@ -26,7 +26,7 @@ from nermo_mjx.files import read_bytes
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.scene import is_mjcf, scene_name
 from nermo_mjx.rollout import METRICS, Setup
-from nermo_mjx.rollout.transitions import TRANSITION
+from nermo_mjx.rollout.metric_table import RUN_COLUMNS, TRANSITION
 from nermo_mjx.runs.files import parquet_bytes, parquet_table
 from nermo_mjx.specs.controllers import code_identity
 from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
@@ -284,10 +284,6 @@ def value_of(text: str) -> Any:
 # Rows that are given one by one, in the sweep's file or in a table: exactly these variants, instead of a grid.
 
 
-#: Columns of a result table that are no parameters, beside its metrics.
-_RESULTS: Final = ("row", "variant", "repeat", "seed", "body", "status", "code")
-
-
 @dataclasses.dataclass(frozen=True)
 class RowTable:
     """Rows as they were given, column by column.
@@ -368,7 +364,7 @@ def read_row_table(doc: Document, value: Any) -> RowTable:
             refuse_parameter(name, additional=STRUCTURES)
         except Refused as refused:
             message = str(refused)
-            if name in METRICS or name in TRANSITION or name in _RESULTS:
+            if name in METRICS or name in TRANSITION or name in RUN_COLUMNS:
                 message = (
                     "is a column of results, and the file does not say which columns are parameters (a table that "
                     "pandas or polars wrote has lost it): keep only the parameters' columns, or filter "

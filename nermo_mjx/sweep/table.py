@@ -27,7 +27,7 @@ from nermo_mjx.files import FileError, read_as
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.robot.parameters import GAIT_CODES
 from nermo_mjx.robot.quantity import ParameterError, of_type
-from nermo_mjx.rollout.metric_table import METRICS, SIDES
+from nermo_mjx.rollout.metric_table import METRICS, RUN_COLUMNS, SIDES
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, Written, read_record
 from nermo_mjx.runs.files import (
@@ -46,13 +46,6 @@ from nermo_mjx.sweep.counting import OF_ALL_RUNS, Tally, Variants, counts, losse
 from nermo_mjx.sweep.spec import Rows, Sweep
 from nermo_mjx.sweep.structures import about_structure
 from nermo_mjx.trust import one_line
-
-_INDEX = {
-    "row": "position of the run in the sweep",
-    "variant": "index of the variant",
-    "repeat": "index of the repeat within its variant",
-    "seed": "seed of the row's random draws",
-}
 
 
 def chunk_table(
@@ -79,12 +72,10 @@ def chunk_table(
     }
     forms |= dict.fromkeys(sweep.body_parameters, "loguniform")  # the prior of the identification
     forms |= dict.fromkeys(sweep.varied if sweep.rows is not None else (), "values")
-    for name, values in zip(_INDEX, (index, rows.variant, rows.repeat, rows.seed), strict=True):
-        columns.add(name, values, "index", "1", _INDEX[name])
-    if rows.body is not None:
-        columns.add(
-            "body", rows.body, "index", "1", "body of the identified ensemble; 0 is the default one"
-        )
+    numbers = (index, rows.variant, rows.repeat, rows.seed, rows.body)
+    for (name, meaning), values in zip(RUN_COLUMNS.items(), numbers, strict=False):
+        if values is not None:
+            columns.add(name, values, "index", "1", meaning)
     for name in sweep.labelled:
         labels = np.array([walk.labels[name] for walk in sweep.structures], object)[rows.structure]
         columns.add(name, labels, "varied", "1", about_structure(name), scale="structure")
@@ -104,9 +95,9 @@ def chunk_table(
             columns.add(
                 name, metrics[name], "metric", metric.unit, metric.doc, better=metric.better
             )
-    columns.add("status", np.asarray(status), "status", "1", "ok, or how the run ended")
+    columns.add("status", np.asarray(status), "status", "1", RUN_COLUMNS["status"])
     codes = np.broadcast_to(np.asarray(code, object), len(index))
-    columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")
+    columns.add("code", codes, "code", "1", RUN_COLUMNS["code"])
     sampler = "grid" if sweep.is_grid else sweep.sampler
     pairs = {"second_order": "true"} if sweep.second_order else {}
     profiles = dict.fromkeys(walk.setup.profile for walk in sweep.structures)

@@ -580,9 +580,8 @@ def _part(recording: Recording, key: str) -> dict[str, Any]:
 
 def _units(recording: Recording) -> dict[str, str]:
     """Units of metrics and parameters by name, including the recording's custom metrics."""
-    from nermo_mjx.rollout import METRICS  # starts JAX
+    from nermo_mjx.rollout.metric_table import METRICS, TRANSITION  # starts JAX
     from nermo_mjx.rollout.setup import WorldParameters
-    from nermo_mjx.rollout.transitions import TRANSITION
 
     units = {name: declaration.unit for name, declaration in quantities(WorldParameters)}
     return (

@@ -18,6 +18,7 @@ from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
 from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.rollout import Run, Setup, Simulator, all_metrics, transitions
 from nermo_mjx.rollout.differentiable import Rollout
+from nermo_mjx.rollout.metric_table import TRANSITION
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.sweep import Sweep
 
@@ -172,7 +173,7 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
 @pytest.mark.release
 def test_a_run_with_a_schedule_has_the_metrics_of_its_transition():
     setup = Setup(schedule=(Switch(AT, values={"stride": 0.5}),))
-    assert set(all_metrics(setup)) - set(all_metrics()) == set(transitions.TRANSITION)
+    assert set(all_metrics(setup)) - set(all_metrics()) == set(TRANSITION)
     result = Simulator(setup, "c").run(
         {"frequency": FREQUENCY}, Run(duration=7.0, warmup=0.75), record=True
     )

@@ -141,6 +141,10 @@ def test_what_a_search_costs_is_counted_by_hand(monkeypatch):
         ({"keep": {"elites": 3}}, "is for an atlas"),
         ({"sample": "grid"}, "is not a field of a search: how points are chosen is the method's"),
         ({"vary": {}}, "is missing or empty: expected bounds"),
+        (
+            {"randomize": {"paired": ["frequency"]}},
+            "randomize.paired. is for a sweep: the draws of a search depend on all of its parameters",
+        ),
         ({"set": {"frequency": 0.5}}, "is under 'vary' and also fixed under 'set'"),
     ],
 )

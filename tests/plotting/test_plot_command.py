@@ -25,6 +25,7 @@ from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import hold
 from nermo_mjx.sweep import run_sweep
 
@@ -180,6 +181,17 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
         "choose columns of a sweep"
         in plot(tmp_path / "walk.npz", "--x", "speed", "--out", tmp_path / "a").stderr
     )
+
+
+def test_a_directory_without_figures_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with RunDirectory(tmp_path, "experiments") as directory:
+        directory.note_session(session())
+    monkeypatch.setattr("nermo_mjx.experiments.run.images", lambda out: iter(()))
+    result = plot(tmp_path)
+    assert result.exit_code == 1
+    assert f"nothing to draw of {tmp_path}: its tables have no figures." in result.stderr
 
 
 @pytest.mark.release
