@@ -10,11 +10,13 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pandas as pd
 import pytest
 from ruamel.yaml import YAML
 
-from nermo_mjx import Setup
+from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.runs.files import replace_file
 
 ROOT = Path(__file__).parents[1]
@@ -85,16 +87,73 @@ def test_pages_have_the_numbers_that_were_made():
     )
 
 
-def test_the_table_of_the_readme_is_that_of_the_sweeps():
-    """The table and the sentence about the frequency follow from the pairs of runs, which are listed next to them."""
+def test_the_tables_of_the_map_follow_from_its_file():
+    """The tables and the ranges on the README's first screen follow from the means that are listed next to them."""
     spec = importlib.util.spec_from_file_location(
-        "three_gaits", ROOT / "docs" / "answers" / "three_gaits.py"
+        "spine_map", ROOT / "docs" / "answers" / "spine_map.py"
     )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    pairs = pd.read_csv(module.PAIRS)
-    assert results.numbers()["answers"] == module.table(pairs)
-    assert results.numbers()["answers.slow"] == module.slow(pairs)
+    table = pd.read_csv(module.TABLE)
+    numbers = results.numbers()
+    for profile in module.PROFILES:
+        assert numbers[f"spine.table.{profile}"] == module.page_table(table, profile)
+    for name, text in module.spans(table).items():
+        assert numbers[name] == text
+
+
+@pytest.mark.release
+def test_a_plain_loop_gives_a_cell_of_the_map():
+    """Trot at 0.8 Hz: MuJoCo's own step with the recorded commands gives speed and both costs, and the map's gain."""
+    table = pd.read_csv(ROOT / "docs" / "answers" / "spine_map.csv")
+    cell = table[
+        (table["profile"] == "exact")
+        & (table["gait"] == "trot")
+        & (table["frequency"] == 0.8)
+        & (table["stride"] == 1.0)
+    ].iloc[0]
+    point = {name: float(cell[name]) for name in ("spine.amplitude", "spine.phase")}
+    speeds = {}
+    for spine, values in (("none", {}), ("stride_extension", point)):
+        setup = Setup(spine=spine, pilot="straight", steering="leg")
+        result = Simulator(setup, engine="c").run(
+            {"frequency": 0.8, **values}, Run(cycles=6, warmup_cycles=2), record=True
+        )
+        model = result.setup.load().physical
+        data = mujoco.MjData(model)
+        qpos, ctrl = (np.asarray(getattr(result.trace, name))[0] for name in ("qpos", "ctrl"))
+        qvel = np.asarray(result.trace.qvel)[0]
+        data.qpos[:], data.qvel[:] = qpos[0], qvel[0]
+        begin, end, mechanical, electrical, places = 2 / 0.8, 6 / 0.8, 0.0, 0.0, []
+        torque_limit, stall, idle, voltage = 0.157, 0.8, 0.008, 6.0
+        time = float(result.trace.time[0])
+        for command in ctrl[1:]:
+            data.ctrl[:] = command
+            for _ in range(round(0.01 / model.opt.timestep)):
+                mujoco.mj_step(model, data)
+                time += model.opt.timestep
+                if begin + 1e-9 < time <= end + 1e-9:
+                    places.append(data.site("imu").xpos.copy())
+                    power = data.actuator_force * data.actuator_velocity
+                    mechanical += np.maximum(power, 0.0).sum() * model.opt.timestep
+                    heat = voltage * (stall - idle) / torque_limit**2 * data.actuator_force**2
+                    electrical += (
+                        voltage * idle + np.maximum(heat + power, 0.0)
+                    ).sum() * model.opt.timestep
+        way = np.linalg.norm(places[-1][:2] - places[0][:2])
+        weight = 9.81 * model.body_mass.sum()
+        own = {
+            "speed": way / (end - begin),
+            "cost_of_transport": mechanical / (weight * way),
+            "electrical_cost_of_transport": electrical / (weight * way),
+        }
+        assert {name: float(result.metrics[name][0]) for name in own} == pytest.approx(
+            own, rel=5e-3
+        )
+        speeds[spine] = own["speed"]
+    assert speeds["stride_extension"] / speeds["none"] - 1.0 == pytest.approx(
+        cell["gain"], abs=0.01
+    )
 
 
 def test_the_counts_of_published_values_leave_none_out():

@@ -1,9 +1,8 @@
-"""Numbers and figures of docs/does_the_spine_help.md and of the README's first screen.
+"""Numbers and figures of docs/does_the_spine_help.md, docs/spine_and_animals.md and the README's first screen.
 
 python docs/answers/spine_map.py file DIR      # writes DIR/as_published.yaml, the map's file in the published set-up
-python docs/answers/spine_map.py table DIR     # prints JSON, and writes DIR/map.png, of the sweeps DIR/exact and
-                                               # DIR/as_published, and docs/answers/spine_map.csv
-python docs/answers/spine_map.py effects DIR   # prints JSON, and writes DIR/effects.png: what shifts the gain
+python docs/answers/spine_map.py numbers DIR   # prints JSON, and writes map.png, effects.png and phase.png into DIR, of the
+                                               # sweeps DIR/exact and DIR/as_published, and docs/answers/spine_map.csv
 
 All frequencies are those of simulated time. `spine_map.csv` has a row for each profile, gait, frequency and stride, in SI
 units: the best amplitude and phase, and means of the fresh runs of the stiff spine and of the best point.
@@ -114,7 +113,7 @@ def map_rows(profile: str, sweep: Path) -> pd.DataFrame:
 
 
 def percent(value: float) -> str:
-    return f"{100 * value:+.0f}"
+    return f"{100 * value:+.0f}" if math.isfinite(value) else "–"
 
 
 def page_table(table: pd.DataFrame, profile: str) -> str:
@@ -172,7 +171,7 @@ def spans(table: pd.DataFrame) -> dict[str, str]:
 
 
 def span(shares: pd.Series) -> str:
-    return f"{percent(shares.min())} to {percent(shares.max())} %"
+    return f"{percent(shares.min())} to {percent(shares.max())} %".replace("-", "−")
 
 
 def map_figure(table: pd.DataFrame) -> Figure:
@@ -385,19 +384,57 @@ def effects_figure(shifts: Mapping[str, Mapping[str, tuple[float, float, float]]
     return figure
 
 
+def phase_figure() -> Figure:
+    """The robot from above at four phases of a trot with the spine at phase 0: bend of the back, and feet on the ground."""
+    figure = Figure(figsize=(10, 3.2), layout="constrained")
+    # Right front and left rear carry in the first half of the cycle, the other two in the second half.
+    feet = {
+        "front_left": (-1, 1, 1),
+        "front_right": (1, 1, 0),
+        "rear_left": (-1, -1, 0),
+        "rear_right": (1, -1, 1),
+    }
+    for ax, phase in zip(figure.subplots(1, 4), (0.0, 0.25, 0.5, 0.75), strict=True):
+        bend = math.cos(2 * math.pi * phase)
+        along = np.linspace(-1.0, 1.0, 41)
+        # The ends of the back stand to the left where it bends to the left.
+        across = 0.35 * bend * (0.5 - along**2)
+        ax.plot(across, along, color="#0b5fa5", linewidth=7, solid_capstyle="round")
+        ax.plot(across[-1], along[-1] + 0.28, marker="^", color="#0b5fa5", markersize=11)
+        for side, end, pair in feet.values():
+            # A foot goes from front to back in its stance, and forward in its swing.
+            time = (phase + 0.5 * pair) % 1.0
+            is_on_ground = time < 0.5
+            swing = 1.0 - 4.0 * time if is_on_ground else 4.0 * time - 3.0
+            middle = across[-1 if end > 0 else 0]
+            # The girdle is perpendicular to the end of the back: one of its sides is carried forward.
+            x, y = middle + 0.45 * side, end + 0.25 * side * end * bend + 0.3 * swing
+            ax.plot([middle, x], [end, y], color="#888888", linewidth=2, zorder=0)
+            ax.plot(
+                x,
+                y,
+                "o",
+                markersize=11,
+                markeredgecolor="#b5452c",
+                markerfacecolor="#b5452c" if is_on_ground else "white",
+            )
+        ax.set_title(f"phase {phase:g} of the cycle", fontsize=10)
+        ax.set_aspect("equal")
+        ax.set_xlim(-1.1, 1.1)
+        ax.set_ylim(-1.75, 1.8)
+        ax.axis("off")
+    figure.suptitle("Trot from above, head up; filled: foot on the ground", fontsize=11)
+    return figure
+
+
 def main(action: str, out: Path) -> None:
     if action == "file":
         published_file(out)
         return
-    if action == "table":
-        table = pd.concat([map_rows(profile, out / profile) for profile in PROFILES])
-        table.to_csv(TABLE, index=False, float_format="%.6g")
-        numbers = {f"spine.table.{profile}": page_table(table, profile) for profile in PROFILES}
-        map_figure(table).savefig(out / "map.png", dpi=150)
-        print(json.dumps(numbers | spans(table), indent=1, ensure_ascii=False))
-        return
-    shifts = effects(pd.read_csv(TABLE))
-    effects_figure(shifts).savefig(out / "effects.png", dpi=150)
+    table = pd.concat([map_rows(profile, out / profile) for profile in PROFILES])
+    table.to_csv(TABLE, index=False, float_format="%.6g")
+    numbers = {f"spine.table.{profile}": page_table(table, profile) for profile in PROFILES}
+    shifts = effects(table)
     texts = {
         f"effects.{gait}": ", ".join(
             f"{name} {changed - base:+.1f}"
@@ -406,7 +443,10 @@ def main(action: str, out: Path) -> None:
         )
         for gait, lines in shifts.items()
     }
-    print(json.dumps(texts, indent=1, ensure_ascii=False))
+    figures = {"map": map_figure(table), "effects": effects_figure(shifts), "phase": phase_figure()}
+    for name, figure in figures.items():
+        figure.savefig(out / f"{name}.png", dpi=150)
+    print(json.dumps(numbers | spans(table) | texts, indent=1, ensure_ascii=False))
 
 
 if __name__ == "__main__":
