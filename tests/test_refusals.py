@@ -22,7 +22,7 @@ from nermo_mjx.control.schedule import Switch
 from nermo_mjx.hardware import connected
 from nermo_mjx.kinematics import leg
 from nermo_mjx.learn import Environment, Modulation, Residual, Task, Term, Training
-from nermo_mjx.learn.task import chosen_terms
+from nermo_mjx.learn.task import select_terms
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.physics.engine import choose_devices
 from nermo_mjx.physics.variation import compile_model
@@ -503,7 +503,7 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ({"contact.glue": 1.0}, "contact.glue is not a parameter.")
     ],
     resolve_engine: [("mujoco", "engine is 'mujoco': allowed is one of auto, c, mjx, warp.")],
-    lambda term: chosen_terms({"work": 1.0, term: 1.0}, ()): [
+    lambda term: select_terms({"work": 1.0, term: 1.0}, ()): [
         (Term("work", "J", "another", lambda m: m.speed), "two terms of one name"),
     ],
 }

@@ -17,9 +17,9 @@ from scipy.optimize import minimize
 from nermo_mjx import Rollout, Simulator, Tuning
 from nermo_mjx.optimize.objective import from_unconstrained, slope, to_unconstrained
 from nermo_mjx.optimize.problems import WalkProblem
-from nermo_mjx.optimize.search_methods import strategy
+from nermo_mjx.optimize.search_methods import make_strategy
 from nermo_mjx.optimize.tuner import Tuner, initial_state
-from nermo_mjx.optimize.tuning_run import verified
+from nermo_mjx.optimize.tuning_run import verify_points
 
 SECONDS = 40.0
 SECANTS = {"wide_differences": {"scheme": "forward", "step": 0.02}}
@@ -106,7 +106,7 @@ def search(tuning, method):
     def generations():
         """CMA-ES, whose first point is the given one. A fallen point counts as worse than all others."""
         start = np.asarray(to_unconstrained(tuning.bounds, tuning.start_points()[0]), float)
-        found = strategy(start, SIGMA, POPULATION, np.random.default_rng(tuning.seed))
+        found = make_strategy(start, SIGMA, POPULATION, np.random.default_rng(tuning.seed))
         points = np.array([start, *found.ask()[1:]])
         while True:
             at = problem.evaluate(from_unconstrained(tuning.bounds, points), False)
@@ -165,7 +165,7 @@ if __name__ == "__main__":
         found, walks = search(tuning, of[2])
         points = {"began": dict(zip(tuning.names, tuning.start_points()[0].tolist(), strict=True))}
         points["found"] = dict(zip(tuning.names, found.tolist(), strict=True))
-        again = verified(tuning, points, Simulator(tuning.setup, "c"))
+        again = verify_points(tuning, points, Simulator(tuning.setup, "c"))
         values = {name: again[name] and again[name]["objective"] for name in points}
         with file.open("a") as lines:
             lines.write(json.dumps({"of": of, "cpu_s": SECONDS, "walks": walks, **values}) + "\n")

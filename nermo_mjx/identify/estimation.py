@@ -18,7 +18,7 @@ import numpy as np
 from mujoco import minimize
 from scipy.stats import qmc
 
-from nermo_mjx.optimize.search_methods import strategy
+from nermo_mjx.optimize.search_methods import make_strategy
 
 #: Returns the array that a function computes from an array of inputs, or the stored result of an earlier call.
 Cache: TypeAlias = Callable[[Callable[[], np.ndarray], np.ndarray], np.ndarray]
@@ -408,7 +408,7 @@ class Estimation:
         """
         low, wide = self.space.low, self.space.high - self.space.low
         middle, random = np.full(len(wide), 0.5), np.random.default_rng(seed)
-        search = strategy(
+        search = make_strategy(
             middle, 0.3, POPULATION_SIZE, random, bounds=[0.0, 1.0], maxiter=generations
         )
         while not search.stop():

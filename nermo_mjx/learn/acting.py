@@ -43,23 +43,23 @@ class ActionKind(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """One for each number of the action."""
+        """Names of the numbers of an action (a,)."""
 
     def check(self, controller: ControllerLike) -> None:
-        """Raise `ParameterError` if the controller has nothing that such an action can change."""
+        """Raise `ParameterError` if such an action cannot change anything of the controller."""
 
     def parameters(self, params: Any, action: Action) -> Any:
-        """The controller's parameters under an action."""
+        """The parameters of the controller under an action (a,)."""
         return params
 
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
-        """Servo angles, from those of the controller and those of the standing robot."""
+        """Servo angles [rad] under an action (a,), from the angles of the controller and of the standing robot (`home`)."""
         return servo
 
 
 @dataclasses.dataclass(frozen=True)
 class ServoAction(Spec, ActionKind):
-    """What `Residual` and `Targets` have in common: a range for each group of servos, by which an action moves them."""
+    """Common base of `Residual` and `Targets`: an action moves each group of servos within a range."""
 
     what = "a group of servos"
     expected = "{hip: rad, knee: rad, spine: rad}"
@@ -84,8 +84,8 @@ class ServoAction(Spec, ActionKind):
     def names(self) -> tuple[str, ...]:
         return tuple(name for name in ACTION_SERVOS if getattr(self, name.rsplit("_", 1)[-1]))
 
-    def moved(self, servo: ServoAngles, action: Action) -> ServoAngles:
-        """Servo angles, moved by the action."""
+    def move_servos(self, servo: ServoAngles, action: Action) -> ServoAngles:
+        """Servo angles [rad] after the action (a,) has moved each servo by its share of the range."""
         hip, knee, index = servo.hip, servo.knee, 0
         if self.hip:
             hip, index = hip + self.hip * action[:4], 4
@@ -97,7 +97,7 @@ class ServoAction(Spec, ActionKind):
 
 @dataclasses.dataclass(frozen=True)
 class Residual(ServoAction):
-    """Corrections of the controller's servo targets; the default nine are those of the publications on this robot.
+    """An action corrects the servo targets of the controller; the nine default corrections are as in the publications.
 
     >>> Residual(spine=0.0).names[-1]
     'rear_right_knee'
@@ -111,12 +111,12 @@ class Residual(ServoAction):
     """largest correction of the spine's servo [rad]; 0: the spine is left to the controller"""
 
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
-        return self.moved(servo, action)
+        return self.move_servos(servo, action)
 
 
 @dataclasses.dataclass(frozen=True)
 class Targets(ServoAction):
-    """Servo targets around those of the standing robot; only the controller's clock is used."""
+    """An action replaces the servo targets, around the pose of the standing robot; only the controller's clock is used."""
 
     hip: _Range = 0.8
     """range of a hip's servo to either side [rad]; 0: the hips keep their standing pose"""
@@ -126,7 +126,7 @@ class Targets(ServoAction):
     """range of the spine's servo to either side [rad]; 0: the spine keeps its standing pose"""
 
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
-        return self.moved(home, action)
+        return self.move_servos(home, action)
 
 
 #: Default parameters of `Modulation`, and their ranges.
@@ -141,11 +141,11 @@ MODULATION_RANGES: Final[Mapping[str, tuple[float, float]]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Modulation(Spec, ActionKind):
-    """Changes of the controller's parameters while it runs.
+    """An action changes parameters of the controller while it runs.
 
-    An action of -1 sets the low end of the range, 0 the value that the controller has without it, 1 the high end,
-    with linear interpolation in between. The turn rate is read by the pilot `open_loop` alone, the spine's amplitude
-    and phase by its mode `stride_extension`.
+    An action of -1 sets the low end of the range, 0 the value that the controller has without a policy, and 1 the high
+    end; values in between are interpolated linearly. Only the pilot `open_loop` reads the turn rate, and only the mode
+    `stride_extension` of the spine reads the spine's amplitude and phase.
     """
 
     what = "an option of 'modulation'"
@@ -188,20 +188,20 @@ class Modulation(Spec, ActionKind):
         return replace_quantities(params, changed)
 
 
-#: What an action does, by the name in files.
+#: Kinds of actions, by their names in files.
 ACTIONS: Final[dict[str, Any]] = {
     "residual": Residual,
     "modulation": Modulation,
     "targets": Targets,
 }
-#: A field that says what an action does.
+#: A field for the kind of an action.
 ActionField = Annotated[ActionKind, one_of("Action", "is not what an action does", ACTIONS)]
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Acted:
-    """Parameters of a controller, and the action on it, numbers in [-1, 1]."""
+class ActionParameters:
+    """Parameters of a controller, and the action on this controller, numbers in [-1, 1] (a,)."""
 
     control: Any
     action: Action
@@ -209,24 +209,24 @@ class Acted:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class ActedState:
-    """State of the controller, and how the robot stands (`Targets`)."""
+class ActionState:
+    """State of the controller, and servo angles [rad] of the standing robot, which `Targets` reads."""
 
     control: Any
     home: ServoAngles
 
 
 @dataclasses.dataclass(frozen=True)
-class Acting:
-    """A controller under the actions of a policy, itself a `ControllerLike`; its parameters are `Acted`.
+class ActionController:
+    """A controller under the actions of a policy. It is a `ControllerLike` whose parameters are `ActionParameters`.
 
     >>> from nermo_mjx.control import published_controller
-    >>> Acting(published_controller(), Residual()).parameters.action.shape
+    >>> ActionController(published_controller(), Residual()).parameters.action.shape
     (9,)
 
     Attributes:
-        base: the controller that is acted on.
-        kind: what an action does.
+        base: Controller that the actions change.
+        kind: Kind of the actions.
     """
 
     base: ControllerLike
@@ -240,14 +240,14 @@ class Acting:
         return self.base.dt
 
     @property
-    def parameters(self) -> Acted:
+    def parameters(self) -> ActionParameters:
         """See `ControllerLike`; the action is zero."""
-        return Acted(self.base.parameters, jnp.zeros(len(self.kind.names)))
+        return ActionParameters(self.base.parameters, jnp.zeros(len(self.kind.names)))
 
-    def init(self, params: Acted, sensors: Sensors, phase: Scalar) -> ActedState:
-        return ActedState(self.base.init(params.control, sensors, phase), self._home(params))
+    def init(self, params: ActionParameters, sensors: Sensors, phase: Scalar) -> ActionState:
+        return ActionState(self.base.init(params.control, sensors, phase), self._home(params))
 
-    def initial_servo(self, params: Acted, phase: Scalar) -> ServoAngles:
+    def initial_servo(self, params: ActionParameters, phase: Scalar) -> ServoAngles:
         return (
             self._home(params)
             if isinstance(self.kind, Targets)
@@ -255,35 +255,35 @@ class Acting:
         )
 
     def update(
-        self, params: Acted, state: ActedState, sensors: Sensors
-    ) -> tuple[ActedState, ServoAngles]:
+        self, params: ActionParameters, state: ActionState, sensors: Sensors
+    ) -> tuple[ActionState, ServoAngles]:
         action = jnp.clip(params.action, -1.0, 1.0)
-        under = self.kind.parameters(params.control, action)
-        control, servo = self.base.update(under, state.control, sensors)
-        return ActedState(control, state.home), self.kind.servo(servo, state.home, action)
+        control_parameters = self.kind.parameters(params.control, action)
+        control, servo = self.base.update(control_parameters, state.control, sensors)
+        return ActionState(control, state.home), self.kind.servo(servo, state.home, action)
 
-    def cycle_rate(self, params: Acted) -> Any:
+    def cycle_rate(self, params: ActionParameters) -> Any:
         if not isinstance(self.kind, Modulation):
             return self.base.cycle_rate(params.control)
         action = jnp.moveaxis(
             jnp.clip(jnp.asarray(params.action), -1.0, 1.0), -1, 0
-        )  # of a batch, each by itself
+        )  # the actions of a batch apply one by one
         return self.base.cycle_rate(self.kind.parameters(params.control, action))
 
     def path(
-        self, params: Acted, state: ActedState, position: Float[Array, " 3"]
+        self, params: ActionParameters, state: ActionState, position: Float[Array, " 3"]
     ) -> PathPoint | None:
-        """See `FollowsPath`; None where the controller follows none."""
+        """See `FollowsPath`; None if the controller does not follow a path."""
         if not isinstance(self.base, FollowsPath):
             return None
         return self.base.path(params.control, state.control, position)
 
-    def stance(self, state: ActedState) -> Any:
-        """See `PlansContact`; None where the controller plans none."""
+    def stance(self, state: ActionState) -> Any:
+        """See `PlansContact`; None if the controller does not plan contacts."""
         return self.base.stance(state.control) if isinstance(self.base, PlansContact) else None
 
-    def _home(self, params: Acted) -> ServoAngles:
-        """The standing robot: the mean of what the controller starts from, over a cycle."""
+    def _home(self, params: ActionParameters) -> ServoAngles:
+        """Servo angles [rad] of the standing robot: the mean of the controller's initial angles over a gait cycle."""
         if not isinstance(self.kind, Targets):
             zero = jnp.zeros(())
             return ServoAngles(

@@ -96,7 +96,7 @@ class PPO(Spec):
         return iterate
 
     def _adapt_rate(self, rate: Array, kl: Array) -> Array:
-        """Lower the learning rate if the policy changes more than twice as much as desired, raise it below half as much."""
+        """Lower the learning rate if the policy changes more than twice as much as desired, and raise it if less than half."""
         if self.kl is None:
             return rate
         is_too_fast, is_too_slow = kl > 2.0 * self.kl, kl < 0.5 * self.kl
@@ -178,8 +178,8 @@ class PPO(Spec):
         (actor, critic, optimizers), losses = jax.lax.scan(
             step, (learned.actor, learned.critic, learned.optimizers), minibatches
         )
-        # The change by all steps of an iteration. Within an iteration the change grows from zero. A rate that followed
-        # it there would first be raised with every step, and then be too high.
+        # The rate follows the change by all steps of an iteration. Within an iteration, the change grows from zero, so
+        # that a rate that followed each step would first be raised every time, and then be too high.
         kl = losses["kl"][-self.minibatches :].mean()
         rate = self._adapt_rate(learned.rate, kl)
         update_statistics = {

@@ -1,18 +1,18 @@
-"""A training's directory: what it is for, its history, and the files that are made from its checkpoints.
+"""The directory of a training: its specification, its history, and the files that are made from its checkpoints.
 
 DIR/training.yaml      the resolved training
-DIR/metrics.py         custom metrics, if the evaluation has some: a copy
-DIR/FILE.py            own code that the task names, if it has some: a copy
-DIR/run.json           which code made it; versions, machine and command of each session that worked on it
+DIR/metrics.py         a copy of the custom metrics, if the evaluation has any
+DIR/FILE.py            a copy of the custom code of the task, if it has any
+DIR/run.json           code that made the directory; versions, machine and command of each session that worked on it
 DIR/checkpoints/       Orbax checkpoints, the latest few: the full learning state, and the history up to it
 DIR/policy.npz         the policy of the latest checkpoint, or of the best one (`validation`): a controller
-DIR/validation.parquet the success of the policy of each checkpoint, where the best one is chosen
+DIR/validation.parquet the success of the policy of each checkpoint, if the best one is chosen
 DIR/history.parquet    one row per iteration; in each column's metadata its unit, meaning and role
-DIR/evaluation.parquet one row per walk on a body and start that the policy has not seen, and the same without it
+DIR/evaluation.parquet one row per walk on a body and start that are not part of the training, with and without the policy
 DIR/summary.json       success, return and speed
 DIR/plots/             figures
-DIR/videos/            a walk of the policy at each checkpoint, where that was asked for
-DIR/*.aside-N          files that did not match: nothing is deleted
+DIR/videos/            a walk of the policy at each checkpoint, with `video`
+DIR/*.aside-N          files that did not match; they are moved, not deleted
 
 Roles in the history: `index` (iteration, steps), `return` (of the episodes that ended), `term` (of the reward),
 `learning`, `effort` (CPU and wall time, which differ from run to run), `code`.
@@ -82,12 +82,12 @@ _HISTORY_COLUMNS: Final[dict[str, tuple[str, str, str]]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Curves:
-    """The history as it is kept while training.
+    """The history of a training in memory.
 
     Attributes:
-        names: of the columns.
-        rows: float64 (iterations, columns).
-        codes: which code made the iterations from which one on.
+        names: Names of the columns.
+        rows: Values, float64 (iterations, columns).
+        codes: Pairs of an iteration and the code that made the iterations from this one on.
     """
 
     names: tuple[str, ...] = ()
@@ -97,8 +97,8 @@ class Curves:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def extended(self, numbers: Mapping[str, float], code: str) -> Curves:
-        """With one more iteration, by this code."""
+    def extend(self, numbers: Mapping[str, float], code: str) -> Curves:
+        """The history with one more iteration, which this code made."""
         names = self.names or tuple(numbers)
         row = np.array([[float(numbers[name]) for name in names]])
         earlier = tuple(entry for entry in self.codes if entry[0] < len(self))
@@ -106,11 +106,11 @@ class Curves:
         return Curves(names, row if not len(self) else np.concatenate([self.rows, row]), codes)
 
     def column(self, name: str) -> np.ndarray:
-        """The numbers of a column (iterations,)."""
+        """Values of a column (iterations,)."""
         return self.rows[:, self.names.index(name)]
 
     def last(self, name: str, episodes: int = 100) -> float:
-        """Mean of a value over the last episodes, at least this many if available; NaN if none ended."""
+        """Mean of a column over the last episodes, at least this many if available; NaN if no episode ended."""
         count = self.column("episodes")
         total = np.cumsum(count[::-1])[::-1]
         recent = (count > 0) & (total - count < episodes)
@@ -121,7 +121,7 @@ class Curves:
         )
 
     def table(self, units: Mapping[str, str], digest: str) -> pa.Table:
-        """The history as a table; `units` are those of the reward's terms by name, `digest` is of the training."""
+        """The history as a table; `units` are the units of the reward's terms by name, `digest` identifies the training."""
         table, iterations = Columns(), len(self)
         table.add("iteration", np.arange(iterations), "index", "1", "iterations done before")
         for name, values in zip(self.names, self.rows.T, strict=True):
@@ -140,10 +140,10 @@ class Curves:
 
 
 def read_curves(out: str | os.PathLike[str]) -> pa.Table:
-    """The history of a training's directory, as far as it goes.
+    """The history of a training's directory up to the latest checkpoint, one row per iteration.
 
     Raises:
-        DirectoryError: there is none, it is damaged, or cannot be read now.
+        DirectoryError: The history is missing, damaged, or cannot be read now.
     """
     return stored_table(Path(out) / HISTORY_FILE, "history of a training")
 
@@ -152,13 +152,13 @@ class TrainingDirectory:
     """A directory held by this process for one training; use it in a `with` statement.
 
     Args:
-        out: the directory; made if it does not exist.
-        training: what the directory is for.
-        engine: name of the engine that runs.
-        warn: called with a message about each thing that is moved aside.
+        out: Path of the directory, which is created if it does not exist.
+        training: Training that the directory contains.
+        engine: Name of the engine that runs.
+        warn: Function that receives a message about each file that is moved aside.
 
     Raises:
-        DirectoryError: the directory holds another training, is in use, or cannot be written.
+        DirectoryError: The directory contains another training, is in use, or cannot be written.
     """
 
     def __init__(
@@ -169,13 +169,13 @@ class TrainingDirectory:
         warn: Callable[[str], None],
     ) -> None:
         self.out, self.training, self.engine, self._warn = Path(out), training, engine, warn
-        self.held = RunDirectory(out, "training")
-        self._checkpoints = Checkpoints(self.held, "training")
+        self.run_directory = RunDirectory(out, "training")
+        self._checkpoints = Checkpoints(self.run_directory, "training")
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> TrainingDirectory:
         with contextlib.ExitStack() as stack, clear_errors(self.out):
-            stack.enter_context(self.held)
+            stack.enter_context(self.run_directory)
             stack.enter_context(self._checkpoints)
             self._stack = stack.pop_all()
         return self
@@ -184,17 +184,17 @@ class TrainingDirectory:
         self._stack.close()
 
     def restore(self, beginning: LearningState, *, accept: bool) -> tuple[LearningState, Curves]:
-        """The state of the training, and its history so far.
+        """The latest learning state of the training, and its history so far.
 
         Args:
-            beginning: of a training that has not begun.
-            accept: take what was computed with other defaults.
+            beginning: Learning state of a training without iterations, which is returned if there is no checkpoint.
+            accept: Whether to continue results that were computed with other defaults.
 
         Raises:
-            DirectoryError: the checkpoints are those of another training, or cannot be read.
+            DirectoryError: The checkpoints belong to another training, or cannot be read.
         """
 
-        def like(metadata: Mapping[str, Any]) -> dict[str, Any]:
+        def make_template(metadata: Mapping[str, Any]) -> dict[str, Any]:
             current, former = json.loads(json.dumps(self.training.identity())), metadata["identity"]
             if differences := changes(former["fields"], current["fields"]):
                 raise WrongDirectory(
@@ -208,7 +208,7 @@ class TrainingDirectory:
                 )
             return {"learned": beginning, "history": np.empty(metadata["rows"])}
 
-        checkpoint = self._checkpoints.restore(like, self._warn)
+        checkpoint = self._checkpoints.restore(make_template, self._warn)
         if checkpoint is None:
             return beginning, Curves()
         parts, metadata = checkpoint
@@ -216,22 +216,24 @@ class TrainingDirectory:
         return parts["learned"], Curves(tuple(metadata["names"]), parts["history"], codes)
 
     def take_code(self, curves: Curves, *, accept: bool) -> str:
-        """Note which code is about to learn; its short name.
+        """Note the code of this session, and return its short name.
 
         Raises:
-            OtherCode: another code made the history, and `accept` is not given.
+            OtherCode: Other code made the history, and `accept` is false.
         """
         made_by = stamp(self.training.setup.load().fingerprint, self.engine, subpackages=("learn",))
-        self.held.take_code(made_by, holds_rows=len(curves) > 0, accept=accept)
+        self.run_directory.take_code(made_by, holds_rows=len(curves) > 0, accept=accept)
         return made_by.id
 
     def claim(self) -> None:
-        """Claim the directory for this training; a user's own files in the way are moved aside."""
-        self.training = self.training.with_code_copied(self.out.resolve(), self.held.write)
-        write_described(self.held, SPEC_FILE, self.training, Training.from_file, self._warn)
+        """Write the files that identify the training; other files of the same names are moved aside."""
+        self.training = self.training.with_code_copied(self.out.resolve(), self.run_directory.write)
+        write_described(
+            self.run_directory, SPEC_FILE, self.training, Training.from_file, self._warn
+        )
 
     def keep(self, learned: LearningState, curves: Curves) -> None:
-        """Store what was learned, and its history."""
+        """Store the learning state and the history as a checkpoint."""
         metadata = {
             "names": list(curves.names),
             "rows": list(curves.rows.shape),
@@ -244,14 +246,16 @@ class TrainingDirectory:
             )
 
     def publish(self, curves: Curves, units: Mapping[str, str], policy: bytes | None) -> None:
-        """Make history.parquet and policy.npz of the latest checkpoint."""
-        self.held.write(HISTORY_FILE, parquet_bytes(curves.table(units, self.training.digest())))
+        """Write history.parquet and policy.npz of the latest checkpoint."""
+        self.run_directory.write(
+            HISTORY_FILE, parquet_bytes(curves.table(units, self.training.digest()))
+        )
         if policy is not None:
-            self.held.write(POLICY_FILE, policy)
+            self.run_directory.write(POLICY_FILE, policy)
 
 
 def training_status(out: Path) -> Status:
-    """How many iterations the history of a training's directory has."""
+    """Status of a training's directory: the number of iterations in its history."""
     notes, rows, step_count, until = list[str](), None, 0, None
     try:
         training = Training.from_file(out / SPEC_FILE)
@@ -260,7 +264,7 @@ def training_status(out: Path) -> Status:
         notes.append(f"Its training cannot be read: {error}")
     if metadata := metadata_of(out / HISTORY_FILE, notes, "it is made again of the checkpoints."):
         step_count = metadata.num_rows
-        if until is not None:  # one that was good enough before has no more of them
+        if until is not None:  # a training that ended early has no further iterations
             with contextlib.suppress(FileError):
                 summary = json_of(
                     content_of(out / SUMMARY_FILE) or b"{}", dict[str, Any], out / SUMMARY_FILE

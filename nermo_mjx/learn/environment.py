@@ -1,4 +1,4 @@
-"""The robot as an environment to learn in: `reset(key)` and `step(state, action)` over a batch of worlds."""
+"""The robot as an environment for learning: `reset(key)` and `step(state, action)` over a batch of worlds."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from nermo_mjx.control import Controller
 from nermo_mjx.dynamics.precision import full_precision
-from nermo_mjx.learn.acting import ACTIONS, Acting
-from nermo_mjx.learn.loop import EpisodeLoop, Observed
+from nermo_mjx.learn.acting import ACTIONS, ActionController
+from nermo_mjx.learn.loop import EpisodeLoop, StepResult
 from nermo_mjx.learn.task import Episodes, Outcome, Task
 from nermo_mjx.physics import Variation, resolve_engine
 from nermo_mjx.physics.c_engine import CDriven, CEngine, Threads
@@ -33,17 +33,18 @@ class State(NamedTuple):
     """A batch of n worlds after a control step. Worlds whose episode ended have begun the next one.
 
     Attributes:
-        observation: for the policy (n, o), of the new episode where one ended.
-        privileged: for a critic only (n, p).
-        reward: of the step (n,).
-        terms: name -> value of each term of the reward, in its unit, unweighted (n,).
-        terminated: whether the episode failed (n,) bool.
-        truncated: whether it was only cut off: its time is over, or its distance walked (n,) bool.
-        status: how the episode stood after the step, place in `SENTENCES` (n,) int.
-        final_observation, final_privileged: as they were after the step, before new episodes began.
-        episode: `distance` [m], `duration` [s] and `servo_work` [J] of the episode that the step belongs to (n,), and
-            `unsolved`, the number of steps whose constraint solve has not converged; 0 on `c`, which does not say it.
-        engine: what the engine carries.
+        observation: Observation of the policy (n, o); if an episode ended, the first one of the new episode.
+        privileged: Additional input of a critic (n, p).
+        reward: Reward of the step (n,).
+        terms: Unweighted value of each term of the reward (n,) in its unit, by name.
+        terminated: Whether the episode failed (n,) bool.
+        truncated: Whether the episode was cut off, because its time is over or its distance walked (n,) bool.
+        status: Status of the episode after the step, an index into `SENTENCES` (n,) int.
+        final_observation, final_privileged: Observation and privileged input after the step, before new episodes began.
+        episode: `distance` [m], `duration` [s] and `servo_work` [J] of the episode that contains the step (n,), and
+            `unsolved`, the number of steps whose constraint solver did not converge; always 0 on `c`, which does not
+            report it.
+        engine: State of the engine.
     """
 
     observation: Array
@@ -59,8 +60,8 @@ class State(NamedTuple):
     engine: Any
 
 
-def _state(observed: Observed, observation: Any, privileged: Any, engine: Any) -> State:
-    """What a control step gave; observation and privileged input are those of new episodes where some ended."""
+def _state(observed: StepResult, observation: Any, privileged: Any, engine: Any) -> State:
+    """The state after a control step, with observations and privileged inputs of the new episodes."""
     final = {
         "final_observation": observed.observation,
         "final_privileged": observed.privileged,
@@ -71,7 +72,7 @@ def _state(observed: Observed, observation: Any, privileged: Any, engine: Any) -
 
 
 class CWorlds:
-    """Worlds of MuJoCo's C engine. The k-th episode of a world depends on key, world and k alone."""
+    """Worlds of MuJoCo's C engine. The k-th episode of a world depends only on the key, the world and k."""
 
     def __init__(
         self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool, threads: Threads
@@ -80,20 +81,20 @@ class CWorlds:
         self.engine = CEngine(loop.robot, loop, threads)
         self.variation = Variation(loop.robot)
         self.session: CDriven | None = None
-        self.drawn: dict[int, tuple[Any, dict[str, np.ndarray], np.ndarray]] = {}
+        self.samples: dict[int, tuple[Any, dict[str, np.ndarray], np.ndarray]] = {}
         self.newest: object = None
 
-        def draw(key: Array, world: Array, episode: Array, steps: Array) -> Any:
+        def sample_episode(key: Array, world: Array, episode: Array, steps: Array) -> Any:
             world_key = jax.random.fold_in(
                 jax.random.fold_in(jax.random.wrap_key_data(key), world), episode
             )
             return episodes(world_key, staggered & (episode == 0), steps)
 
-        self.draw = Lanes(draw)
+        self.sample_episode = Lanes(sample_episode)
 
     def reset(self, key: np.ndarray, steps: float) -> State:
         n, self.steps = self.worlds, steps
-        self.key, self.count, self.drawn = np.asarray(key), np.zeros(n, int), {}
+        self.key, self.count, self.samples = np.asarray(key), np.zeros(n, int), {}
         params, fields, qpos = self._episode(0, np.arange(n))
         self.session = CDriven(self.engine, params, qpos, fields)
         observed, self.newest = self.session.observe(), object()
@@ -130,25 +131,27 @@ class CWorlds:
         return _state(observed, observation, privileged, self.newest)
 
     def _episode(self, k: int, worlds: np.ndarray) -> tuple[Any, dict[str, np.ndarray], np.ndarray]:
-        """Parameters, model fields and first positions of the k-th episode of some worlds.
+        """Parameters, model fields and initial positions of the k-th episode of some worlds.
 
-        It is drawn for all worlds at once, since that costs hardly more than for one.
+        The episode is sampled for all worlds at once, because this is hardly slower than for one world.
         """
-        if k not in self.drawn:
+        if k not in self.samples:
             n = self.worlds
             keys = np.broadcast_to(self.key, (n, self.key.shape[-1]))
             places = (
                 np.arange(n) if self.key.ndim == 1 else np.zeros(n, int)
-            )  # where each has a key of its own
-            params, model, qpos = self.draw(keys, places, np.full(n, k), np.full(n, self.steps))
-            fields = self.variation.batch(model, n, self.episodes.reached)
-            self.drawn[k] = params, fields, np.asarray(qpos, float)
+            )  # zeros if each world has its own key
+            params, model, qpos = self.sample_episode(
+                keys, places, np.full(n, k), np.full(n, self.steps)
+            )
+            fields = self.variation.batch(model, n, self.episodes.changed_names)
+            self.samples[k] = params, fields, np.asarray(qpos, float)
             for old in [
-                episode for episode in self.drawn if episode <= self.count.min() and episode != k
+                episode for episode in self.samples if episode <= self.count.min() and episode != k
             ]:
-                del self.drawn[old]
+                del self.samples[old]
         sampled: tuple[Any, dict[str, np.ndarray], np.ndarray] = jax.tree.map(
-            lambda leaf: leaf[worlds], self.drawn[k]
+            lambda leaf: leaf[worlds], self.samples[k]
         )
         return sampled
 
@@ -157,10 +160,10 @@ class World(NamedTuple):
     """One world of MJX.
 
     Attributes:
-        key: of its episode, raw (2,).
-        steps: of the training when it was reset.
-        params, fields: of the loop, and what differs from the model.
-        carry: what the engine carries.
+        key: Raw random key of its episode (2,).
+        steps: Control steps of the training at the reset.
+        params, fields: Parameters of the loop, and the fields of the model that differ between worlds.
+        carry: State of the engine.
     """
 
     key: Array
@@ -171,7 +174,7 @@ class World(NamedTuple):
 
 
 class MjxWorlds:
-    """Worlds of MJX, in pure functions; `begin`, `act` and `seen` are those of one world."""
+    """Worlds of MJX. All methods are pure functions; `begin`, `act` and `observe` are functions of one world."""
 
     def __init__(self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool) -> None:
         from nermo_mjx.physics.mjx_engine import MjxEngine  # MJX takes a second to start
@@ -188,32 +191,32 @@ class MjxWorlds:
             else jax.random.key_data(jax.random.split(jax.random.wrap_key_data(key), self.worlds))
         )
         world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered, steps=steps))(keys)
-        observed = jax.vmap(self.seen)(world)
+        observed = jax.vmap(self.observe)(world)
         return _state(observed, observed.observation, observed.privileged, world)
 
     @full_precision
     def step(self, state: State, action: Any) -> State:
         world = jax.vmap(self.act)(state.engine, jnp.asarray(action))
-        observed = jax.vmap(self.seen)(world)
+        observed = jax.vmap(self.observe)(world)
         is_ended = observed.terminated | observed.truncated
 
-        def following(key: Array) -> Array:
+        def next_key(key: Array) -> Array:
             return jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(key), 1))
 
-        def anew() -> World:
-            fresh = jax.vmap(self.begin)(jax.vmap(following)(world.key), world.steps)
-            next_world: World = jax.vmap(picked)(is_ended, fresh, world)
+        def restart_ended() -> World:
+            fresh = jax.vmap(self.begin)(jax.vmap(next_key)(world.key), world.steps)
+            next_world: World = jax.vmap(select)(is_ended, fresh, world)
             return next_world
 
-        world = jax.lax.cond(is_ended.any(), anew, lambda: world)
-        first = jax.vmap(self.seen)(world)
+        world = jax.lax.cond(is_ended.any(), restart_ended, lambda: world)
+        first = jax.vmap(self.observe)(world)
         return _state(observed, first.observation, first.privileged, world)
 
     @full_precision
     def begin(self, key: Array, steps: Any = 0.0, cut_short: bool = False) -> World:
-        """A world at the start of the episode of a key, see `Episodes`."""
+        """A world at the start of the episode of a random key, see `Episodes`."""
         params, model, qpos = self.episodes(jax.random.wrap_key_data(key), cut_short, steps)
-        fields = self.variation.differentiable(model, self.episodes.reached)
+        fields = self.variation.differentiable(model, self.episodes.changed_names)
         at_rest = self.loop.robot.sensordata_at_rest(qpos)
         carry = self.engine.start(
             params, qpos, jnp.zeros((self.engine.model.nv,), qpos.dtype), at_rest
@@ -225,7 +228,7 @@ class MjxWorlds:
     @full_precision
     def act(self, world: World, action: Array) -> World:
         """A world after a control step under an action (a,)."""
-        params = self.loop.with_input(world.params, action.astype(world.params.drawn.dtype))
+        params = self.loop.with_input(world.params, action.astype(world.params.sample.dtype))
 
         def tick(carry: Any, _: None) -> tuple[Any, None]:
             return self.engine.tick(params, world.fields, carry, record=True)[0], None
@@ -233,15 +236,15 @@ class MjxWorlds:
         carry, _ = jax.lax.scan(tick, world.carry, None, length=self.loop.task.decimation)
         return world._replace(params=params, carry=carry)
 
-    def seen(self, world: World) -> Observed:
-        """What a world's last control step gave."""
+    def observe(self, world: World) -> StepResult:
+        """The result of the last control step of a world."""
         observed = self.loop.observe(world.params, world.carry.loop, world.carry.sensordata)
         unsolved = world.carry.unsolved.astype(observed.episode["unsolved"].dtype)
         return observed._replace(episode={**observed.episode, "unsolved": unsolved})
 
 
-def picked(choice: Truth, if_true: Any, if_false: Any) -> Any:
-    """One of two trees of a world."""
+def select(choice: Truth, if_true: Any, if_false: Any) -> Any:
+    """One of two pytrees with the same structure."""
     return jax.tree.map(functools.partial(jnp.where, choice), if_true, if_false)
 
 
@@ -255,17 +258,17 @@ class Environment:
     (True, 0.01)
 
     On the engine `mjx`, `reset` and `step` are pure functions of arrays, for `jax.jit`, `jax.vmap`, `jax.lax.scan` and
-    `jax.grad`, whose derivatives are those of `dynamics.step`. On `c` they are calls of this machine's processors, the
-    state is NumPy's, and only the latest one can be stepped on. Equal keys and actions give equal numbers, on `c` bit
-    for bit, whatever the number of threads.
+    `jax.grad`, with the derivatives of `dynamics.step`. On `c` they run on the processors of this machine, the arrays
+    of the state are NumPy arrays, and only the latest state can be stepped. Equal keys and actions give equal numbers,
+    on `c` bit for bit, whatever the number of threads.
 
     Attributes:
-        setup, engine, worlds, task, seed: as given.
-        pure: whether `reset` and `step` are pure functions, which can be traced.
-        observation_names, privileged_names, action_names: labels of all values that a policy observes, such as
-            `gyro_x`, of those that a critic receives, and of those of an action.
-        observation_size, privileged_size, action_size: how many these are.
-        step_seconds: simulated seconds of a control step.
+        setup, engine, worlds, task, seed: Arguments of the environment.
+        pure: Whether `reset` and `step` are pure functions, which can be traced.
+        observation_names, privileged_names, action_names: Labels of the values that a policy observes, such as
+            `gyro_x`, of the additional values that a critic receives, and of the values of an action.
+        observation_size, privileged_size, action_size: Numbers of these values, o, p and a.
+        step_seconds: Simulated seconds of a control step.
     """
 
     def __init__(
@@ -281,18 +284,18 @@ class Environment:
     ) -> None:
         """
         Args:
-            setup: what is chosen by name: robot, scene, gait, pilot, physics.
+            setup: Robot, scene, gait, pilot, physics and other choices by name.
             engine: `c`, `mjx`, or `auto`.
-            worlds: how many.
-            task: what the policy does there.
-            seed: for `reset()` without a key.
-            staggered: after `reset`, the time of each world's first episode is over after a random share of the
-                task's length, so that episodes do not end together in all worlds.
-            threads: processors that `c` uses, or a pool that several environments share; None for
+            worlds: Number of worlds n.
+            task: Task of the policy.
+            seed: Seed of `reset()` without a key.
+            staggered: Whether the first episode of each world ends after a random share of the task's length, so that
+                the episodes of all worlds do not end together.
+            threads: Processors that `c` uses, or a pool that several environments share; None for
                 `$NERMO_MJX_THREADS`, or all of them.
 
         Raises:
-            ParameterError: an unknown engine or one that cannot be driven, no world, or a task that does not fit.
+            ParameterError: The engine is unknown or cannot be driven, there is no world, or the task does not fit.
         """
         name = resolve_engine(engine)
         if name not in ("c", "mjx"):
@@ -305,16 +308,16 @@ class Environment:
         self.seed = seed
         self.task.check(self.setup)
         self.robot = self.setup.load()
-        self.controller = Acting(self.setup.make_controller(), self.task.action)
+        self.controller = ActionController(self.setup.make_controller(), self.task.action)
         if not (
             isinstance(self.controller.base, Controller)
             and type(self.task.action) in ACTIONS.values()
         ):
             check_controller(
                 self.robot, self.controller
-            )  # the package's own are checked by its tests
+            )  # tests check the controllers and actions of the package
         self.episodes = Episodes(self.setup, self.robot, self.controller, self.task)
-        self.loop = EpisodeLoop(self.robot, self.controller, self.task, self.episodes.drawn)
+        self.loop = EpisodeLoop(self.robot, self.controller, self.task, self.episodes.sampled_names)
         self.engine = name
         shared = self.loop, self.episodes, worlds, staggered
         self._worlds: Any = CWorlds(*shared, threads) if name == "c" else MjxWorlds(*shared)
@@ -331,9 +334,10 @@ class Environment:
         """Begin an episode in every world.
 
         Args:
-            key: a `jax.random.key`, a raw key (2,), or a whole number; the environment's seed by default. A list of
-                whole numbers has one for each world, whose episodes depend on it alone, not on the world's place.
-            steps: control steps of a training so far, for the task's `commands`, until the next reset.
+            key: A `jax.random.key`, a raw key (2,), or a whole number; by default the seed of the environment. A list
+                contains a whole number for each world; then the episodes of a world depend only on its number, not on
+                the index of the world.
+            steps: Control steps of a training so far, which the task's `commands` receive until the next reset.
         """
         if isinstance(key, (list, tuple)):
             if len(key) != self.worlds:
@@ -351,14 +355,14 @@ class Environment:
         )
 
     def step(self, state: State, action: Any) -> State:
-        """One control step of all worlds.
+        """Simulate one control step of all worlds.
 
         Args:
-            state: the last one.
-            action: (n, a), clipped to [-1, 1].
+            state: Latest state.
+            action: Actions (n, a), clipped to [-1, 1].
 
         Raises:
-            ParameterError: an action of another shape; on `c` also one that is not finite, or an old state.
+            ParameterError: The action has another shape; on `c` also if it is not finite, or if the state is old.
         """
         if np.shape(action) != (self.worlds, self.action_size):
             raise ParameterError(
@@ -369,9 +373,9 @@ class Environment:
 
 
 def _raw_key(key: Any) -> Any:
-    """A key as JAX keeps it, (2,) uint32."""
+    """The data of a random key, (2,) uint32."""
     if isinstance(key, (int, np.integer)):
-        # `jax.random.key` would cut it to 32 bits.
+        # `jax.random.key` would cut the number to 32 bits.
         if not 0 <= key < 1 << 64:
             raise ParameterError(f"seed is {key}: allowed is a whole number from 0 to 2^64 - 1.")
         return jnp.asarray([int(key) >> 32, int(key) & 0xFFFFFFFF], jnp.uint32)
@@ -384,7 +388,7 @@ def _raw_key(key: Any) -> Any:
 
 
 class Mixture:
-    """Worlds of several setups side by side, in the form of one `Environment`; `State.engine` is the parts' states.
+    """Worlds of several setups, with the interface of one `Environment`; `State.engine` contains the states of the parts.
 
     Every part has the same observation and the same action. The critic's input differs: it is the union of the parts'
     inputs, with zeros where a part lacks them, and the index of the part.
@@ -394,7 +398,7 @@ class Mixture:
     [3, 2]
 
     Attributes:
-        parts: the environments; the worlds of the first come first.
+        parts: Environments of the setups; the worlds of the first environment come first.
     """
 
     def __init__(
@@ -409,19 +413,19 @@ class Mixture:
     ) -> None:
         """
         Args:
-            parts: what is chosen by name, and the task, of each environment.
+            parts: Setup and task of each environment.
             engine: `c`, `mjx`, or `auto`.
-            worlds: of all parts together.
-            shares: in which they are divided among the parts, relative to each other; None for evenly.
-            staggered: see `Environment`.
-            threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
+            worlds: Number of worlds of all parts together.
+            shares: Relative numbers of worlds of the parts; None for equal numbers.
+            staggered: See `Environment`.
+            threads: Processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
 
         Raises:
-            ParameterError: fewer worlds than parts, or parts with different observations, actions or step lengths; and
-                what `Environment` refuses.
+            ParameterError: There are fewer worlds than parts, the parts differ in observations, actions or step
+                lengths, or `Environment` rejects a part.
         """
         check_worlds(worlds, len(parts))
-        counts = divided(worlds, [1.0] * len(parts) if shares is None else shares)
+        counts = divide_worlds(worlds, [1.0] * len(parts) if shares is None else shares)
         # The blocks of all parts share the processors: a single part may have too few worlds for all of them.
         processors = ThreadPoolExecutor(thread_count(threads), thread_name_prefix="nermo_mjx")
         self.parts = tuple(
@@ -460,7 +464,7 @@ class Mixture:
         self._waiting = ThreadPoolExecutor(len(parts), thread_name_prefix="nermo_mjx_part")
 
     def reset(self, key: Any, steps: Any = 0.0) -> State:
-        """Begin an episode in every world; each part draws from a key of its own."""
+        """Begin an episode in every world; each part has its own random key."""
         key = jax.random.key(key) if isinstance(key, int) else key
         keys = [jax.random.fold_in(key, i) for i in range(len(self.parts))]
         return self.join(
@@ -468,26 +472,26 @@ class Mixture:
         )
 
     def step(self, state: State, action: Any) -> State:
-        """One control step of all worlds; see `Environment.step`."""
+        """Simulate one control step of all worlds; see `Environment.step`."""
         part_inputs = zip(self.parts, state.engine, self.split(action), strict=True)
         calls = [
             functools.partial(part.step, engine_state, part_action)
             for part, engine_state, part_action in part_inputs
         ]
-        return self.join([call() for call in calls] if self.pure else self.at_once(calls))
+        return self.join([call() for call in calls] if self.pure else self.run_in_threads(calls))
 
     def split(self, values: Any, axis: int = 0) -> list[Any]:
-        """What belongs to each part's worlds, along an axis of all worlds."""
+        """Split an array along its axis of all worlds into the arrays of the parts."""
         return (jnp if self.pure else np).split(values, self._bounds, axis)
 
-    def at_once(self, calls: Sequence[Callable[[], Any]]) -> list[Any]:
-        """The results of a call for each part, each in a thread of its own; the largest part begins."""
+    def run_in_threads(self, calls: Sequence[Callable[[], Any]]) -> list[Any]:
+        """Run one call for each part, each in its own thread, and return the results; the largest part begins."""
         order = sorted(range(len(calls)), key=lambda i: -self.parts[i].worlds)
         started = {i: self._waiting.submit(calls[i]) for i in order}
         return [started[i].result() for i in range(len(calls))]
 
     def join(self, states: Sequence[State]) -> State:
-        """The state of all worlds from those of the parts."""
+        """The state of all worlds from the states of the parts."""
         numbers = jnp if self.pure else np
         fields = {
             name: [getattr(state, name) for state in states]
@@ -503,7 +507,7 @@ class Mixture:
         return State(**joined_fields, engine=tuple(states))
 
     def widen(self, i: int, observation: Any) -> Any:
-        """The critic's input (..., p) from that of part i, in the columns of all parts."""
+        """Put the privileged input of part i into the columns of all parts (..., p)."""
         column = len(self.privileged_names) - len(self.parts) + i
         shape = *observation.shape[:-1], self.privileged_size
         if not self.pure:
@@ -519,10 +523,10 @@ class Mixture:
         )
 
 
-def divided(worlds: int, shares: Sequence[float]) -> list[int]:
-    """Worlds of each part: in these shares, but at least one; what is left over goes to the largest remainders.
+def divide_worlds(worlds: int, shares: Sequence[float]) -> list[int]:
+    """Divide worlds among parts in proportion to shares, at least one each; the largest remainders get the last worlds.
 
-    >>> divided(10, [1.0, 1.0, 2.0])
+    >>> divide_worlds(10, [1.0, 1.0, 2.0])
     [3, 2, 5]
     """
     exact = worlds * np.asarray(shares, float) / np.sum(shares)
@@ -539,13 +543,13 @@ def divided(worlds: int, shares: Sequence[float]) -> list[int]:
 
 
 def check_worlds(worlds: int, parts: int) -> None:
-    """Raise `ParameterError` where a part would have no world."""
+    """Raise `ParameterError` if there are fewer worlds than parts."""
     if worlds < parts:
         raise ParameterError(f"worlds is {worlds}: {parts} scenes need at least one world each.")
 
 
 def check_alike(loops: Mapping[str, EpisodeLoop]) -> None:
-    """Raise `ParameterError` where one policy cannot learn in all of these loops, by the names of their scenes."""
+    """Raise `ParameterError` if one policy cannot learn in all of these loops, which are given by the names of scenes."""
     (name, first), *others = loops.items()
     for other_name, loop in others:
         names = set(loop.observation_names) ^ set(first.observation_names)

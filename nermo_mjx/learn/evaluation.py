@@ -1,4 +1,4 @@
-"""Evaluation of a policy on unseen bodies and starts, beside the controller that it acts on."""
+"""Evaluation of a policy on unseen bodies and starts, compared with its controller without the policy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.learn.environment import Environment
-from nermo_mjx.learn.own import code_place, own_terminations
+from nermo_mjx.learn.own import custom_code_file, custom_terminations
 from nermo_mjx.learn.policy import Policy, RandomPolicy, load_policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.learn.task import (
@@ -20,7 +20,7 @@ from nermo_mjx.learn.task import (
     POLICY_PARAMETERS,
     PUSH_PARAMETERS,
     Task,
-    pushes_of,
+    make_pushes,
     task_parameters,
 )
 from nermo_mjx.progress import shown_share
@@ -34,13 +34,13 @@ from nermo_mjx.rollout.custom_metrics import OwnMetric
 from nermo_mjx.rollout.simulator import default_precision
 from nermo_mjx.runs.rows import Columns
 
-#: Added to a training's seed, so that no training episode was drawn from such a key.
+#: Number that is added to the seed of a training, so that evaluations and training episodes have different keys.
 EVALUATION_OFFSET: Final = 0x5EED
-#: Policies without a file.
+#: Names of policies without a file.
 ZERO_POLICY, RANDOM_POLICY = "zero", "random"
-#: What is evaluated: the policy, and the controller that it acts on.
+#: Names of the evaluated walkers: the policy, and the controller without the policy.
 POLICY, BASELINE = "policy", "alone"
-#: Metrics of the table.
+#: Metrics in the table.
 EVALUATION_METRICS: Final = (
     "speed",
     "distance",
@@ -55,25 +55,25 @@ EVALUATION_METRICS: Final = (
 )
 
 
-class Draws(NamedTuple):
-    """How many bodies and starts are drawn, and a number added to the training's seed."""
+class BodySample(NamedTuple):
+    """A sample of bodies and starts: their number, and a number that is added to the seed of the training."""
 
     number: int
     key: int
 
 
 class _Part(NamedTuple):
-    """The walks of one scene by one of the two."""
+    """The walks of one walker on one scene."""
 
     scene: str
-    who: str
-    drawn: Mapping[str, np.ndarray]
+    walker: str
+    bodies: Mapping[str, np.ndarray]
     result: RunResult
     success: np.ndarray
 
 
 class PolicyEvaluator:
-    """Walks of a training's policies on an engine; a policy that comes later needs no new programs."""
+    """Simulates walks of a training's policies on an engine. All policies use the same compiled programs."""
 
     def __init__(self, training: Training, engine: str = "auto") -> None:
         self.training, self.engine = training, engine
@@ -85,30 +85,30 @@ class PolicyEvaluator:
         policy: Policy,
         progress: Callable[[float], None] | None = None,
         *,
-        draws: Draws | None = None,
+        draws: BodySample | None = None,
         walkers: tuple[str, ...] = (POLICY, BASELINE),
     ) -> pa.Table:
-        """Simulate every evaluation scene, with the policy and the controller alone, from the same starts and bodies.
+        """Simulate every scene of the evaluation, with and without the policy, from the same starts and bodies.
 
         Args:
-            policy: of the training.
-            progress: called with the share done.
-            draws: of bodies and starts; by default those of the training's evaluation.
-            walkers: of `POLICY` and `BASELINE`.
+            policy: Policy of the training.
+            progress: Function that receives the completed share, in [0, 1].
+            draws: Sample of bodies and starts; by default the sample of the training's evaluation.
+            walkers: Walkers, a selection of `POLICY` and `BASELINE`.
 
         Returns:
-            One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a
-            success: it lasted, covered at least the distance required by the training's evaluation, stayed in its
-            scene's corridor, and none of the task's own terminations was true while it was measured.
+            One row per walk: scene, controller, body, the sampled parameters, metrics, status, and success. A walk
+            succeeds if it lasts, covers at least the distance required by the training's evaluation, stays in the
+            corridor of its scene, and never meets a custom termination of the task while it is measured.
         """
         training = self.training
-        draws = draws or Draws(training.evaluation.bodies, EVALUATION_OFFSET)
+        draws = draws or BodySample(training.evaluation.bodies, EVALUATION_OFFSET)
         cases = [
             (setup, task, walker) for setup, task in training.evaluated() for walker in walkers
         ]
         parts: list[_Part] = []
         for i, (setup, task, walker) in enumerate(cases):
-            ends = own_terminations(setup.load().config, task.terminations)
+            ends = custom_terminations(setup.load().config, task.terminations)
             ending = tuple(
                 OwnMetric(
                     "1",
@@ -126,9 +126,9 @@ class PolicyEvaluator:
             if key not in self._simulators:
                 self._simulators[key] = Simulator(walk_setup, engine=self.engine)
             simulator = self._simulators[key]
-            bodies = unseen_bodies(training, task, draws)
-            # As many walks where nothing that the simulator knows is drawn.
-            values = {"start.x": 0.0} | _known(simulator.setup, {**task.set, **bodies})
+            bodies = sample_bodies(training, task, draws)
+            # The start position gives the batch its size, even if the simulator has none of the sampled parameters.
+            values = {"start.x": 0.0} | _select_supported(simulator.setup, {**task.set, **bodies})
             values = {name: np.broadcast_to(value, draws.number) for name, value in values.items()}
             share = (
                 None
@@ -142,7 +142,7 @@ class PolicyEvaluator:
             seeds = np.random.default_rng([training.seed, draws.key]).integers(
                 1 << 24, size=draws.number
             )
-            push = pushes_of({**task.set, **bodies}, seeds.astype(np.int32))
+            push = make_pushes({**task.set, **bodies}, seeds.astype(np.int32))
             push = default_precision(
                 jax.tree.map(lambda leaf: np.broadcast_to(leaf, draws.number), push)
             )
@@ -161,10 +161,10 @@ class PolicyEvaluator:
         return _table(training, draws.number, parts)
 
 
-def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray]:
-    """Parameters of the unseen bodies and starts (n,): from the ranges and the ensemble of the training.
+def sample_bodies(training: Training, task: Task, draws: BodySample) -> dict[str, np.ndarray]:
+    """Sample the parameters of unseen bodies and starts (n,), by name, from the ranges and the ensemble of the training.
 
-    Each walk has a stream of its own, as in a sweep, so that more walks begin with those of fewer.
+    Each walk has its own random stream, as in a sweep, so that a larger sample begins with the smaller ones.
     """
     ranges, walks = task.randomize, range(draws.number)
     streams = (np.random.default_rng([training.seed, draws.key, walk]) for walk in walks)
@@ -180,7 +180,7 @@ def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.
         else []
     )
     for name in task.sampled:
-        if name not in {*task.set, *ranges}:  # where the evaluation says otherwise
+        if name not in {*task.set, *ranges}:  # values and ranges of the evaluation take precedence
             sampled[name] = np.array([float(sample[name]) for sample in command_samples])
     if task.bodies:
         ensemble = identified.bodies(task.bodies)
@@ -188,16 +188,16 @@ def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.
     return sampled
 
 
-def recorded(
+def record_walks(
     training: Training, policy: Policy, engine: str = "c"
 ) -> Iterator[tuple[str, Recording]]:
-    """Each scene of a training's evaluation, and the policy's walk on its first unseen body from its first start."""
+    """Record the policy's walk on each scene of a training's evaluation, with the first unseen body and start."""
     for setup, task in training.evaluated():
         walk_setup = _setup(setup, policy)
         simulator = Simulator(walk_setup, engine=engine)
-        values = _known(
+        values = _select_supported(
             simulator.setup,
-            {**task.set, **unseen_bodies(training, task, Draws(1, EVALUATION_OFFSET))},
+            {**task.set, **sample_bodies(training, task, BodySample(1, EVALUATION_OFFSET))},
         )
         yield (
             scene_name(str(setup.scene)),
@@ -213,17 +213,17 @@ def played_task(
     seconds: float | None = None,
     values: Mapping[str, float] | None = None,
 ) -> Recording:
-    """A walk in the task of a training, of its evaluation's first unseen body from its first start.
+    """Simulate a walk in the task of a training, with the first unseen body and start of its evaluation.
 
     Args:
-        training: of the task.
-        policy: a policy's file; or `zero`, which never acts, or `random`, see `RandomPolicy`.
-        scene: as in `Setup`; by default the first of the evaluation.
-        seconds: how long; by default as in the evaluation.
-        values: of parameters and commands, by name, instead of what the task sets and draws.
+        training: Training with the task.
+        policy: File of a policy; or `zero`, a policy whose actions are zero, or `random`, see `RandomPolicy`.
+        scene: Scene as in `Setup`; by default the first scene of the evaluation.
+        seconds: Duration [s]; by default the duration of the evaluation.
+        values: Values of parameters and commands, by name, which replace values and ranges of the task.
 
     Raises:
-        ParameterError: there is no such scene, policy or value there, or the policy is not told a command.
+        ParameterError: The scene, policy or parameter does not exist, or the policy does not observe the command.
     """
     values, evaluation = values or {}, training.evaluation
     scenes = (scene or str(training.evaluated()[0][0].scene),)
@@ -239,13 +239,13 @@ def played_task(
     task.check(setup)
     if policy in (ZERO_POLICY, RANDOM_POLICY):
         environment = Environment(setup, worlds=1, task=task)
-        acting = Policy.of(environment, training.algorithm.begin(environment, training.seed))
-        acting = RandomPolicy(**vars(acting)) if policy == RANDOM_POLICY else acting
+        walker = Policy.of(environment, training.algorithm.begin(environment, training.seed))
+        walker = RandomPolicy(**vars(walker)) if policy == RANDOM_POLICY else walker
     else:
-        acting = load_policy(policy, code_place(training.task.observe))
-    commands = acting.observer.commands
-    is_delayed = bool(acting.observer.delayed)
-    noisy = acting.observer.noisy
+        walker = load_policy(policy, custom_code_file(training.task.observe))
+    commands = walker.observer.commands
+    is_delayed = bool(walker.observer.delayed)
+    noisy = walker.observer.noisy
     declared = {f"command.{name}" for name in commands} | (
         {"sensing.delay"} if is_delayed else set()
     )
@@ -262,16 +262,16 @@ def played_task(
             raise ParameterError(
                 f"{name} is given, and the policy was not trained with it: leave it out."
             )
-    return next(recorded(training, acting))[1]
+    return next(record_walks(training, walker))[1]
 
 
 def _as_number(ends: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A termination as a metric's function."""
+    """The function of a metric that is 1 while a termination is true."""
     return lambda sensors: jnp.asarray(ends(sensors), float)
 
 
-def summary_of(table: pa.Table) -> dict[str, Any]:
-    """Share of successes and medians over all walks, for each scene and each of the two: scene -> who -> numbers."""
+def summarize_walks(table: pa.Table) -> dict[str, Any]:
+    """Share of successes and medians over all walks, by scene, walker and metric."""
     names = (
         "scene",
         "controller",
@@ -313,8 +313,8 @@ def _setup(setup: Setup, policy: Policy | None) -> Setup:
     return Setup(**{name: getattr(setup, name) for name in options}, controller=policy_setup)
 
 
-def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that a setup has a name for: a controller alone is not commanded, and has no late sensors."""
+def _select_supported(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values whose names a setup has; a controller without a policy has no commands and no sensor delay."""
     declarations = dict(quantities(setup.world({})))
     return {
         name: value
@@ -337,8 +337,8 @@ def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
     table.add("scene", scenes, "index", "1", "where it walks")
     table.add("controller", walkers, "index", "1", "the policy, or what it acts on alone")
     table.add("body", np.tile(np.arange(n), len(parts)), "index", "1", "which body and start")
-    for name in dict.fromkeys(name for part in parts for name in part.drawn):
-        values = np.concatenate([part.drawn.get(name, np.full(n, np.nan)) for part in parts])
+    for name in dict.fromkeys(name for part in parts for name in part.bodies):
+        values = np.concatenate([part.bodies.get(name, np.full(n, np.nan)) for part in parts])
         table.add(name, values, "randomized", units[name].unit, units[name].doc)
     for name in EVALUATION_METRICS:
         column = np.concatenate([np.asarray(part.result.metrics[name]) for part in parts])

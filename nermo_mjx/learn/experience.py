@@ -1,4 +1,4 @@
-"""Experience and learning state: networks, advantages, the collection of steps in many worlds, and one pytree of it all.
+"""Experience and learning state: networks, advantages, collection of steps in many worlds, and the pytree of a training.
 
 The actor and the critic are two small networks over normalized observations, as plain pytrees. The actor's mean is tanh of
 its last layer, whose weights are zero at first. Therefore an untrained policy has no effect, and a residual starts as the
@@ -141,7 +141,7 @@ def make_layers(key: PRNGKeyArray, sizes: Sequence[int]) -> Layers:
 
 
 def apply(layers: Layers, x: Float[Array, "*batch i"]) -> Float[Array, "*batch o"]:
-    """Output of a network, with tanh after each layer but the last."""
+    """Output of a network, with tanh after each layer except for the last."""
     for weights, bias in layers[:-1]:
         x = jnp.tanh(x @ weights + bias)
     weights, bias = layers[-1]
@@ -307,7 +307,7 @@ def make_collector(
 
 
 def _experience(state: Any, action: Any, next_state: Any, numpy: Any) -> Experience:
-    """The transition of one step, in arrays of `numpy`: NumPy, or `jax.numpy`."""
+    """The transition of one step, in arrays of the module `numpy`: NumPy, or `jax.numpy`."""
 
     def concatenate(*parts: Any) -> Any:
         return numpy.concatenate([numpy.asarray(part, np.float32) for part in parts], axis=-1)
@@ -329,7 +329,7 @@ def _collect_on_host(
     state: Any,
     noise: Float[Values, "t n a"],
 ) -> tuple[Any, Experience]:
-    """Steps of an environment on the host, one by one."""
+    """Simulate the steps of an environment on the host one after another: the last state, and the transitions."""
     steps = []
     for step_noise in noise:
         action = np.asarray(policy(state.observation, step_noise))
@@ -342,13 +342,13 @@ def _collect_on_host(
 def _collect_from_parts(
     mixture: Mixture, policy: Callable[[Any, Any], Array], state: Any, noise: Float[Values, "t n a"]
 ) -> tuple[Any, Experience]:
-    """Steps of several environments on the host. No environment waits for another one, so that all processors are busy."""
+    """Simulate the steps of several environments on the host. Each runs in its own thread, to use all processors."""
     part_inputs = zip(mixture.parts, state.engine, mixture.split(noise, 1), strict=True)
     calls = [
         functools.partial(_collect_on_host, part, policy, part_state, part_noise)
         for part, part_state, part_noise in part_inputs
     ]
-    states, experiences = zip(*mixture.at_once(calls), strict=True)
+    states, experiences = zip(*mixture.run_in_threads(calls), strict=True)
 
     def widen(i: int, values: Float[Values, "t n k"]) -> Float[Values, "t n k"]:
         observation, privileged = np.split(values, [mixture.observation_size], axis=-1)
@@ -378,7 +378,7 @@ def collect_traced(
     state: Any,
     noise: Float[Array, "t n a"],
 ) -> tuple[Any, Experience]:
-    """Steps of a pure environment as one scan."""
+    """Simulate the steps of a pure environment in one scan: the last state, and the transitions."""
 
     def step(state: Any, noise: Array) -> tuple[Any, Experience]:
         action = _act(actor, statistics, state.observation, noise)
@@ -420,7 +420,7 @@ class LearningState:
     def advance(
         self, critic_input: Float[Array, "*batch k"], steps: Any, **changes: Any
     ) -> LearningState:
-        """The state one iteration later, with the critic's inputs in so many steps, and with changed fields."""
+        """The state one iteration later: statistics with the critic's inputs, `steps` more control steps, changed fields."""
         return dataclasses.replace(
             self,
             iteration=self.iteration + 1,
@@ -446,7 +446,7 @@ def make_learning_state(
     observation_size = environment.observation_size
     size = observation_size + environment.privileged_size
 
-    @jax.jit  # compiled as a whole, because each operation outside of it would be a program of its own
+    @jax.jit  # compiled as a whole, because each operation outside of this function would be a separate program
     def initialize(key: PRNGKeyArray) -> LearningState:
         key, first, second = jax.random.split(key, 3)
         actor = make_actor(first, observation_size, environment.action_size, hidden, std)

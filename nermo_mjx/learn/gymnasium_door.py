@@ -1,4 +1,4 @@
-"""The environment as a `gymnasium.vector.VectorEnv`, for trainers that use it; needs the extra `gymnasium`."""
+"""The environment as a `gymnasium.vector.VectorEnv`, for trainers with this interface; needs the extra `gymnasium`."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ __all__ = ["NermoVectorEnv"]
 class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A batch of worlds on MuJoCo's C engine.
 
-    A world whose episode has ended begins the next one in the same step (`AutoresetMode.SAME_STEP`): the last
-    observation is in `infos["final_obs"]`, and `infos["final_info"]` has what the episode was: `status` (its sentence),
-    `distance` [m], `duration` [s], `servo_work` [J], `unsolved` (see `State.episode`), and each term of the reward of
-    the last step. In every step `infos` has `privileged`, for a critic, and the terms.
+    A world whose episode has ended begins the next one in the same step (`AutoresetMode.SAME_STEP`): `infos["final_obs"]`
+    contains the last observation, and `infos["final_info"]` describes the episode: `status` (its sentence), `distance`
+    [m], `duration` [s], `servo_work` [J], `unsolved` (see `State.episode`), and each term of the reward of the last step.
+    In every step, `infos` contains the terms, and `privileged`, the additional input of a critic.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 
-    def __init__(self, environment: Environment | None = None, **given: Any) -> None:
+    def __init__(self, environment: Environment | None = None, **options: Any) -> None:
         """
         Args:
-            environment: on the engine `c`.
-            given: alternatively, the arguments of an environment.
+            environment: Environment on the engine `c`.
+            options: Arguments of an environment, if none is given.
 
         Raises:
-            ValueError: an environment on another engine.
+            ValueError: The environment uses another engine.
         """
-        self.environment = Environment(**given) if environment is None else environment
+        self.environment = Environment(**options) if environment is None else environment
         if self.environment.engine != "c":
             raise ValueError(
                 f"engine is {self.environment.engine!r}: Gymnasium's form runs on 'c'."
@@ -64,12 +64,13 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Begin an episode in all worlds; without a seed the episodes differ each time.
 
         Args:
-            seed: from 0 to 2^64 - 1, one for all worlds, or one for each, whose episodes depend on it alone; a world
-                without (None) gets one at random.
-            options: none are known.
+            seed: Number from 0 to 2^64 - 1 for all worlds, or one for each world, whose episodes depend only on this
+                number; a world with None gets a random one.
+            options: Must be empty.
 
         Raises:
-            ParameterError: another seed or number of seeds, or options, such as a mask of the worlds to reset.
+            ParameterError: A seed is out of range, the number of seeds is wrong, or there are options, such as a mask
+                of the worlds to reset.
         """
         if options:
             raise ParameterError(
@@ -86,7 +87,7 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 )
         first = next((world_seed for world_seed in seeds if world_seed is not None), None)
         super().reset(seed=None if first is None else int(first))
-        # The generator of Gymnasium says which episodes come, so that a seed makes all that follow repeatable.
+        # The generator of Gymnasium determines the episodes, so that a seed makes all later episodes repeatable.
         keys = [
             int(self.np_random.integers(1 << 31)) if world_seed is None else world_seed
             for world_seed in seeds
@@ -99,7 +100,7 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control step of all worlds."""
+        """Simulate one control step of all worlds under the actions (n, a)."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("step was called before reset.")
         state = self._state = self.environment.step(self._state, actions)

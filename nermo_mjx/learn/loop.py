@@ -1,7 +1,7 @@
-"""What runs between ticks of physics in one world driven by a policy: the run loop, and the reward of a step.
+"""The loop of one world under a policy, between ticks of physics: the run loop, and the reward of a control step.
 
-A control step is `Task.decimation` ticks of the run loop under one action. Nothing is measured twice: `observe`
-reads the tick that has just ended without accumulating it, and `step`, which comes next, accumulates it.
+A control step is `Task.decimation` ticks of the run loop under one action. Each tick is measured once: `observe`
+reads the tick that has just ended without accumulating it, and the following `step` accumulates it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from jaxtyping import Float
 from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.protocol import Ground
 from nermo_mjx.learn import observing
-from nermo_mjx.learn.acting import Acting
+from nermo_mjx.learn.acting import ActionController
 from nermo_mjx.learn.observing import Observer
-from nermo_mjx.learn.own import is_own, own_readings, own_terminations
-from nermo_mjx.learn.task import TERMS, EpisodeParameters, Moment, Outcome, Task, Term, chosen_terms
+from nermo_mjx.learn.own import custom_readings, custom_terminations, is_custom
+from nermo_mjx.learn.task import TERMS, EpisodeParameters, Moment, Outcome, Task, Term, select_terms
 from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.rollout import metrics
@@ -31,16 +31,17 @@ from nermo_mjx.rollout.metrics import MetricState
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 
 
-class Observed(NamedTuple):
+class StepResult(NamedTuple):
     """The result of a control step in one world.
 
     Attributes:
-        observation, privileged: for the policy (o,), and for a critic (p,).
-        reward: of the step.
-        terms: name -> value of each term, in its unit.
-        terminated, truncated: whether the episode ended there, and whether it was only cut off.
-        status: place of the sentence in `Outcome`.
-        episode: of the episode so far: `distance` [m], `duration` [s], `servo_work` [J], and `unsolved`, see `State`.
+        observation, privileged: Input of the policy (o,), and additional input of a critic (p,).
+        reward: Reward of the step.
+        terms: Value of each term of the reward in its unit, by name.
+        terminated, truncated: Whether the episode failed, and whether it was cut off.
+        status: Index of the member of `Outcome`.
+        episode: Totals of the episode so far: `distance` [m], `duration` [s], `servo_work` [J], and `unsolved`, see
+            `State`.
     """
 
     observation: Float[Array, " o"]
@@ -56,14 +57,14 @@ class Observed(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class EpisodeState:
-    """What is carried from tick to tick in one world.
+    """The state of one world between two ticks.
 
     Attributes:
-        loop: state of the run loop.
-        before: metrics at the start of the control step.
-        speed: smoothed over a gait cycle [m/s].
-        memory: readings of the last ticks, newest first.
-        action, last_action: of this control step, and of the one before.
+        loop: State of the run loop.
+        before: Metrics at the start of the control step.
+        speed: Speed, smoothed over a gait cycle [m/s].
+        memory: Readings of the last ticks, newest first.
+        action, last_action: Actions of this control step and of the previous one, in [-1, 1].
     """
 
     loop: LoopState
@@ -75,26 +76,26 @@ class EpisodeState:
 
 
 class EpisodeLoop:
-    """Implements `physics.engine.DrivenLoop`: the run loop of a robot under a task."""
+    """The run loop of a robot under a task, a `physics.engine.DrivenLoop`."""
 
     def __init__(
-        self, robot: Robot, controller: Acting, task: Task, sampled_names: tuple[str, ...]
+        self, robot: Robot, controller: ActionController, task: Task, sampled_names: tuple[str, ...]
     ) -> None:
         """
         Args:
-            robot, controller: what walks, and what is acted on.
-            task: what is observed and rewarded, and when an episode ends.
-            sampled_names: names of what differs between episodes.
+            robot, controller: Robot, and its controller under the actions.
+            task: Observations, rewards and ends of episodes.
+            sampled_names: Names of the parameters that differ between episodes.
 
         Raises:
-            ParameterError: a group of observations or a term of the reward that there is not, or an ending that needs a
-                path where there is none.
+            ParameterError: A group of observations or a term of the reward does not exist, or `corridor` is given and
+                the controller does not follow a path.
         """
         self.robot, self.task, self.controller = robot, task, controller
         self.run = ClosedLoop(robot, controller)
         self.dt = controller.dt
-        self.terms: dict[Term, float] = chosen_terms(task.rewards, task.commanded)
-        self.terminations = own_terminations(robot.config, task.terminations)
+        self.terms: dict[Term, float] = select_terms(task.rewards, task.commanded)
+        self.terminations = custom_terminations(robot.config, task.terminations)
         for name in task.sampled:
             if name in {*task.set, *task.randomize}:
                 raise ParameterError(
@@ -102,7 +103,7 @@ class EpisodeLoop:
                 )
 
         def first(data: Array) -> tuple[Any, Any]:
-            """The gait's phase and the path's point, where the controller has them."""
+            """The phase of the gait and the point of the path; None if the controller does not have it."""
             params, sensors = controller.parameters, robot.sensors(data)
             state = controller.init(params, sensors, jnp.zeros(()))
             return getattr(state.control, "phase", None), controller.path(
@@ -118,7 +119,7 @@ class EpisodeLoop:
             "sensing.delay", (0.0, float(task.set.get("sensing.delay", 0.0)))
         )
         self.observer = Observer(
-            groups=tuple(group for group in task.observe if not is_own(group)),
+            groups=tuple(group for group in task.observe if not is_custom(group)),
             commands=task.commanded,
             actions=controller.kind.names,
             phase=self.has_phase,
@@ -126,7 +127,7 @@ class EpisodeLoop:
             delayed=math.ceil(delay / self.dt - 1e-6),
             noisy=any(name.startswith("sensing.") and name.endswith("_noise") for name in names),
             dt=self.dt,
-            own=tuple(own_readings(robot.config, task.observe).items()),
+            custom_groups=tuple(custom_readings(robot.config, task.observe).items()),
         )
         for term in self.terms:
             if term not in TERMS.values():
@@ -141,7 +142,7 @@ class EpisodeLoop:
         return self.run.steps_per_tick
 
     def input(self, params: EpisodeParameters) -> Float[Array, " a"]:
-        """See `DrivenLoop`: the action."""
+        """The action; see `DrivenLoop`."""
         return params.loop.control.action
 
     def with_input(
@@ -172,7 +173,7 @@ class EpisodeLoop:
         }
         current = {name: getattr(state, name) for name in first}
         fields = jax.tree.map(functools.partial(jnp.where, begins), first, current)
-        memory = self.observer.remembered(
+        memory = self.observer.update_memory(
             state.memory, self.observer.readings(sensors, self._ground(params))
         )
         following = EpisodeState(loop=loop, speed=speed, memory=memory, **fields)
@@ -180,8 +181,8 @@ class EpisodeLoop:
 
     def observe(
         self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]
-    ) -> Observed:
-        """See `DrivenLoop.observe`: what the control step that has just ended gave, or the start of an episode."""
+    ) -> StepResult:
+        """The result of the control step that has just ended, or of the start of an episode; see `DrivenLoop.observe`."""
         now = self.run.measure(params.loop, state.loop, sensordata)
         speed = self._speed(params, state, now)
         sensors = self.run.last_reading(now, sensordata)
@@ -192,7 +193,7 @@ class EpisodeLoop:
             sensors=sensors,
             seconds=jnp.asarray(self.dt * self.task.decimation),
             speed=speed,
-            command={name: getattr(params.given.command, name) for name in self.task.commanded},
+            command={name: getattr(params.inputs.command, name) for name in self.task.commanded},
             action=state.action,
             last_action=state.last_action,
             failed=failed,
@@ -201,8 +202,8 @@ class EpisodeLoop:
         reward, values = self._reward(moment, state.loop.tick > 0)
         control, geometry = params.loop.control, geometry_of(params.loop.control.control)
         path = self.controller.path(control, state.loop.control, sensors.position)
-        informed = self.observer.informed(
-            params.given.command, state.loop.control.control, path, state.action, geometry
+        inputs = self.observer.collect_inputs(
+            params.inputs.command, state.loop.control.control, path, state.action, geometry
         )
         key = (
             jax.random.fold_in(jax.random.key(params.seed), state.loop.tick)
@@ -211,17 +212,17 @@ class EpisodeLoop:
         )
         ground = self._ground(params)
         observation = self.observer.observe(
-            params.given.sensing, state.memory, sensors, informed, key, ground
+            params.inputs.sensing, state.memory, sensors, inputs, key, ground
         )
         exact = jnp.concatenate(
-            [self.observer.readings(sensors, ground), self.observer.told(informed, sensors)]
+            [self.observer.readings(sensors, ground), self.observer.input_values(inputs, sensors)]
         )
         remaining = (params.ticks - state.loop.tick) / self.task.ticks(self.dt)
         privileged_values = observing.privileged(
-            exact, sensors, ground, now.readings[2], remaining, params.drawn, self.has_path
+            exact, sensors, ground, now.readings[2], remaining, params.sample, self.has_path
         )
         cut = (status == _code(Outcome.timed_out)) | (status == _code(Outcome.arrived))
-        return Observed(
+        return StepResult(
             observation=observation.astype(jnp.float32),
             privileged=privileged_values.astype(jnp.float32),
             reward=reward,
@@ -233,14 +234,14 @@ class EpisodeLoop:
                 "distance": now.travelled,
                 "duration": state.loop.time,
                 "servo_work": now.sums["work"],
-                "unsolved": jnp.zeros(()),  # the engine knows
+                "unsolved": jnp.zeros(()),  # the engine replaces this value
             },
         )
 
     def _reward(self, moment: Moment, begun: Truth) -> tuple[Scalar, dict[str, Scalar]]:
         """The reward of a control step, and the values of its terms; zero before the first step."""
         values = {term.name: jnp.where(begun, term.of(moment), 0.0) for term in self.terms}
-        # A world that diverged gives none; it is restarted.
+        # A world that diverged has no finite values; it is restarted.
         values = {
             name: jnp.where(moment.now.lost & (name != "failed"), 0.0, value)
             for name, value in values.items()
@@ -252,7 +253,7 @@ class EpisodeLoop:
         return functools.partial(self.robot.terrain.height, shape=params.loop.terrain)
 
     def _moment_at_rest(self) -> Moment:
-        """Of a robot that has not moved."""
+        """The control step of a robot that has not moved."""
         sensors, zero = at_rest(self.robot.config), jnp.zeros(())
         with jax.ensure_compile_time_eval():
             still, no = metrics.init(sensors), jnp.zeros((), bool)
@@ -264,7 +265,7 @@ class EpisodeLoop:
     def _status(
         self, params: EpisodeParameters, state: EpisodeState, now: MetricState, sensors: Sensors
     ) -> tuple[Count, Truth]:
-        """How the episode stands, and whether it failed."""
+        """Index of the episode's outcome, and whether the episode failed."""
         task, no = self.task, jnp.zeros((), bool)
         ended = functools.reduce(
             jnp.logical_or, (ends(sensors) for ends in self.terminations.values()), no

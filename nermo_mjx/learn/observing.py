@@ -1,6 +1,6 @@
 """What a policy observes: groups of readings of the real robot's sensors, with delay and noise, and its commands.
 
-A critic may know more (`privileged`), since it is not used after training.
+A critic receives additional values (`privileged`), because only the training needs it.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from nermo_mjx.shapes import Array, Scalar
 
 Vector = Float[Array, " k"]
 
-#: The longest delay that readings may have [s].
+#: Longest delay of readings [s].
 LONGEST_DELAY: Final = 0.1
 _AXIS_NAMES: Final = ("x", "y", "z")
 
 
 @parameter_tree
 class Sensing:
-    """Delay and noise of the sensor readings that reach the policy; noise is normal, and new in each control tick."""
+    """Delay and noise of the policy's sensor readings; the noise is normal, and independent in each control tick."""
 
     delay: Any = quantity(0.0, "s", 0.0, LONGEST_DELAY, "age of the readings that a policy gets")
     servo_angle_noise: Any = quantity(0.0, "rad", 0.0, 1.0, "of the servos' angles")
@@ -51,13 +51,14 @@ class Sensing:
 
 @dataclasses.dataclass(frozen=True)
 class Sensed:
-    """What a policy observes of a reading.
+    """A group of sensor readings that a policy observes.
 
     Attributes:
-        read: the readings of one world, in SI units, from its sensors and, with `ground`, the ground's height.
-        scale: what is observed is the reading over this, so that it is about 1. Its noise is a field of `Sensing`.
-        labels: of the numbers of one's own; "" for one without a label.
-        ground: whether `read` gets, beside the sensors, a function from (x, y) in the world to the ground's height [m].
+        read: Function from the sensors of one world and, with `ground`, the ground's height to the readings, in SI units.
+        scale: Divisor of the readings, so that the observed values are about 1. The noise of the readings of the package
+            is a field of `Sensing`.
+        labels: Labels of the numbers of custom readings; "" for one number without a label.
+        ground: Whether `read` has a second argument, a function from (x, y) in the world to the ground's height [m].
     """
 
     read: Callable[..., Vector]
@@ -73,15 +74,15 @@ def projected_gravity(sensors: Sensors) -> Float[Array, " 3"]:
 
 
 def contact(sensors: Sensors) -> Float[Array, " 4"]:
-    """0 for a foot without load, 1 for a loaded one."""
+    """1 for each foot with load, 0 for the others."""
     none, full = LOADED
     return jnp.clip((sensors.foot_force - none) / (full - none), 0.0, 1.0)
 
 
 def current(sensors: Sensors) -> Float[Array, " k"]:
-    """Current in each servo's motor [A], which rises with its torque's magnitude (`rollout.electrical`).
+    """Current of each servo's motor [A], which increases with the magnitude of the torque (`rollout.electrical`).
 
-    The sensor is calibrated with the constants of the published servo, whatever body is drawn; without back-EMF.
+    The sensor is calibrated with the constants of the published servo, for any sampled body, and ignores back-EMF.
     """
     servo = ModelParameters().servo
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
@@ -89,10 +90,10 @@ def current(sensors: Sensors) -> Float[Array, " k"]:
 
 
 def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> Float[Array, " 12"]:
-    """Heights of the ground at `SCANNED` over that beneath the torso, at most 0.05 up or down [m].
+    """Heights of the ground at `SCANNED`, relative to the height beneath the torso, clipped to +-0.05 [m].
 
-    The grid turns with the torso's `yaw` [rad], by default that of its attitude, and stays level, as the term of this
-    name does in Isaac Lab and mjlab, which count down from the robot instead. Obstacles are no ground.
+    The grid turns with the torso's `yaw` [rad], by default the yaw of its attitude, and stays level, like the term of
+    this name in Isaac Lab and mjlab, whose values are depths below the robot instead. Obstacles do not count as ground.
     """
     x, y, _ = sensors.position
     left_direction, ahead = directions(attitude(sensors.orientation)[2] if yaw is None else yaw)
@@ -105,12 +106,12 @@ def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> 
 
 
 def directions(yaw: Scalar) -> tuple[Array, Array]:
-    """The torso's left and ahead on the ground, (2,) each."""
+    """Unit vectors to the left of the torso and ahead on the ground, (2,) each, for a `yaw` [rad]."""
     return jnp.stack([jnp.cos(yaw), jnp.sin(yaw)]), jnp.stack([jnp.sin(yaw), -jnp.cos(yaw)])
 
 
-#: What the robot senses, and the ground's heights, by names of `READINGS`. Currents are what a motor's supply shows of
-#: its torque: no sign.
+#: Readings of the robot's sensors, and heights of the ground, by names of `READINGS`. Currents have no sign, because a
+#: motor's supply shows only the magnitude of the torque.
 SENSED_READINGS: Final[dict[str, Sensed]] = {
     "servo_angle": Sensed(lambda s: s.servo_angle[: len(ACTION_SERVOS)]),
     "servo_torque": Sensed(lambda s: s.servo_torque[: len(ACTION_SERVOS)], 0.1),
@@ -127,16 +128,16 @@ _FORMER_READINGS: Final = {
     "servo_current": "motor_current",
     "tilt": "projected_gravity",
 }
-#: What files of former versions call readings and their noise.
+#: Names of readings and their noise in files of former versions, with the present names.
 FORMER_NAMES: Final = _FORMER_READINGS | {
     f"sensing.{old}_noise": f"sensing.{new}_noise" for old, new in _FORMER_READINGS.items()
 }
 
 
-def today(name: str) -> str:
-    """The name of an observation's number, of which a former version wrote `servo_load.spine` and `gyro.x`.
+def current_name(name: str) -> str:
+    """The present name of a number of an observation; a former version wrote `servo_load.spine` and `gyro.x`.
 
-    >>> today("servo_load.spine"), today("gyro.x"), today("phase.cos")
+    >>> current_name("servo_load.spine"), current_name("gyro.x"), current_name("phase.cos")
     ('spine_servo_torque', 'gyro_x', 'phase.cos')
     """
     group, _, label = name.partition(".")
@@ -146,8 +147,8 @@ def today(name: str) -> str:
     return f"{group}_{label}" if label in _AXIS_NAMES else f"{label}_{group}"
 
 
-#: Other inputs of a policy: the gait's phase as cosine and sine, the command, where it is beside the path, the path's
-#: curvature there, and its own last action.
+#: Other inputs of a policy: the gait's phase as cosine and sine, the command, the robot's distance from the path, the
+#: curvature of the path there, and the policy's last action.
 POLICY_INPUTS: Final = ("phase", "command", "path", "curvature", "action")
 #: Default observation of a policy.
 DEFAULT_OBSERVATION: Final = (
@@ -164,15 +165,15 @@ DEFAULT_OBSERVATION: Final = (
 )
 
 
-class Told(NamedTuple):
-    """What is known in one world apart from its sensors.
+class InternalInputs(NamedTuple):
+    """Inputs of a policy in one world that do not come from sensors.
 
     Attributes:
-        phase: of the gait cycle, where the controller has one.
-        command: commanded values, (c,).
-        path: point of the path beside the torso, where there is a path.
-        action: the last one.
-        geometry: of the robot, as its controller knows it.
+        phase: Phase of the gait [cycles]; None if the controller does not have a phase.
+        command: Commanded values (c,).
+        path: Point of the path beside the torso; None if the controller does not follow a path.
+        action: Last action (a,).
+        geometry: Geometry of the robot in the parameters of its controller.
     """
 
     phase: Scalar | None
@@ -187,14 +188,14 @@ class Observer:
     """Makes observations of one world.
 
     Attributes:
-        groups: names of `SENSED_READINGS` and `POLICY_INPUTS`, in the order in which they are observed.
-        commands: names of what is commanded.
-        actions: names of the actions.
-        phase, path: whether the controller has a phase and a path.
-        delayed: largest delay of readings, in control ticks.
-        noisy: whether there is noise.
-        dt: length of a control tick [s].
-        own: name and readings of each group of one's own, observed after those of `SENSED_READINGS`.
+        groups: Names from `SENSED_READINGS` and `POLICY_INPUTS`, in the order of the observation.
+        commands: Names of the commanded values.
+        actions: Names of the numbers of an action.
+        phase, path: Whether the controller has a phase and a path.
+        delayed: Longest delay of the readings, in control ticks.
+        noisy: Whether the readings have noise.
+        dt: Length of a control tick [s].
+        custom_groups: Name and readings of each custom group, which follow the groups of `SENSED_READINGS`.
     """
 
     groups: tuple[str, ...]
@@ -205,7 +206,7 @@ class Observer:
     delayed: int
     noisy: bool
     dt: float
-    own: tuple[tuple[str, Sensed], ...] = ()
+    custom_groups: tuple[tuple[str, Sensed], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -219,43 +220,43 @@ class Observer:
                 )
 
     @property
-    def sensed(self) -> dict[str, Sensed]:
-        """The groups that come from sensors, by name."""
+    def sensor_groups(self) -> dict[str, Sensed]:
+        """The groups of sensor readings, by name."""
         return {
             name: SENSED_READINGS[name] for name in self.groups if name in SENSED_READINGS
-        } | dict(self.own)
+        } | dict(self.custom_groups)
 
     @property
     def sees_path(self) -> bool:
-        """Whether an observation says where the path is."""
+        """Whether an observation contains the position of the path."""
         return self.path and not {"path", "curvature"}.isdisjoint(self.groups)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of every number of an observation, such as `gyro_x`."""
-        told_labels = {
+        """Names of the numbers of an observation (o,), such as `gyro_x`."""
+        input_labels = {
             "phase": ("cos", "sin") if self.phase else (),
             "command": self.commands,
             "path": ("error", "heading") if self.path else (),
             "curvature": ("path",) if self.path else (),
             "action": self.actions,
         }
-        labels = {name: _names(name, group) for name, group in self.sensed.items()}
+        labels = {name: _names(name, group) for name, group in self.sensor_groups.items()}
         labels |= {
-            name: tuple(f"{name}.{label}" for label in told_labels[name])
+            name: tuple(f"{name}.{label}" for label in input_labels[name])
             for name in POLICY_INPUTS
             if name in self.groups
         }
         return tuple(itertools.chain.from_iterable(labels.values()))
 
     def readings(self, sensors: Sensors, ground: Ground | None = None) -> Vector:
-        """Current sensor readings, scaled; `ground` gives its height at (x, y), where it is known.
+        """Present sensor readings, scaled (k,); `ground` is a function from (x, y) to the ground's height [m].
 
         Raises:
-            ParameterError: it is not known, and a group needs it.
+            ParameterError: `ground` is None, and a group needs it.
         """
         parts = []
-        for name, group in self.sensed.items():
+        for name, group in self.sensor_groups.items():
             if group.ground and ground is None:
                 raise ParameterError(
                     f"controller observes {name}, and nothing tells it the ground's height: give it a robot's scene, "
@@ -267,13 +268,13 @@ class Observer:
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def memory(self, readings: Vector) -> Float[Array, "ticks k"]:
-        """Readings of the last ticks, at the start: newest first."""
+        """The initial memory: the same readings for all of the last ticks."""
         return jnp.tile(readings, (self.delayed, 1))
 
-    def remembered(
+    def update_memory(
         self, memory: Float[Array, "ticks k"], readings: Vector
     ) -> Float[Array, "ticks k"]:
-        """The memory one tick later."""
+        """The memory one tick later, newest readings first."""
         return jnp.concatenate([readings[None], memory[:-1]]) if self.delayed else memory
 
     def observe(
@@ -281,14 +282,14 @@ class Observer:
         sensing: Sensing,
         memory: Float[Array, "ticks k"],
         sensors: Sensors,
-        told: Told,
+        inputs: InternalInputs,
         key: Any,
         ground: Ground | None = None,
     ) -> Vector:
-        """The observation: readings, as late and as noisy as `sensing` says, and the policy's other inputs.
+        """The observation (o,): readings with the delay and noise of `sensing`, and the policy's other inputs.
 
-        `memory` has earlier readings, newest first; between two ticks they are interpolated. `key` is of the noise,
-        `ground` as in `readings`.
+        `memory` contains earlier readings, newest first, which are interpolated between two ticks. `key` is the random
+        key of the noise, and `ground` is as in `readings`.
         """
         readings = self.readings(sensors, ground)
         if self.delayed:
@@ -299,40 +300,42 @@ class Observer:
             readings = newest_first[index] + share * (newest_first[index + 1] - newest_first[index])
         if self.noisy:
             spread = []
-            for name, group in self.sensed.items():
+            for name, group in self.sensor_groups.items():
                 noise = getattr(sensing, f"{name}_noise", 0.0)
                 spread.append(
                     jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(_names(name, group)),))
                 )
             noise = jax.random.normal(key, readings.shape, readings.dtype)
             readings = readings + jnp.concatenate(spread) * noise
-        return jnp.concatenate([readings, self.told(told, sensors)])
+        return jnp.concatenate([readings, self.input_values(inputs, sensors)])
 
-    def informed(
+    def collect_inputs(
         self, command: Any, control: Any, path: PathPoint | None, action: Vector, geometry: Geometry
-    ) -> Told:
-        """What is known apart from the sensors: from a `Command`, the controller's state, and the rest of `Told`."""
+    ) -> InternalInputs:
+        """Collect the inputs that do not come from sensors, from a `Command` and the state `control` of the controller."""
         orders = [jnp.asarray(getattr(command, name), float) for name in self.commands]
         phase = control.phase if self.phase else None
-        return Told(phase, jnp.stack(orders) if orders else jnp.zeros(0), path, action, geometry)
+        return InternalInputs(
+            phase, jnp.stack(orders) if orders else jnp.zeros(0), path, action, geometry
+        )
 
-    def told(self, told: Told, sensors: Sensors) -> Vector:
-        """The policy's inputs other than readings."""
-        parts: dict[str, Vector] = {"command": told.command, "action": told.action}
-        if told.phase is not None:
-            turn = 2.0 * jnp.pi * told.phase
+    def input_values(self, inputs: InternalInputs, sensors: Sensors) -> Vector:
+        """Values of the policy's inputs other than readings."""
+        parts: dict[str, Vector] = {"command": inputs.command, "action": inputs.action}
+        if inputs.phase is not None:
+            turn = 2.0 * jnp.pi * inputs.phase
             parts["phase"] = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
-        if told.path is not None:
+        if inputs.path is not None:
             parts["path"] = jnp.stack(
-                [told.path.error / 0.1, heading(told.path, sensors, told.geometry)]
+                [inputs.path.error / 0.1, heading(inputs.path, sensors, inputs.geometry)]
             )
-            parts["curvature"] = jnp.reshape(told.path.curvature * 0.5, 1)
+            parts["curvature"] = jnp.reshape(inputs.path.curvature * 0.5, 1)
         selected = [parts[name] for name in POLICY_INPUTS if name in self.groups and name in parts]
         return jnp.concatenate(selected) if selected else jnp.zeros(0)
 
 
 def _names(name: str, group: Sensed) -> tuple[str, ...]:
-    """Of every number of a group of readings."""
+    """Names of the numbers of a group of readings."""
     labels = tuple(f"{name}_{label}" if label else name for label in group.labels)
     return labels or tuple(reading_names(name, ACTION_SERVOS))
 
@@ -340,7 +343,7 @@ def _names(name: str, group: Sensed) -> tuple[str, ...]:
 def privileged_names(
     observed: Sequence[str], sampled_names: Sequence[str], path: bool
 ) -> tuple[str, ...]:
-    """Of every number that `privileged` gives."""
+    """Names of the numbers of `privileged`."""
     return (
         *(f"exact.{name}" for name in observed),
         *(f"velocity.{axis}" for axis in _AXIS_NAMES),
@@ -365,10 +368,11 @@ def privileged(
     sampled: Vector,
     path: bool,
 ) -> Vector:
-    """What the critic knows: the observation without delay and noise (`exact`), motion, ground, and body.
+    """Additional input of the critic (p,): the observation without delay and noise (`exact`), motion, ground, and body.
 
-    `ground` is its height at (x, y) [m], `yaw` that of the torso [rad], `time_left` the share of the episode, `drawn`
-    what was drawn for it, in [-1, 1], and `path` is whether the observation says where the robot heads.
+    `ground` is a function from (x, y) to the ground's height [m], `yaw` the yaw of the torso [rad], `time_left` the
+    remaining share of the episode, and `sampled` contains the sampled parameters of the episode, scaled to [-1, 1].
+    Without a `path`, the yaw is a part of the input.
     """
     x, y, z = sensors.position
     left_direction, ahead = directions(yaw)

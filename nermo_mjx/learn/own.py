@@ -1,7 +1,8 @@
-"""Functions of one's own in a task: rewards, observations, terminations, and what draws an episode's commands.
+"""Custom functions of a task: rewards, observations, terminations, and the sampler of an episode's commands.
 
-A task names one as FILE.py:NAME or MODULE:NAME, in Python also by the function itself. Each is compiled and called for
-a robot at rest before anything is simulated, so that what is wrong with it is one sentence, with its file and line.
+A task refers to a function as FILE.py:NAME or MODULE:NAME, in Python also by the function itself. Each function is
+compiled and called for a robot at rest before the first simulation, so that a mistake in it is reported in one sentence
+with the file and the line.
 """
 
 from __future__ import annotations
@@ -21,26 +22,26 @@ from nermo_mjx.robot import ParameterError, RobotConfig, Sensors
 from nermo_mjx.rollout.custom_metrics import at_rest, described, numbers_at_rest
 from nermo_mjx.runtime import start_jax
 
-#: Draws what an episode is given: (key, control steps of the training so far) -> values by parameters' names.
+#: Samples commands of an episode: (key, control steps of the training so far) -> values by names of parameters.
 Sampler = Callable[[Any, Any], Mapping[str, Any]]
 
 
-def is_own(value: Any) -> bool:
-    """Whether an entry of a task is of one's own: an object, or a text with a colon.
+def is_custom(value: Any) -> bool:
+    """Whether an entry of a task is a custom one: an object, or a text with a colon.
 
-    >>> is_own("my.py:spine_rate"), is_own("progress")
+    >>> is_custom("my.py:spine_rate"), is_custom("progress")
     (True, False)
     """
     return not isinstance(value, str) or ":" in value
 
 
-def own_object(field: str, value: Any) -> Any:
-    """What a text names, or the object itself; raises `ParameterError`."""
+def custom_object(field: str, value: Any) -> Any:
+    """The object to which a text refers, or the object itself; raises `ParameterError`."""
     return load_object(named_object(f"{field} has", value)) if isinstance(value, str) else value
 
 
-def own_name(value: Any) -> str:
-    """Of an entry of one's own: that of the object in its file, or of the function."""
+def custom_name(value: Any) -> str:
+    """Name of a custom entry: the name of the object in its file, or of the function."""
     if isinstance(value, str):
         return value.rpartition(":")[2]
     return getattr(
@@ -48,9 +49,9 @@ def own_name(value: Any) -> str:
     )
 
 
-def own_function(field: str, value: Any) -> Callable[..., Any]:
-    """A function of one's own; raises `ParameterError` if it is none."""
-    function = own_object(field, value)
+def custom_function(field: str, value: Any) -> Callable[..., Any]:
+    """A custom function; raises `ParameterError` if the value is not a function."""
+    function = custom_object(field, value)
     if not callable(function) or isinstance(function, type):
         raise ParameterError(
             f"{field} has {value!r}, which is {described(function)}: expected a function."
@@ -58,22 +59,22 @@ def own_function(field: str, value: Any) -> Callable[..., Any]:
     return function
 
 
-def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sensed]:
-    """The groups of readings of one's own among those that a task observes, by name.
+def custom_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sensed]:
+    """The custom groups of readings in the observations of a task, by name.
 
     Raises:
-        ParameterError: one fails, gives no finite numbers, or has a name that is taken.
+        ParameterError: A function fails, does not return finite numbers, or its name is in use.
     """
     readings: dict[str, Sensed] = {}
-    for reference in filter(is_own, observe):
-        name = own_name(reference)
+    for reference in filter(is_custom, observe):
+        name = custom_name(reference)
         if name in (*SENSED_READINGS, *POLICY_INPUTS, *readings):
             raise ParameterError(
                 f"observe has {reference!r}, but {name} is observed already: give it another name."
             )
-        group = own_object("observe", reference)
+        group = custom_object("observe", reference)
         if not isinstance(group, Sensed):
-            group = Sensed(own_function("observe", reference))
+            group = Sensed(custom_function("observe", reference))
         readings[name] = _readings(config, name, group)
     return readings
 
@@ -102,17 +103,17 @@ def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
     return Sensed(read, group.scale, labels, group.ground)
 
 
-def own_terminations(
+def custom_terminations(
     config: RobotConfig, references: Iterable[Any]
 ) -> dict[str, Callable[[Sensors], Any]]:
-    """The terminations of a task by name, functions of the sensors that are true where an episode fails.
+    """The terminations of a task by name: functions of the sensors that are true if an episode has failed.
 
     Raises:
-        ParameterError: one fails, gives anything but one truth, or there are two of one name.
+        ParameterError: A function fails, does not return one boolean, or two functions have the same name.
     """
     conditions: dict[str, Callable[[Sensors], Any]] = {}
     for reference in references:
-        name, function = own_name(reference), own_function("terminations", reference)
+        name, function = custom_name(reference), custom_function("terminations", reference)
         subject = f"terminations has {function_place(name, function)}"
         value = numbers_at_rest(subject, function, at_rest(config))
         if value.dtype != bool:
@@ -127,15 +128,15 @@ def own_terminations(
     return conditions
 
 
-#: How many draws of a sampler are checked, at the beginning of a training and after it.
+#: Number of samples of a sampler that are checked for the first step of a training, and for an evaluation.
 _CHECKED_SAMPLES = 64
 
 
 @functools.lru_cache(maxsize=32)
-def _drawn(reference: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
-    """Where a sampler stands, and values that it draws, by parameter (2 * _CHECKED_SAMPLES,)."""
-    function = own_function("commands", reference)
-    subject = f"commands has {function_place(own_name(reference), function)}"
+def _sample_commands(reference: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
+    """The place of a sampler's code for messages, and sampled values by parameter (2 * _CHECKED_SAMPLES,)."""
+    function = custom_function("commands", reference)
+    subject = f"commands has {function_place(custom_name(reference), function)}"
     start_jax()
     keys = jnp.tile(jax.random.split(jax.random.key(0), _CHECKED_SAMPLES), 2)
     with user_code(f"{subject}, which fails"):
@@ -158,28 +159,28 @@ def _drawn(reference: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
     return subject, {name: np.asarray(values, float) for name, values in samples.items()}
 
 
-def drawn_by(commands: Any) -> tuple[str, dict[str, np.ndarray]]:
-    """The beginning of messages about a sampler, and values that it draws, by the names of parameters.
+def sample_commands(commands: Any) -> tuple[str, dict[str, np.ndarray]]:
+    """The beginning of messages about a sampler of commands, and sampled values (2 * _CHECKED_SAMPLES,) by parameter.
 
     Raises:
-        ParameterError: it fails, or gives anything but finite numbers.
+        ParameterError: The sampler fails, or does not return finite numbers.
     """
     content = (
         named_object("commands has", commands).content() if isinstance(commands, str) else None
     )
-    return _drawn(commands, content)
+    return _sample_commands(commands, content)
 
 
-def code_place(observe: Iterable[Any]) -> str:
-    """The file or module of the observations of one's own that a task names; empty if it names none.
+def custom_code_file(observe: Iterable[Any]) -> str:
+    """The file or module of a task's custom observations; empty if there are none.
 
     Raises:
-        ParameterError: they are in several, which a policy cannot name.
+        ParameterError: The observations are in several files; a policy can only refer to one.
     """
     references = [
         named_object("observe has", name)
         for name in observe
-        if isinstance(name, str) and is_own(name)
+        if isinstance(name, str) and is_custom(name)
     ]
     places = list(dict.fromkeys(name.place for name in references))
     if len(places) > 1:

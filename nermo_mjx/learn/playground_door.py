@@ -1,6 +1,6 @@
 """The environment as an `MjxEnv` of MuJoCo Playground, in its registry; needs the extra `playground`.
 
-Importing this module registers `NermoFlat` and one environment for each terrain (`NermoPlanks`, ...); `register`
+An import of this module registers `NermoFlat` and one environment for each terrain (`NermoPlanks`, ...); `register`
 adds others.
 """
 
@@ -22,8 +22,8 @@ except ModuleNotFoundError as error:
     raise ModuleNotFoundError(message, name=error.name) from None
 
 from nermo_mjx.dynamics.mjx_import import mjx
-from nermo_mjx.learn.environment import Environment, MjxWorlds, World, picked
-from nermo_mjx.learn.own import is_own, own_name
+from nermo_mjx.learn.environment import Environment, MjxWorlds, World, select
+from nermo_mjx.learn.own import custom_name, is_custom
 from nermo_mjx.learn.task import Outcome, Task, Term
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.terrains import TERRAINS
@@ -35,7 +35,7 @@ _ARRIVAL_CODE: Final = list(Outcome).index(Outcome.arrived)
 
 
 def default_config(setup: Setup | None = None, task: Task | None = None) -> ConfigDict:
-    """What may be overridden when the environment is loaded, by the names that Playground's environments use.
+    """The options of the environment, which you can override when you load it, by the names of Playground.
 
     Returns:
         `ctrl_dt` and `sim_dt` [s], `episode_length` in control steps, `action_repeat`, `impl` of the physics (`jax`),
@@ -57,12 +57,12 @@ def default_config(setup: Setup | None = None, task: Task | None = None) -> Conf
 
 
 class NermoMjxEnv(MjxEnv):
-    """One world on MJX, to be batched with `jax.vmap`; `reset` and `step` are pure.
+    """One world on MJX. `reset` and `step` are pure functions, so that `jax.vmap` makes a batch of worlds.
 
-    Observations are `state`, for the policy, and `privileged_state`, for a critic. An episode is `done` where the robot
-    failed, or has walked the task's distance; time limits are a matter of Playground's wrappers. What the episode drew
-    and what the controller carries is in `info["world"]`; where a wrapper restores the initial `data` of a world, its
-    episode restarts there. Of `data`, time, state, controls and sensors are those of the world.
+    The observations are `state`, for the policy, and `privileged_state`, for a critic. An episode is `done` if the robot
+    failed, or has walked the task's distance; Playground's wrappers apply time limits. `info["world"]` contains the
+    parameters of the episode and the state of the controller. If a wrapper restores the initial `data` of a world, the
+    episode restarts. Only the time, state, controls and sensors in `data` are up to date.
     """
 
     def __init__(
@@ -75,13 +75,13 @@ class NermoMjxEnv(MjxEnv):
     ) -> None:
         """
         Args:
-            config: as `default_config` gives it for this setup and task.
-            config_overrides: of single fields of it, such as `reward_config.scales.work`.
-            setup, task: see `Environment`.
+            config: Options with the fields of `default_config` for this setup and task.
+            config_overrides: New values of single fields, such as `reward_config.scales.work`.
+            setup, task: See `Environment`.
 
         Raises:
-            ParameterError: a control step that is not a multiple of the controller's, another implementation than
-                `jax`, or a task that does not fit.
+            ParameterError: The control step is not a multiple of the controller's, the implementation is not `jax`, or
+                the task does not fit.
         """
         setup, task = setup or Setup(), task or Task()
         super().__init__(
@@ -115,26 +115,26 @@ class NermoMjxEnv(MjxEnv):
         self._worlds = worlds
 
     def reset(self, rng: jax.Array) -> State:
-        """Begin an episode with a key, raw or not."""
+        """Begin the episode of a random key, typed or raw (2,)."""
         raw = jax.random.key_data(rng) if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else rng
         world = self._worlds.begin(raw)
         return self._state(world, jnp.zeros(()), {})
 
     def step(self, state: State, action: jax.Array) -> State:
-        """One control step under an action (a,) in [-1, 1]."""
-        world = self._again(state.info["world"], state.data)
+        """Simulate one control step under an action (a,) in [-1, 1]."""
+        world = self._restore_start(state.info["world"], state.data)
         world = self._worlds.act(world, action)
         return self._state(world, state.data.time + self._ctrl_dt, state.info)
 
-    def _again(self, world: World, data: mjx.Data) -> World:
-        """The world, or its start if the data have been put back there."""
+    def _restore_start(self, world: World, data: mjx.Data) -> World:
+        """The world; if a wrapper has restored the initial data, the world at the start of its episode."""
         start = self._worlds.engine.start(world.params, data.qpos, data.qvel, data.sensordata)
         start = self._worlds.engine.playing(start, world.fields)
         ran = world.carry.loop.loop.tick > 0
-        return world._replace(carry=picked(ran & (data.time == 0.0), start, world.carry))
+        return world._replace(carry=select(ran & (data.time == 0.0), start, world.carry))
 
     def _state(self, world: World, time: jax.Array, info: dict[str, Any]) -> State:
-        observed, carry = self._worlds.seen(world), world.carry
+        observed, carry = self._worlds.observe(world), world.carry
         data = self._worlds.engine.data.replace(
             time=time,
             qpos=carry.physics.qpos,
@@ -157,7 +157,7 @@ class NermoMjxEnv(MjxEnv):
 
     @property
     def xml_path(self) -> str:
-        """Empty: the model is put together from robot and scene; see `mj_model`."""
+        """Empty, because the model is composed of robot and scene; see `mj_model`."""
         return ""
 
     @property
@@ -167,21 +167,21 @@ class NermoMjxEnv(MjxEnv):
 
     @property
     def mj_model(self) -> mujoco.MjModel:
-        """The model that is stepped, with what is seen of it."""
+        """The simulated model, with its visual geoms."""
         return self.environment.robot.model
 
     @property
     def mjx_model(self) -> mjx.Model:
-        """The model that is stepped."""
+        """The simulated model on MJX."""
         return self._worlds.engine.model
 
 
 def register(name: str, setup: Setup | None = None, task: Task | None = None) -> None:
-    """Make an environment known to `mujoco_playground.registry` by a name.
+    """Add an environment to `mujoco_playground.registry` by a name.
 
     Args:
-        name: any; an existing one is replaced.
-        setup, task: see `Environment`.
+        name: Name of the environment; an existing environment of this name is replaced.
+        setup, task: See `Environment`.
     """
 
     def make(
@@ -189,14 +189,14 @@ def register(name: str, setup: Setup | None = None, task: Task | None = None) ->
     ) -> NermoMjxEnv:
         return NermoMjxEnv(config, config_overrides, setup=setup, task=task)
 
-    # The only one of Playground's suites that does not download all of MuJoCo Menagerie first.
+    # This is the only suite of Playground that does not download all of MuJoCo Menagerie first.
     dm_control_suite.register_environment(name, make, lambda: default_config(setup, task))
 
 
 def _name(term: str | Term) -> str:
     if isinstance(term, Term):
         return term.name
-    return own_name(term) if is_own(term) else term
+    return custom_name(term) if is_custom(term) else term
 
 
 for _scene in ("flat", *TERRAINS):

@@ -1,8 +1,8 @@
-"""A policy as a controller: it observes, acts, can be used wherever a controller can, and is one file.
+"""A policy as a controller: it observes and acts, you can use it like any controller, and it is stored in one file.
 
-The file is an NPZ without pickled objects: the networks' arrays, and a JSON text (`about`) that describes them:
-what is observed, what an action does, which controller is acted on, versions. For programs that do not use this package
-a policy is exported as ONNX, from an observation to an action.
+The file is an NPZ without pickled objects: the networks' arrays, and a JSON text (`about`) that describes the
+observation, the kind of action, the controller under the actions, and versions. `export` writes a policy as ONNX, from
+an observation to an action, for programs that do not use this package.
 """
 
 from __future__ import annotations
@@ -31,12 +31,19 @@ from nermo_mjx.control.protocol import (
     Source,
 )
 from nermo_mjx.files import MAX_ARRAY_BYTES, FileError, arrays_of, check_arrays, read_as, read_bytes
-from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
+from nermo_mjx.learn.acting import (
+    ACTIONS,
+    ActionController,
+    ActionField,
+    ActionKind,
+    ActionParameters,
+    ActionState,
+)
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.experience import Actor, LearningState, Statistics
-from nermo_mjx.learn.observing import FORMER_NAMES, LONGEST_DELAY, Observer, today
-from nermo_mjx.learn.own import code_place, drawn_by, own_readings
-from nermo_mjx.learn.task import POLICY_PARAMETERS, Given, commanded
+from nermo_mjx.learn.observing import FORMER_NAMES, LONGEST_DELAY, Observer, current_name
+from nermo_mjx.learn.own import custom_code_file, custom_readings, sample_commands
+from nermo_mjx.learn.task import POLICY_PARAMETERS, EpisodeInputs, apply_command
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.parameters import PRESETS
@@ -56,10 +63,10 @@ from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
 from nermo_mjx.specs.model import named_section
 
-#: What a file says that it is, and the latest form of it that is read.
+#: Kind of file, and the latest version of its format that can be read.
 FILE_KIND: Final = "nermo-mjx policy"
 FORMAT_VERSION: Final = 1
-#: Choices of a setup that decide the controller that is acted on.
+#: Choices of a setup that determine the controller under the actions.
 BASE_CHOICES: Final = (
     "robot",
     "tail",
@@ -78,52 +85,53 @@ BASE_CHOICES: Final = (
 
 @parameter_tree
 class PolicyParameters:
-    """A policy's parameters: those of the controller that it acts on, what it is told, and its network.
+    """Parameters of a policy: parameters of the controller under its actions, other inputs, and the network.
 
     Attributes:
-        control: of the controller.
-        given: what it is commanded, and how late and noisy its sensors are; empty for a policy that was trained with
-            exact sensors and without commands.
-        network: actor, and statistics of what it observes. They have no names; as parameters, and not constants, of a
-            program they can be replaced without compiling it again.
+        control: Parameters of the controller.
+        inputs: Command, and delay and noise of the sensors; empty for a policy that was trained with exact sensors and
+            without commands.
+        network: Actor, and statistics of the observations. Their values have no names. They are parameters of a program,
+            not constants, so that another network needs no new compilation.
     """
 
     control: Any = flat(tuple)
-    given: Any = flat(tuple)
+    inputs: Any = flat(tuple)
     network: Any = group(tuple)
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class PolicyState:
-    """What a policy carries from tick to tick.
+    """The state of a policy between two ticks.
 
     Attributes:
-        tick: control ticks so far.
-        acted: state of the controller under the policy's actions.
-        memory: earlier readings, newest first, as far as they are late.
-        action: the action that is held.
+        tick: Number of control ticks so far.
+        controller: State of the controller under the policy's actions.
+        memory: Earlier readings, newest first, as many as the longest delay needs.
+        action: Action of the present control step (a,).
     """
 
     tick: Count
-    acted: ActedState
+    controller: ActionState
     memory: Array
     action: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Policy:
-    """A `ControllerLike` that a training made. It acts by the mean of its distribution.
+    """A `ControllerLike` that a training made. Its action is the mean of the actor's distribution.
 
     Attributes:
-        actor, statistics: network, and of what it observes.
-        kind: what an action does.
-        observer: what makes observations.
-        decimation: control ticks for which an action is held.
-        base: choices of the setup whose controller is acted on, by name.
-        fixed: parameters that differ from that setup's defaults, and those of `Given`.
-        about: what else the file says: how it was trained, in which physics it was judged, versions.
-        ground: height of the ground at (x, y) [m], for what it observes of that; the loop gives it, see `SeesGround`.
+        actor, statistics: Network, and statistics of the observations.
+        kind: Kind of the actions.
+        observer: Maker of the observations.
+        decimation: Control ticks of a control step, in which the action is constant.
+        base: Choices of the setup with the controller under the actions, by name.
+        fixed: Parameters that differ from the defaults of this setup, and parameters of `EpisodeInputs`.
+        about: Further content of the file: training, physics of the evaluation, versions.
+        ground: Function from (x, y) to the height of the ground [m], for observations of the ground; the run loop sets
+            it, see `SeesGround`.
     """
 
     actor: Actor
@@ -143,11 +151,13 @@ class Policy:
         learned: LearningState,
         metadata: Mapping[str, Any] | None = None,
     ) -> Policy:
-        """What was `learned` in an environment; `about` is further content of the file: the `judged` physics and time
-        step [s] where they are not the environment's.
+        """The policy of a learning state in an environment.
+
+        `metadata` is further content of the file: `judged`, for example, contains the physics and time step [s] of the
+        evaluation, if they differ from the environment.
 
         Raises:
-            ParameterError: it acts on a controller that is not a published one.
+            ParameterError: The controller under the actions is not a published one.
         """
         setup, task = environment.setup, environment.task
         if setup.controller is not None or setup.command is not None:
@@ -162,13 +172,13 @@ class Policy:
         if task.commands is not None:
             normalized |= {
                 name: float(np.median(sample))
-                for name, sample in drawn_by(task.commands)[1].items()
+                for name, sample in sample_commands(task.commands)[1].items()
                 if name in POLICY_PARAMETERS
             }
-        code = code_place(task.observe)
+        code = custom_code_file(task.observe)
         if code:
             source = Source.named("observe has", code, OBJECT_FORM)
-            groups = [name for name, _ in environment.loop.observer.own]
+            groups = [name for name, _ in environment.loop.observer.custom_groups]
             metadata = {
                 **(metadata or {}),
                 "own": {"file": Path(code).name, "digest": source.digest(), "groups": groups},
@@ -187,11 +197,14 @@ class Policy:
             task.decimation,
             {name: getattr(setup, name) for name in BASE_CHOICES},
             fixed | normalized,
-            {**(metadata or {}), "judged": (metadata or {}).get("judged", judged_in(setup))},
+            {
+                **(metadata or {}),
+                "judged": (metadata or {}).get("judged", evaluation_physics(setup)),
+            },
         )
 
     def upon(self, **choices: Any) -> Policy:
-        """See `ActsUpon`: what it observes of a path is that of the new one."""
+        """The policy with other choices of the setup, see `ActsUpon`; it observes the path of the new pilot."""
         for name in choices:
             choice("choice", name, BASE_CHOICES)
         if self.observer.sees_path and choices.get("pilot") == "open_loop":
@@ -201,11 +214,11 @@ class Policy:
         return dataclasses.replace(self, base={**self.base, **choices})
 
     def over(self, ground: Ground) -> Policy:
-        """See `SeesGround`."""
+        """The policy with this height of the ground, see `SeesGround`."""
         return dataclasses.replace(self, ground=ground)
 
     def elsewhere(self, physics: str, timestep: float) -> str:
-        """See `ActsUpon`: a policy has adapted to the physics in which it was chosen."""
+        """A warning if the physics or time step [s] differ from the evaluation, see `ActsUpon`; otherwise empty."""
         judged = self.about.get("judged")
         if judged is None or (
             judged["physics"] == physics and np.isclose(judged["timestep"], timestep, rtol=1e-6)
@@ -219,21 +232,21 @@ class Policy:
 
     @functools.cached_property
     def setup(self) -> Setup:
-        """The setup whose controller is acted on."""
+        """The setup with the controller under the actions."""
         return Setup(**self.base)
 
     @functools.cached_property
-    def acting(self) -> Acting:
+    def action_controller(self) -> ActionController:
         """The controller under the policy's actions."""
-        return Acting(self.setup.make_controller(), self.kind)
+        return ActionController(self.setup.make_controller(), self.kind)
 
     @property
     def dt(self) -> float:
-        return self.acting.dt
+        return self.action_controller.dt
 
     @functools.cached_property
     def parameters(self) -> PolicyParameters:
-        """See `ControllerLike`; they can be named as those of the controller below."""
+        """See `ControllerLike`; the parameters have the names of the controller's parameters."""
         control = self.setup.world(
             {name: value for name, value in self.fixed.items() if name not in POLICY_PARAMETERS}
         ).control
@@ -241,42 +254,56 @@ class Policy:
         if not (self.observer.commands or self.observer.delayed or self.observer.noisy):
             return PolicyParameters(control=control, network=network)
         control_given = replace_quantities(
-            Given(),
+            EpisodeInputs(),
             {name: value for name, value in self.fixed.items() if name in POLICY_PARAMETERS},
         )
-        return PolicyParameters(control=control, given=control_given, network=network)
+        return PolicyParameters(control=control, inputs=control_given, network=network)
 
     def init(self, params: PolicyParameters, sensors: Sensors, phase: Scalar) -> PolicyState:
         nothing = jnp.zeros(len(self.kind.names))
-        acted = self.acting.init(Acted(params.control, nothing), sensors, phase)
+        state = self.action_controller.init(
+            ActionParameters(params.control, nothing), sensors, phase
+        )
         memory = self.observer.memory(self.observer.readings(sensors, self.ground))
-        return PolicyState(jnp.zeros((), jnp.int32), acted, memory, nothing)
+        return PolicyState(jnp.zeros((), jnp.int32), state, memory, nothing)
 
     def initial_servo(self, params: PolicyParameters, phase: Scalar) -> ServoAngles:
-        return self.acting.initial_servo(
-            Acted(params.control, jnp.zeros(len(self.kind.names))), phase
+        return self.action_controller.initial_servo(
+            ActionParameters(params.control, jnp.zeros(len(self.kind.names))), phase
         )
 
     def update(
         self, params: PolicyParameters, state: PolicyState, sensors: Sensors
     ) -> tuple[PolicyState, ServoAngles]:
-        observer, command_given, control = self.observer, params.given or Given(), params.control
-        path = self.path(params, state, sensors.position) if observer.path else None
-        informed = observer.informed(
-            command_given.command, state.acted.control, path, state.action, geometry_of(control)
+        observer, command_given, control = (
+            self.observer,
+            params.inputs or EpisodeInputs(),
+            params.control,
         )
-        # The same noise in every world: runs from one start are equal.
+        path = self.path(params, state, sensors.position) if observer.path else None
+        inputs = observer.collect_inputs(
+            command_given.command,
+            state.controller.control,
+            path,
+            state.action,
+            geometry_of(control),
+        )
+        # The noise is the same in every world, so that runs from the same initial state are equal.
         key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None
         observation = observer.observe(
-            command_given.sensing, state.memory, sensors, informed, key, self.ground
+            command_given.sensing, state.memory, sensors, inputs, key, self.ground
         )
         due = state.tick % self.decimation == 0
         action = jnp.where(due, self.choose(params, state, observation), state.action)
         if observer.commands:
-            control = commanded(self.acting.base, observer.commands, control, command_given.command)
-        acted, servo = self.acting.update(Acted(control, action), state.acted, sensors)
-        memory = observer.remembered(state.memory, observer.readings(sensors, self.ground))
-        return with_dtypes_of(state, PolicyState(state.tick + 1, acted, memory, action)), servo
+            control = apply_command(
+                self.action_controller.base, observer.commands, control, command_given.command
+            )
+        controller, servo = self.action_controller.update(
+            ActionParameters(control, action), state.controller, sensors
+        )
+        memory = observer.update_memory(state.memory, observer.readings(sensors, self.ground))
+        return with_dtypes_of(state, PolicyState(state.tick + 1, controller, memory, action)), servo
 
     def choose(self, params: PolicyParameters, state: PolicyState, observation: Array) -> Array:
         """The action (a,) of a control step."""
@@ -288,33 +315,37 @@ class Policy:
         return _action(self.actor, self.statistics, observation)
 
     def cycle_rate(self, params: PolicyParameters) -> Any:
-        """See `ControllerLike`; that of the controller below, which a modulation may leave."""
-        return self.acting.base.cycle_rate(params.control)
+        """See `ControllerLike`; the rate of the controller without a policy, which a modulation may change."""
+        return self.action_controller.base.cycle_rate(params.control)
 
     def path(
         self, params: PolicyParameters, state: PolicyState, position: Array
     ) -> PathPoint | None:
-        return self.acting.path(Acted(params.control, state.action), state.acted, position)
+        return self.action_controller.path(
+            ActionParameters(params.control, state.action), state.controller, position
+        )
 
     def stance(self, state: PolicyState) -> Any:
-        return self.acting.stance(state.acted)
+        return self.action_controller.stance(state.controller)
 
     def check(self, params: PolicyParameters) -> None:
-        if isinstance(self.acting.base, ChecksParameters):
-            self.acting.base.check(params.control)
+        if isinstance(self.action_controller.base, ChecksParameters):
+            self.action_controller.base.check(params.control)
 
     def complete(self, values: dict[str, Any]) -> dict[str, Any]:
-        base = self.acting.base
+        base = self.action_controller.base
         return base.complete(values) if isinstance(base, CompletesValues) else values
 
     def facts(self) -> dict[str, Any]:
-        """What its numbers are, as JSON knows it."""
+        """The description of the policy and its numbers, in types of JSON."""
         return {
             "action": named_section(self.kind, ACTIONS),
             "actions": list(self.kind.names),
             "observation": list(self.observer.names),
             "observer": {
-                name: value for name, value in vars(self.observer).items() if name != "own"
+                name: value
+                for name, value in vars(self.observer).items()
+                if name != "custom_groups"
             },
             "decimation": self.decimation,
             "step_seconds": self.dt * self.decimation,
@@ -325,13 +356,13 @@ class Policy:
         }
 
     def content(self) -> bytes:
-        """The file; the same policy gives the same bytes.
+        """The bytes of the policy's file; equal policies have equal bytes.
 
         Raises:
-            ParameterError: it observes functions that no file can name.
+            ParameterError: The policy observes functions that are not in a file.
         """
         groups = self.about.get("own", {"groups": []})["groups"]
-        for name, _ in self.observer.own:
+        for name, _ in self.observer.custom_groups:
             if name not in groups:
                 raise ParameterError(
                     f"observe has {name}: name it as {OBJECT_FORM}, as a policy's file can."
@@ -356,7 +387,7 @@ class Policy:
 
 
 def _action(actor: Actor, statistics: Statistics, observation: Array) -> Array:
-    """See `Policy.act`; in single precision, as it was learned."""
+    """See `Policy.act`; in single precision, like the training."""
     actor, statistics = jax.tree.map(
         lambda leaf: jnp.asarray(leaf, jnp.float32), (actor, statistics)
     )
@@ -366,7 +397,7 @@ def _action(actor: Actor, statistics: Statistics, observation: Array) -> Array:
 
 
 class RandomPolicy(Policy):
-    """A policy whose every action is drawn anew, evenly from [-1, 1]; the same in every run."""
+    """A policy whose actions are independent uniform samples from [-1, 1]; they are the same in every run."""
 
     def choose(self, params: PolicyParameters, state: PolicyState, observation: Array) -> Array:
         key = jax.random.fold_in(jax.random.key(1), state.tick)
@@ -374,15 +405,15 @@ class RandomPolicy(Policy):
 
 
 def load_policy(path: str | Path, code: str = "") -> Policy:
-    """The policy of a file; the same object as long as its files stay the same.
+    """Load the policy of a file. The object is the same as long as its files do not change.
 
     Args:
-        path: of the file, which holds no code and runs none.
-        code: the Python file or module of what the policy observes of one's own, which is run.
+        path: Path of the file, which contains no code.
+        code: Python file or module with the custom observations of the policy; this code is run.
 
     Raises:
-        ParameterError: there is no such file, or it holds no policy that this version can read; or it observes
-            something of one's own, and `code` is not the file with which it was trained.
+        ParameterError: The file does not exist, or this version cannot read it; or the policy has custom observations,
+            and `code` is not the file of the training.
     """
     subject = f"controller is '{path}'"
     try:
@@ -416,10 +447,10 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
 
 @functools.lru_cache(maxsize=8)
 def _with_code(policy: Policy, code: str) -> Policy:
-    """A policy with the functions that it observes."""
+    """The policy with its custom observations from `code`."""
     references = [f"{code}:{name}" for name in policy.about["own"]["groups"]]
-    readings = tuple(own_readings(policy.setup.load().config, references).items())
-    observer = dataclasses.replace(policy.observer, own=readings)
+    readings = tuple(custom_readings(policy.setup.load().config, references).items())
+    observer = dataclasses.replace(policy.observer, custom_groups=readings)
     if len(observer.names) != len(policy.statistics.mean):
         raise ParameterError(
             f"controller is a policy of {len(policy.statistics.mean)} observations: {code} gives others."
@@ -427,31 +458,31 @@ def _with_code(policy: Policy, code: str) -> Policy:
     return dataclasses.replace(policy, observer=observer)
 
 
-def judged_in(setup: Setup) -> dict[str, Any]:
-    """The physics and time step [s] of a setup, as a policy's file remembers them."""
+def evaluation_physics(setup: Setup) -> dict[str, Any]:
+    """The physics and time step [s] of a setup, in the form of a policy's file."""
     return {"physics": setup.physics, "timestep": float(setup.timestep)}
 
 
-class _Judged(BaseModel, extra="forbid"):
+class _EvaluationPhysics(BaseModel, extra="forbid"):
     physics: Literal[*PRESETS]  # type: ignore[valid-type]
     timestep: Annotated[FiniteFloat, Field(gt=0)]
 
 
-class _Trained(BaseModel, extra="forbid"):
+class _TrainingFacts(BaseModel, extra="forbid"):
     steps: int
     training: str
 
 
-class _Own(BaseModel, extra="forbid"):
-    """What a policy observes of one's own: the name and the digest of the file, and the functions in it."""
+class _CustomCode(BaseModel, extra="forbid"):
+    """Custom observations of a policy: name and digest of their file, and names of the functions."""
 
     file: str
     digest: str
     groups: tuple[str, ...]
 
 
-class _About(BaseModel, extra="forbid"):
-    """What a file says; there are no other keys, and none of them names code."""
+class _Description(BaseModel, extra="forbid"):
+    """The description in a policy's file. Other keys are errors, and no key refers to code that is run."""
 
     kind: Literal["nermo-mjx policy"]
     form: Annotated[int, Field(ge=1, le=FORMAT_VERSION)]
@@ -465,9 +496,9 @@ class _About(BaseModel, extra="forbid"):
     base: dict[str, str | float | tuple[tuple[FiniteFloat, FiniteFloat], ...] | None]
     fixed: dict[str, FiniteFloat]
     versions: dict[str, str]
-    trained: _Trained | None = None
-    judged: _Judged | None = None
-    own: _Own | None = None
+    trained: _TrainingFacts | None = None
+    judged: _EvaluationPhysics | None = None
+    own: _CustomCode | None = None
 
 
 @functools.lru_cache(maxsize=8)
@@ -475,7 +506,7 @@ def _policy(content: bytes) -> Policy:
     arrays = arrays_of(content, "the file")
     if arrays.get("about", np.zeros(1)).dtype != np.uint8:
         raise FileError("it has no 'about'")
-    metadata: _About = read_as(arrays.pop("about").tobytes(), _About, "about")
+    metadata: _Description = read_as(arrays.pop("about").tobytes(), _Description, "about")
     for name in metadata.base:
         choice("base", name, BASE_CHOICES)
     if (
@@ -503,7 +534,7 @@ def _policy(content: bytes) -> Policy:
             name == "variance" and not (arrays[name] >= 0).all()
         ):
             raise FileError(f"{name!r} has numbers that are not finite, or a variance below 0")
-    start_jax()  # with its own settings, on which the last bits of walks depend
+    start_jax()  # with the settings of the package, because the last bits of walks depend on them
     numbers = {name: jnp.asarray(arrays[name]) for name in shapes}
     policy = Policy(
         Actor(
@@ -518,14 +549,16 @@ def _policy(content: bytes) -> Policy:
         {FORMER_NAMES.get(name, name): value for name, value in metadata.fixed.items()},
         metadata.model_dump(include={"trained", "judged", "versions", "own"}, exclude_none=True),
     )
-    if metadata.own is None and policy.observer.names != tuple(map(today, metadata.observation)):
+    if metadata.own is None and policy.observer.names != tuple(
+        map(current_name, metadata.observation)
+    ):
         raise ParameterError("this version observes other numbers under these names")
-    # What it acts on is made now, so that nothing is wrong with it later.
+    # The controller under the actions is made here, so that an error in it is reported now.
     check_quantities(policy.parameters)
     return policy
 
 
-#: Operators and file format that every runtime of the last years reads.
+#: Version of the operators; every runtime of the last years reads it.
 _OPSET: Final = 17
 _IR: Final = 8
 
@@ -533,10 +566,10 @@ _IR: Final = 8
 def export(policy: Policy) -> bytes:
     """An ONNX model with the input `observation` (n, o) and the output `action` (n, a), both float32.
 
-    Its metadata describe the values: `observation`, `actions` and `action` (what an action does) as JSON.
+    Its metadata describe the values as JSON: `observation`, `actions` and `action` (the kind of action).
 
     Raises:
-        ParameterError: the package `onnx` is not installed.
+        ParameterError: The package `onnx` is not installed.
     """
     require("policy.onnx", "onnx", "onnx")
     from onnx import TensorProto, checker, helper

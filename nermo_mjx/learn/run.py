@@ -1,10 +1,10 @@
 """Run a training: resume from the directory's latest checkpoint, learn for the given steps, evaluate the policy.
 
-The policy that is kept is that of the last checkpoint or, with `validation`, the best of all checkpoints by walks that
-no training or evaluation draws. What counts is the success on the scene where it is least, as in a training's
-summary; its mean decides between equals. The untrained policy, which leaves the controller as it is, is the first
-candidate: a training whose corrections do harm does not end with them. With `until` the training ends as soon as such a
-policy is good enough; then a walk must also be fast enough to count as a success.
+The result is the policy of the last checkpoint or, with `validation`, the best of all checkpoints in walks that differ
+from the training and the evaluation. The criterion is the success on the scene with the least success, as in a training's
+summary; the mean decides between equal policies. The untrained policy, which does not change the controller, is the
+first candidate, so that a training whose corrections are harmful does not replace it. With `until`, the training ends
+when such a policy is good enough; then a walk must also be fast enough to count as a success.
 """
 
 from __future__ import annotations
@@ -34,10 +34,16 @@ from nermo_mjx.learn.directory import (
     TrainingDirectory,
 )
 from nermo_mjx.learn.environment import Environment, Mixture
-from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, recorded, summary_of
+from nermo_mjx.learn.evaluation import (
+    POLICY,
+    BodySample,
+    PolicyEvaluator,
+    record_walks,
+    summarize_walks,
+)
 from nermo_mjx.learn.experience import RESET_KEY, EnvironmentLike, EpisodeScores, LearningState
-from nermo_mjx.learn.own import code_place
-from nermo_mjx.learn.policy import Policy, judged_in, load_policy
+from nermo_mjx.learn.own import custom_code_file
+from nermo_mjx.learn.policy import Policy, evaluation_physics, load_policy
 from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.progress import shows_progress
@@ -56,32 +62,32 @@ from nermo_mjx.runs.job import (
 )
 from nermo_mjx.runtime import compiler_options
 
-#: The table of what was tried: one row per checkpoint.
+#: The table of the candidates: one row per checkpoint.
 VALIDATION_FILE: Final = "validation.parquet"
-#: A video of the policy after so many control steps.
+#: Video of the policy at a checkpoint, with the number of control steps.
 VIDEO_FILE: Final = "videos/{:012d}.mp4"
-#: Added to a training's seed; another number than that of the evaluation.
+#: Number that is added to a training's seed; it differs from the number of the evaluation.
 _VALIDATION_OFFSET: Final = 0xB0D1E5
 
 
-class _Tried(NamedTuple):
-    """A policy's steps of training, and its share of successes on each scene."""
+class _Candidate(NamedTuple):
+    """A policy's control steps of training, and its share of successes on each scene."""
 
     steps: int
     scenes: Mapping[str, float]
 
     @property
     def rank(self) -> tuple[float, float]:
-        """More is better: the least share of successes, and their mean."""
+        """The least share of successes on a scene, and the mean share; a larger rank is better."""
         shares = list(self.scenes.values())
         return min(shares), float(np.mean(shares))
 
 
 class BestPolicy:
-    """The best policy of a training's directory so far, which is what its policy file holds.
+    """The best policy of a training's directory so far, which is the content of its policy file.
 
-    The file is written before the table that names it, so a killed training tries its last policy again and comes to
-    the same choice.
+    The file is written before the table that refers to it, so that a killed training tests its last policy again and
+    comes to the same result.
     """
 
     def __init__(
@@ -91,17 +97,22 @@ class BestPolicy:
         warn: Callable[[str], None],
         code: str = "",
     ) -> None:
-        """`walks` gives the share of a policy's successes on each scene; `warn` is told if the policy is gone; `code`
-        is what policies need beside them."""
+        """
+        Args:
+            directory: Directory of the training.
+            walks: Function from a policy to its share of successes on each scene.
+            warn: Function that receives a message if the policy file is lost.
+            code: File of the policies' custom observations.
+        """
         self._held, self._walks, self._warn, self._code = directory, walks, warn, code
         table = parquet_table(content_of(directory.out / VALIDATION_FILE) or b"")
         rows = [] if table is None else table.to_pylist()
-        self._tried = [_Tried(row.pop("steps"), row) for row in rows]
+        self._tried = [_Candidate(row.pop("steps"), row) for row in rows]
 
-    def of(self, policy: Policy) -> Policy:
-        """The best of all policies tried, this one included; of equals the earliest."""
+    def choose(self, policy: Policy) -> Policy:
+        """The best of this policy and all policies before, and the earliest of equal ones; the files are updated."""
         steps, stored, best_steps = int(policy.about["trained"]["steps"]), None, None
-        with contextlib.suppress(ParameterError):  # there is no file, or none that can be read
+        with contextlib.suppress(ParameterError):  # the file is missing or cannot be read
             stored = load_policy(Path(self._held.out) / POLICY_FILE, self._code)
             best_steps = stored.about.get("trained", {}).get("steps")
         best = next((tried for tried in self._tried if tried.steps == best_steps), None)
@@ -111,7 +122,7 @@ class BestPolicy:
             )
             self._tried = []
         if steps not in [tried.steps for tried in self._tried]:
-            candidate = _Tried(steps, dict(self._walks(policy)))
+            candidate = _Candidate(steps, dict(self._walks(policy)))
             if best is None or candidate.rank > best.rank:
                 self._held.write(POLICY_FILE, policy.content())
                 stored = policy
@@ -120,43 +131,47 @@ class BestPolicy:
             self._held.write(VALIDATION_FILE, parquet_bytes(pa.Table.from_pylist(rows)))
         return stored or policy
 
-    def enough(self, until: Until | None, steps: int) -> bool:
-        """Whether a policy of these steps or fewer is as good as a training asks for."""
+    def is_sufficient(self, until: Until | None, steps: int) -> bool:
+        """Whether a policy with at most these steps is as good as `until` requires."""
         return until is not None and any(
             tried.steps <= steps and min(tried.scenes.values()) >= until.success
             for tried in self._tried
         )
 
 
-def successes(evaluator: PolicyEvaluator, policy: Policy) -> dict[str, float]:
-    """The share of a policy's walks on each scene of the evaluation that succeed, and are as fast as `until` asks for:
-    `validation` of them."""
+def success_shares(evaluator: PolicyEvaluator, policy: Policy) -> dict[str, float]:
+    """The share of successful walks of a policy on each scene of the evaluation, in `validation` walks.
+
+    A walk must also be as fast as `until` requires.
+    """
     training = evaluator.training
     table = evaluator(
-        policy, draws=Draws(training.validation, _VALIDATION_OFFSET), walkers=(POLICY,)
+        policy, draws=BodySample(training.validation, _VALIDATION_OFFSET), walkers=(POLICY,)
     )
     if training.until is not None:
         fast = pc.fill_null(pc.greater_equal(table["speed"], training.until.speed), False)
         column = table.column_names.index("success")
         table = table.set_column(column, "success", pc.and_(table["success"], fast))
-    return {scene: statistics[POLICY]["success"] for scene, statistics in summary_of(table).items()}
+    return {
+        scene: statistics[POLICY]["success"] for scene, statistics in summarize_walks(table).items()
+    }
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainingResult:
-    """A training's outcome.
+    """The result of a training.
 
     Attributes:
-        out: its directory.
-        training: what was trained.
-        policy: file of the policy; None in an environment that is not of a robot.
-        summary: content of summary.json: `steps`, those after which the policy was chosen, `return` and `success`, the
-            physics and time step [s] in which it was `judged`, and of each scene of the evaluation the numbers of the
-            policy and of the controller alone.
-        learned: the learning state after the last iteration.
-        history: what happened in each iteration.
-        iterations_run: by this call.
-        plots: figures.
+        out: Directory of the training.
+        training: Training that was run.
+        policy: File of the policy; None in an environment without a robot.
+        summary: Content of summary.json: `steps`, `policy_steps` after which the policy was chosen, `return`,
+            `success`, `judged` with the physics and time step [s] of the evaluation, and the numbers with and without
+            the policy for each scene of the evaluation.
+        learned: Learning state after the last iteration.
+        history: Numbers of each iteration.
+        iterations_run: Number of iterations of this call.
+        plots: Paths of the figures.
     """
 
     out: Path
@@ -170,7 +185,7 @@ class TrainingResult:
 
 
 @shows_progress("training", "steps")
-# Many parameters because it is a public job, whose options are named.
+# This function has many parameters because it is a public job with named options.
 def run_training(
     spec: Training | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -185,21 +200,22 @@ def run_training(
 ) -> TrainingResult:
     """Learn a policy into a directory, or resume what it contains, and evaluate it.
 
-    The learning state is stored after each section of iterations, and the next section starts new episodes, so that
-    a training that was killed and resumed ends with the same results as an uninterrupted one: on the engine `c` bit
-    for bit. Killing it loses the section in flight.
+    The learning state is stored after each section of iterations, and the next section starts new episodes. Therefore a
+    training that was killed and resumed has the same results as an uninterrupted one, on the engine `c` bit for bit;
+    only the section in progress is lost.
 
     Args:
-        spec: a `Training`, a dict with the fields of a training file, or the path of one.
-        out: the directory; see `nermo_mjx.learn.directory`.
-        engine: of the environment; `auto` is `c` on a machine without a GPU, and `mjx` for exact gradients.
-        environment: replaces that of the training; then there is neither a policy's file nor an evaluation.
-        watch: is told before the first iteration and after each, with the last one's numbers by the names of the
-            history's columns; of the evaluation's progress; and of each thing that is moved aside.
-        progress: whether it is shown where somebody looks, if there is no watch.
-        accept_new_code: resume a directory that other code started.
-        tensorboard: write scalars of each iteration to DIR/tensorboard; needs the extra of this name.
-        video: make one of the newest policy at each checkpoint, on the evaluation's first scene, in DIR/videos.
+        spec: A `Training`, a dict with the fields of a training file, or the path of a training file.
+        out: Directory of the training; see `nermo_mjx.learn.directory`.
+        engine: Engine of the environment; `auto` is `c` on a machine without a GPU, otherwise `mjx`.
+        environment: Environment that replaces the environment of the training; then there is neither a policy file nor
+            an evaluation.
+        watch: Receiver of the progress before the first iteration and after each iteration, with the numbers by column
+            of the history, of the progress of the evaluation, and of messages about files that are moved aside.
+        progress: Whether to show a progress bar in a terminal or notebook, if there is no watch.
+        accept_new_code: Whether to resume a directory that other code started.
+        tensorboard: Whether to write scalars of each iteration to DIR/tensorboard; needs the extra of this name.
+        video: Whether to render the newest policy at each checkpoint to DIR/videos, on the evaluation's first scene.
 
     Raises:
         SpecError, DirectoryError, OtherCode, Interrupted: see "Errors of jobs" in docs/reference/python.md.
@@ -224,21 +240,24 @@ def run_training(
         begun = len(curves)
         evaluator, choice = PolicyEvaluator(training), None
         if training.validation:
-            walks, code = functools.partial(successes, evaluator), code_place(training.task.observe)
-            choice = BestPolicy(directory.held, walks, watch.warn, code)
-        goes_on = not _ended(training, learned, curves, choice)
+            walks, code = (
+                functools.partial(success_shares, evaluator),
+                custom_code_file(training.task.observe),
+            )
+            choice = BestPolicy(directory.run_directory, walks, watch.warn, code)
+        goes_on = not _is_complete(training, learned, curves, choice)
         code = directory.take_code(curves, accept=accept_new_code) if goes_on else ""
         directory.claim()
         board = stack.enter_context(TensorBoard(directory.out)) if tensorboard else None
-        learning = _Learning(directory, worlds, interruption, watch, board, code, choice, video)
+        learning = _TrainingLoop(directory, worlds, interruption, watch, board, code, choice, video)
         if goes_on:
-            directory.held.note_session(session(begun_at=begun))
+            directory.run_directory.note_session(session(begun_at=begun))
             learned, curves = learning.learn(learned, curves)
         policy = learning.publish(learned, curves)
-        table = None if policy is None else _evaluated(directory, policy, evaluator, watch)
+        table = None if policy is None else _evaluate(directory, policy, evaluator, watch)
         summary = _summary(training, learned, curves, policy, table)
-        summary["complete"] = _ended(training, learned, curves, choice)
-        directory.held.write(SUMMARY_FILE, to_json(summary))
+        summary["complete"] = _is_complete(training, learned, curves, choice)
+        directory.run_directory.write(SUMMARY_FILE, to_json(summary))
         plots = _write_plots(directory.out, training, curves, table) if training.plots else []
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
@@ -254,7 +273,7 @@ def run_training(
 
 
 def _write_plots(out: Path, training: Training, curves: Curves, table: Any) -> list[Path]:
-    """Draw the figures of a training, from its history and the table of its evaluation; the files."""
+    """Draw the figures of a training from its history and the table of its evaluation, and return their paths."""
     # Matplotlib takes as long to import as the first control steps.
     from nermo_mjx.learn.plots import figures_of_training
     from nermo_mjx.plotting.files import write_figures
@@ -266,7 +285,7 @@ def training_engine(engine: str) -> str:
     """Name of the engine on which a training runs: `c` or `mjx`.
 
     Raises:
-        ParameterError: it is another one.
+        ParameterError: The training cannot run on this engine.
     """
     name = resolve_engine(engine)
     name = "mjx" if engine == "auto" and name == "warp" else name
@@ -275,16 +294,16 @@ def training_engine(engine: str) -> str:
     return name
 
 
-def _ended(
+def _is_complete(
     training: Training, learned: LearningState, curves: Curves, choice: BestPolicy | None
 ) -> bool:
     """Whether all iterations are done, or a checkpoint was good enough."""
     done = len(curves) >= training.iterations
-    return done or (choice is not None and choice.enough(training.until, int(learned.steps)))
+    return done or (choice is not None and choice.is_sufficient(training.until, int(learned.steps)))
 
 
 @dataclasses.dataclass
-class _Learning:
+class _TrainingLoop:
     """The iterations of a training, and their progress messages."""
 
     directory: TrainingDirectory
@@ -297,14 +316,14 @@ class _Learning:
     video: bool
 
     def learn(self, learned: LearningState, curves: Curves) -> tuple[LearningState, Curves]:
-        """Section by section, to the end."""
+        """Run the iterations to the end, section by section: the last learning state, and the history."""
         training = self.directory.training
         iterate, reset = training.algorithm.make_iteration(self.environment), self.environment.reset
         if self.environment.pure:
             reset = jax.jit(reset, compiler_options=compiler_options())
-        self._tell(int(learned.steps), {})
-        self._chosen(learned)
-        while not _ended(training, learned, curves, self.choice):
+        self._report_progress(int(learned.steps), {})
+        self._choose_policy(learned)
+        while not _is_complete(training, learned, curves, self.choice):
             so_far = {} if self._robot is None else {"steps": float(learned.steps)}
             state = reset(learned.random_key(RESET_KEY), **so_far)
             scores = EpisodeScores.empty(training.worlds)
@@ -320,12 +339,12 @@ class _Learning:
                 }
                 other_cpu = time.process_time() - cpu - np.nan_to_num(numbers["environment_cpu"])
                 numbers |= {"wall_seconds": time.perf_counter() - wall, "learner_cpu": other_cpu}
-                curves = curves.extended(numbers, self.code)
+                curves = curves.extend(numbers, self.code)
                 self.interruption.check()
                 if self.board is not None:
                     values = {key: number for key, number in numbers.items() if key != "steps"}
                     self.board.log(int(numbers["steps"]), values)
-                self._tell(int(numbers["steps"]), numbers)
+                self._report_progress(int(numbers["steps"]), numbers)
             with self.interruption.shielded():
                 self.directory.keep(learned, curves)
             self.publish(learned, curves)
@@ -334,8 +353,8 @@ class _Learning:
         return learned, curves
 
     def publish(self, learned: LearningState, curves: Curves) -> Policy | None:
-        """Make the history's and the policy's file; the policy in it."""
-        policy = self._chosen(learned)
+        """Write the files of the history and the policy, and return the policy."""
+        policy = self._choose_policy(learned)
         with self.interruption.shielded():
             units = (
                 {}
@@ -345,30 +364,30 @@ class _Learning:
             self.directory.publish(curves, units, policy if policy is None else policy.content())
         return policy
 
-    def _chosen(self, learned: LearningState) -> Policy | None:
-        """The best policy so far where the training asks for it, otherwise that of what was learned."""
+    def _choose_policy(self, learned: LearningState) -> Policy | None:
+        """The best policy so far if the training validates its policies, otherwise the latest policy."""
         policy = self._policy(learned)
         if policy is None or self.choice is None:
             return policy
-        best = self.choice.of(policy)  # of an earlier session, maybe, with another evaluation
-        return dataclasses.replace(best, about={**best.about, "judged": self._judged})
+        best = self.choice.choose(policy)  # perhaps from an earlier session with another evaluation
+        return dataclasses.replace(best, about={**best.about, "judged": self._evaluation_physics})
 
     def _policy(self, learned: LearningState) -> Policy | None:
-        """What was learned, as a controller; None in an environment that is not of a robot."""
+        """The policy of a learning state; None in an environment without a robot."""
         if (robot := self._robot) is None:
             return None
         trained = {"steps": int(learned.steps), "training": self.directory.training.digest()}
-        metadata = {"trained": trained, "judged": self._judged}
+        metadata = {"trained": trained, "judged": self._evaluation_physics}
         return Policy.of(robot, learned, metadata)
 
     @property
-    def _judged(self) -> dict[str, Any]:
-        """The physics of the evaluation, whose scenes all have it."""
-        return judged_in(self.directory.training.evaluated()[0][0])
+    def _evaluation_physics(self) -> dict[str, Any]:
+        """The physics of the evaluation, which is the same for all of its scenes."""
+        return evaluation_physics(self.directory.training.evaluated()[0][0])
 
     @property
     def _robot(self) -> Environment | None:
-        """The robot's environment, the first of several."""
+        """The environment of the robot, and the first one of several."""
         first = (
             self.environment.parts[0] if isinstance(self.environment, Mixture) else self.environment
         )
@@ -378,19 +397,19 @@ class _Learning:
         """Render the policy's walk on the first scene of the evaluation."""
         from nermo_mjx.view import render, robot_of, shown_model
 
-        _, walk = next(recorded(self.directory.training, policy))
+        _, walk = next(record_walks(self.directory.training, policy))
         path.parent.mkdir(exist_ok=True)
         render(walk, shown_model(walk, robot_of(walk)), path)
 
-    def _tell(self, done: int, numbers: Mapping[str, float]) -> None:
+    def _report_progress(self, done: int, numbers: Mapping[str, float]) -> None:
         total = self.directory.training.steps
         self.watch.progress(Progress(min(1.0, done / total), done, total, numbers=numbers))
 
 
-def _evaluated(
+def _evaluate(
     directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch
 ) -> pa.Table:
-    """The evaluation of this policy, which is made once."""
+    """The table of this policy's evaluation, which is computed once."""
     cached = parquet_table(content_of(directory.out / EVALUATION_FILE) or b"")
     training = directory.training
     policy_key = f"{training.digest()} {training.evaluation} {training.run} {policy.about['trained']['steps']}"
@@ -403,7 +422,7 @@ def _evaluated(
     table = table.replace_schema_metadata(
         {**(table.schema.metadata or {}), b"evaluated": policy_key.encode()}
     )
-    directory.held.write(EVALUATION_FILE, parquet_bytes(table))
+    directory.run_directory.write(EVALUATION_FILE, parquet_bytes(table))
     return table
 
 
@@ -415,7 +434,7 @@ def _summary(
     table: pa.Table | None,
 ) -> dict[str, Any]:
     """The content of summary.json; without an evaluation, success is the share of episodes that lasted."""
-    scenes = {} if table is None else summary_of(table)
+    scenes = {} if table is None else summarize_walks(table)
     success_rates = [statistics["policy"]["success"] for statistics in scenes.values()]
     effort = {
         name: float(np.nansum(curves.column(name)))
@@ -431,7 +450,7 @@ def _summary(
         "episodes": int(curves.column("episodes").sum()),
         "simulated_seconds": float(int(learned.steps) * training.step_seconds),
         **effort,
-        **({} if policy is None else {"judged": judged_in(training.evaluated()[0][0])}),
+        **({} if policy is None else {"judged": evaluation_physics(training.evaluated()[0][0])}),
         "scenes": scenes,
     }
 
@@ -445,10 +464,10 @@ _TIMED_ITERATIONS: Final = 2
 
 
 def training_forecast(training: Training, engine: str = "auto") -> Forecast:
-    """The cost of a training from the start; raises `ParameterError` for an unknown engine.
+    """Estimate the cost of a whole training; raises `ParameterError` for an unknown engine.
 
-    The counts are whole `iterations`, and control steps of all worlds in one and in all. Its pace on `mjx`, which
-    compiles for minutes, is not known.
+    The counts are the number of iterations, and the control steps of all worlds in one and in all iterations. The pace on
+    `mjx` is unknown, because a measurement would compile for minutes.
     """
     name, wall = training_engine(engine), math.nan
     steps = training.iterations * training.steps_per_iteration
@@ -470,9 +489,9 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
     input_size = worlds.observation_size + worlds.privileged_size
     units = [input_size, *training.algorithm.hidden]
     weights = 2 * sum(a * b for a, b in itertools.pairwise(units))
-    # Networks, the initial critic, and two moments of Adam, in float32; and the history.
+    # A checkpoint contains the networks, the initial critic, two moments of Adam, in float32, and the history.
     disk = KEPT * 16 * weights + 40 * 8 * training.iterations
-    walks = 2 * training.evaluation.bodies  # by the policy, and by the controller alone
+    walks = 2 * training.evaluation.bodies  # with and without the policy
     evaluated = sum(
         walks * float(training.run.seconds(setup.cycle_rate({}))[1])
         for setup, _ in training.evaluated()

@@ -1,4 +1,4 @@
-"""What a training is: the checked content of a training file. All errors in it are reported before it starts."""
+"""The specification of a training: the checked content of a training file. All errors are reported before the start."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Annotated, Any, ClassVar, Final, NamedTuple
 from pydantic import ConfigDict, Field
 
 from nermo_mjx.control.protocol import OBJECT_FORM
-from nermo_mjx.learn.acting import ACTIONS, Acting
+from nermo_mjx.learn.acting import ACTIONS, ActionController
 from nermo_mjx.learn.algorithms import PPO
 from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check_worlds
 from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.observing import FORMER_NAMES
-from nermo_mjx.learn.own import code_place, is_own, own_name
+from nermo_mjx.learn.own import custom_code_file, custom_name, is_custom
 from nermo_mjx.learn.task import (
     DEFAULT_RANDOMIZATION,
     EPISODE_PARAMETERS,
@@ -79,30 +79,30 @@ class SceneTask(NamedTuple):
     """A scene in which a policy learns.
 
     Attributes:
-        setup, task: what is chosen by name there, and what the policy does.
-        written: as written in a training file.
-        share: of the worlds, relative to those of the other scenes.
+        setup, task: Setup and task on this scene.
+        fields: Fields of the scene in a training file.
+        share: Share of the worlds, relative to the shares of the other scenes.
     """
 
     setup: Setup
     task: Task
-    written: Mapping[str, Any]
+    fields: Mapping[str, Any]
     share: float = 1.0
 
 
 def read_scenes(
     doc: Document, fields: Sequence[SceneFields], setup: Setup, task: Task
 ) -> tuple[SceneTask, ...]:
-    """The scenes of a training file, from its section `scenes` and what all scenes have in common.
+    """The scenes of a training file, from its section `scenes`, and the setup and task that all scenes share.
 
     Raises:
-        SpecError: a choice that is refused there, or a scene that stands there twice.
-        ParameterError: a value that is refused there.
+        SpecError: A choice of a scene is invalid, or the section contains a scene twice.
+        ParameterError: A value of a scene is invalid.
     """
     scene_tasks: list[SceneTask] = []
     for i, scene_fields in enumerate(fields):
         path = ("scenes", i)
-        if scene_fields.scene in [scene_task.written["scene"] for scene_task in scene_tasks]:
+        if scene_fields.scene in [scene_task.fields["scene"] for scene_task in scene_tasks]:
             doc.fail(
                 (*path, "scene"), f"is {scene_fields.scene!r} for a second time: leave one out."
             )
@@ -145,9 +145,9 @@ def read_scenes(
     return tuple(scene_tasks)
 
 
-#: Fields that do not change what an iteration computes: a training may be resumed with others.
+#: Fields that do not change the iterations, so that a training can be resumed with other values.
 CHANGEABLE_FIELDS: Final = ("steps", "run", "evaluate", "plots")
-#: Ways of learning, by the name in files.
+#: Learning algorithms, by their names in files.
 ALGORITHMS: Final[Mapping[str, type[Spec]]] = {"ppo": PPO}
 
 
@@ -193,7 +193,7 @@ class DrawnFields(Fields):
 
     @classmethod
     def refuse(cls, key: str) -> None:
-        """None here: a task knows its parameters."""
+        """Accept every key; the task checks the names of the parameters."""
 
 
 class TrainingFile(WalkFields):
@@ -258,8 +258,8 @@ class Training(WalkSpec, Described):
     >>> Training.from_dict({"worlds": 64, "steps": 10_000}).iterations
     10
 
-    The fields from `task` on are those of `TrainingFile`, which documents them. The run is that of the evaluation. A
-    training on several `scenes` does not learn on the setup's own.
+    `TrainingFile` documents the fields from `task` on. `run` is the run of the evaluation. A training with `scenes`
+    learns on these scenes instead of the setup's scene.
     """
 
     kind: ClassVar = "training"
@@ -286,12 +286,12 @@ class Training(WalkSpec, Described):
 
     @property
     def iterations(self) -> int:
-        """How many there are."""
+        """Number of iterations."""
         return -(-self.steps // self.steps_per_iteration)
 
     @property
     def section(self) -> int:
-        """Iterations between two checkpoints."""
+        """Number of iterations between two checkpoints."""
         return max(1, round(self.checkpoint / self.steps_per_iteration))
 
     @functools.cached_property
@@ -300,7 +300,7 @@ class Training(WalkSpec, Described):
         return self.setup.make_controller().dt * self.task.decimation
 
     def environment(self, engine: str) -> Environment | Mixture:
-        """The worlds in which it learns, on the engine `c` or `mjx`."""
+        """The worlds of the training, on the engine `c` or `mjx`."""
         if not self.scenes:
             return Environment(
                 self.setup, engine=engine, worlds=self.worlds, task=self.task, staggered=True
@@ -310,7 +310,7 @@ class Training(WalkSpec, Described):
         return Mixture(parts, engine=engine, worlds=self.worlds, shares=shares, staggered=True)
 
     def evaluated(self) -> list[tuple[Setup, Task]]:
-        """Setup and task of each scene of the evaluation; what is set there is not drawn."""
+        """Setup and task of each scene of the evaluation; values that the evaluation sets are not sampled."""
         pairs_here = [(scene_task.setup, scene_task.task) for scene_task in self.scenes] or [
             (self.setup, self.task)
         ]
@@ -322,10 +322,10 @@ class Training(WalkSpec, Described):
         if (physics := self.evaluation.physics) is not None:
             changes: dict[str, Any] = {"physics": physics, "timestep": PRESETS[physics].timestep}
             pairs = [(dataclasses.replace(setup, **changes), task) for setup, task in pairs]
-        return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
+        return [(setup, _evaluation_task(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:
-        """Refuse scenes and minibatches among which worlds and steps cannot be divided; raises `ParameterError`."""
+        """Raise `ParameterError` if worlds and steps cannot be divided among scenes and minibatches."""
         check_worlds(self.worlds, len(self.scenes))
         parts, size = self.algorithm.minibatches, self.steps_per_iteration
         if size % parts:
@@ -336,7 +336,7 @@ class Training(WalkSpec, Described):
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         data = self.walk_fields(folder)
-        task = self.task.with_own(lambda reference: written_code(reference, folder))
+        task = self.task.replace_custom(lambda reference: written_code(reference, folder))
         data["task"] = written(task) | {"action": named_section(task.action, ACTIONS)}
         data["task"]["rewards"] = {
             str(name): float(weight) for name, weight in task.rewards.items()
@@ -350,7 +350,7 @@ class Training(WalkSpec, Described):
             name: [float(low), float(high)] for name, (low, high) in self.task.randomize.items()
         }
         if self.scenes:
-            data["scenes"] = [dict(scene.written) for scene in self.scenes]
+            data["scenes"] = [dict(scene.fields) for scene in self.scenes]
             del data["scene"]
         data["algorithm"] = named_section(self.algorithm, ALGORITHMS)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
@@ -364,11 +364,11 @@ class Training(WalkSpec, Described):
         return data | {"plots": self.plots}
 
     def decisive(self) -> dict[str, Any]:
-        """The fields that may not change: a controller counts by what it is."""
+        """The fields that a resumed training may not change; a controller is identified by its content."""
         data = {
             key: value for key, value in self.resolved().items() if key not in CHANGEABLE_FIELDS
         }
-        task_fields = written(self.task.with_own(_code_identity))
+        task_fields = written(self.task.replace_custom(_code_identity))
         data["task"] |= {
             name: task_fields[name]
             for name in ("observe", "rewards", "terminations", "commands")
@@ -377,20 +377,22 @@ class Training(WalkSpec, Described):
         return data | code_identity(self.setup)
 
     def with_code_copied(self, folder: Path, write: Callable[[str, bytes], Any]) -> Training:
-        """The training with the files of its own code in a directory, so that it can be moved; see
-        `specs.controllers.with_code_copied`."""
+        """The training with copies of its custom code in a directory, so that this directory can be moved.
 
-        def copied(task: Task) -> Task:
-            return task.with_own(
+        See `specs.controllers.with_code_copied`.
+        """
+
+        def copy_code(task: Task) -> Task:
+            return task.replace_custom(
                 lambda where: kept_code(where, Path(source_of(where).place).name, folder, write)
             )
 
         setup = with_code_copied(self.setup, folder, write)
-        scenes = tuple(scene._replace(task=copied(scene.task)) for scene in self.scenes)
-        return dataclasses.replace(self, setup=setup, task=copied(self.task), scenes=scenes)
+        scenes = tuple(scene._replace(task=copy_code(scene.task)) for scene in self.scenes)
+        return dataclasses.replace(self, setup=setup, task=copy_code(self.task), scenes=scenes)
 
     def identity(self) -> dict[str, Any]:
-        """All that decides an iteration: the `fields`, and `defaults` of what they do not name."""
+        """All inputs of an iteration: `fields`, and `defaults` of the fields that a file does not set."""
         return {
             "fields": self.decisive(),
             "defaults": {
@@ -434,13 +436,13 @@ def _read(doc: Document) -> Training:
         )
     task = _read_task(doc, file, walk)
     scenes = _read_scenes(doc, file, setup, task)
-    with _refusals(doc, "evaluate", "scenes"):
+    with _report_errors(doc, "evaluate", "scenes"):
         for scene in file.evaluate.scenes:
             dataclasses.replace(setup, scene=scene)
     names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "until", "plots")
     same = {name: getattr(file, name) for name in names}
     training = Training(**walk, task=task, scenes=scenes, evaluation=file.evaluate, **same)
-    with _refusals(doc):
+    with _report_errors(doc):
         training.check_division()
     if file.until is not None and not file.validation:
         doc.fail(
@@ -469,19 +471,19 @@ def _read_task(doc: Document, file: TrainingFile, walk: Mapping[str, Any]) -> Ta
         if task.bodies:
             doc.fail(("randomize", "from"), "stands beside 'task.bodies': leave one of them out.")
         task = dataclasses.replace(task, bodies=file.randomize.bodies)
-    with _refusals(doc, "task"):
+    with _report_errors(doc, "task"):
         for field in ("observe", "rewards", "terminations"):
-            for reference in filter(is_own, getattr(task, field)):
+            for reference in filter(is_custom, getattr(task, field)):
                 if not isinstance(reference, str):
                     raise ParameterError(
-                        f"{field} has {own_name(reference)}: name it as {OBJECT_FORM}, as a file can."
+                        f"{field} has {custom_name(reference)}: name it as {OBJECT_FORM}, as a file can."
                     )
-        task = task.with_own(functools.partial(code_beside, doc))
-        code_place(task.observe)
+        task = task.replace_custom(functools.partial(code_beside, doc))
+        custom_code_file(task.observe)
         task.check_commands(setup)
-    with _refusals(doc):
+    with _report_errors(doc):
         task.check(setup)
-    with _refusals(doc, "task"):
+    with _report_errors(doc, "task"):
         _try_out(setup, task)
     return task
 
@@ -489,32 +491,32 @@ def _read_task(doc: Document, file: TrainingFile, walk: Mapping[str, Any]) -> Ta
 def _read_scenes(
     doc: Document, file: TrainingFile, setup: Setup, task: Task
 ) -> tuple[SceneTask, ...]:
-    """The scenes of the file, if there are several, checked one by one and together."""
+    """The scenes of the file, if it has several; the scenes are checked one by one and together."""
     if file.scenes and "scene" in doc.data:
         doc.fail(("scene",), "stands beside 'scenes': leave one of them out.")
-    with _refusals(doc, "scenes"):
+    with _report_errors(doc, "scenes"):
         scenes = read_scenes(doc, file.scenes or (), setup, task)
     if file.scenes is not None and len(scenes) < 2:
         doc.fail(("scenes",), f"has {len(scenes)}: expected two or more; one alone is 'scene'.")
     loops = {}
     for i, scene_fields in enumerate(scenes):
-        with _refusals(doc, "scenes", i):
+        with _report_errors(doc, "scenes", i):
             scene_fields.task.check(scene_fields.setup)
             loops[str(scene_fields.setup.scene)] = _try_out(scene_fields.setup, scene_fields.task)
     if scenes:
-        with _refusals(doc):
+        with _report_errors(doc):
             check_alike({name: loop for name, loop in loops.items() if loop is not None})
     return scenes
 
 
 def _check_evaluation(doc: Document, evaluation: EvaluationSpec, training: Training) -> None:
-    """Refuse values and ranges of an evaluation that its scenes lack, or with which the policy is not trained."""
+    """Report values and ranges of an evaluation that its scenes lack, or that are not part of the training."""
     pairs = training.evaluated()
     late, tasks = "sensing.delay", [scene.task for scene in training.scenes] or [training.task]
     taught = {name for scene in tasks for name in (*scene.set, *scene.randomize)}
-    if CODE_EXECUTION.get() or not any(scene.has_own for scene in tasks):
+    if CODE_EXECUTION.get() or not any(scene.has_custom_code for scene in tasks):
         taught |= {name for scene in tasks for name in scene.sampled}
-    else:  # own code that is not run may draw any command
+    else:  # custom code that is not run may sample any command
         taught |= {name for name in POLICY_PARAMETERS if name.startswith("command.")}
     taught |= {
         name
@@ -544,44 +546,49 @@ def _check_evaluation(doc: Document, evaluation: EvaluationSpec, training: Train
                 ("evaluate", section, name),
                 "is no parameter of the evaluation's scenes: leave it out.",
             )
-    with _refusals(doc, "evaluate"):
+    with _report_errors(doc, "evaluate"):
         for setup, task in pairs:
             task.check(setup)
 
 
-def _evaluated(setup: Setup, task: Task, evaluation: EvaluationSpec) -> Task:
-    """The task of an evaluation: with its values and ranges where the setup has them, and no draws that it has not."""
+def _evaluation_task(setup: Setup, task: Task, evaluation: EvaluationSpec) -> Task:
+    """The task of an evaluation on one scene, with the values and ranges of the parameters that the setup has."""
     declared = terrain_values(str(setup.scene)), task_parameters(setup)
 
-    def there(values: Mapping[str, Any]) -> dict[str, Any]:
+    def select_supported(values: Mapping[str, Any]) -> dict[str, Any]:
         return {
             name: value
             for name, value in values.items()
             if name in declared[not name.startswith("terrain.")]
         }
 
-    values, ranges = there(evaluation.set), there({**task.randomize, **evaluation.randomize})
+    values, ranges = (
+        select_supported(evaluation.set),
+        select_supported({**task.randomize, **evaluation.randomize}),
+    )
     remaining_ranges = {name: ends for name, ends in ranges.items() if name not in values}
     fixed = {name: value for name, value in task.set.items() if name not in remaining_ranges}
     return dataclasses.replace(task, set={**fixed, **values}, randomize=remaining_ranges)
 
 
 def _code_identity(where: str) -> str:
-    """Own code by its name and what is in its file, wherever that is."""
+    """Custom code by its name and the content of its file, independent of the file's folder."""
     source = source_of(where)
     return f"{source.name} {source.digest()}"
 
 
 def _try_out(setup: Setup, task: Task) -> EpisodeLoop | None:
-    """Catch errors that would otherwise occur when the environment is created; None where own code is not run."""
-    if task.has_own and not CODE_EXECUTION.get():
+    """Make the loop to catch errors that would otherwise occur later; None if custom code is not run."""
+    if task.has_custom_code and not CODE_EXECUTION.get():
         return None
-    return EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
+    return EpisodeLoop(
+        setup.load(), ActionController(setup.make_controller(), task.action), task, ()
+    )
 
 
 @contextlib.contextmanager
-def _refusals(doc: Document, *path: str | int) -> Iterator[None]:
-    """Report errors of a section for the field that they name."""
+def _report_errors(doc: Document, *path: str | int) -> Iterator[None]:
+    """Report errors of a section at the line of their field."""
     try:
         yield
     except SpecError:

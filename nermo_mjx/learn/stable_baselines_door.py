@@ -1,4 +1,4 @@
-"""The environment as a `VecEnv` of Stable-Baselines3, for its trainers and those of sbx; neither is installed by it."""
+"""The environment as a `VecEnv` of Stable-Baselines3, for its trainers and the trainers of sbx, which you install."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ __all__ = ["NermoVecEnv"]
 
 
 class NermoVecEnv(VecEnv):
-    """A batch of worlds on MuJoCo's C engine, in Stable-Baselines3's own interface, which predates Gymnasium's.
+    """A batch of worlds on MuJoCo's C engine, with the interface of Stable-Baselines3, which is older than Gymnasium's.
 
-    A world whose episode has ended begins the next one in the same step. Its info then has the last observation in
-    `terminal_observation`, whether it was only cut off in `TimeLimit.truncated`, its return, length in control steps
-    and time in `episode` (`r`, `l`, `t`), and what `NermoVectorEnv` tells: `status`, `distance`, `duration`,
-    `servo_work`, `unsolved`, and each term of the reward of the last step. At other steps infos are empty.
+    A world whose episode has ended begins the next one in the same step. Its info then contains the last observation
+    (`terminal_observation`), whether the episode was cut off (`TimeLimit.truncated`), its return, length in control
+    steps and time (`r`, `l`, `t` in `episode`), and the entries of `NermoVectorEnv`: `status`, `distance`, `duration`,
+    `servo_work`, `unsolved`, and each term of the reward of the last step. In other steps the infos are empty.
     """
 
     def __init__(self, environment: Environment | None = None, **options: Any) -> None:
         """
         Args:
-            environment: on the engine `c`.
-            options: alternatively, the arguments of an environment.
+            environment: Environment on the engine `c`.
+            options: Arguments of an environment, if none is given.
 
         Raises:
-            ValueError: an environment on another engine.
+            ValueError: The environment uses another engine.
         """
         self.door = NermoVectorEnv(environment, **options)
         self.environment, self.render_mode = self.door.environment, None
@@ -48,7 +48,7 @@ class NermoVecEnv(VecEnv):
         )
 
     def reset(self) -> np.ndarray:
-        """Begin an episode in all worlds; the seed of `seed()` holds for one call."""
+        """Begin an episode in all worlds; the seed of `seed()` applies to one call."""
         observation, _ = self.door.reset(seed=self._seeds[0])
         self._reset_seeds()
         self._reset_options()
@@ -60,7 +60,7 @@ class NermoVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """One control step of all worlds."""
+        """Simulate one control step of all worlds under the stored actions."""
         observation, reward, terminated, truncated, info = self.door.step(self._actions)
         self._returns += reward
         self._lengths += 1
@@ -86,19 +86,19 @@ class NermoVecEnv(VecEnv):
         return observation, reward.astype(np.float32), is_ended, infos
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing, because the environment has no resources to close."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the environment, which all worlds share, once for each."""
+        """The value of an attribute of the environment for each world; all worlds share it."""
         shared = (
             getattr(self, attr_name)
             if attr_name == "render_mode"
             else getattr(self.door, attr_name)
         )
-        return [shared] * len(self._places(indices))
+        return [shared] * len(self._world_indices(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: worlds differ by what their episodes draw."""
+        """Raise an error: worlds differ only in the sampled parameters of their episodes."""
         raise NotImplementedError(
             f"{attr_name} cannot be set: worlds share one environment, see `Task`."
         )
@@ -106,14 +106,14 @@ class NermoVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **options: Any
     ) -> list[Any]:
-        """Refused: worlds are not separate objects."""
+        """Raise an error: worlds are not separate objects."""
         raise NotImplementedError(f"{method_name} cannot be called: worlds share one environment.")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """No world is wrapped; `VecMonitor` and similar wrap all of them."""
-        return [False] * len(self._places(indices))
+        return [False] * len(self._world_indices(indices))
 
-    def _places(self, indices: int | Sequence[int] | None) -> Sequence[int]:
+    def _world_indices(self, indices: int | Sequence[int] | None) -> Sequence[int]:
         return (
             range(self.num_envs)
             if indices is None

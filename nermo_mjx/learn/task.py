@@ -1,8 +1,8 @@
-"""A task: what a policy does and observes, its rewards, when an episode ends, and what differs between episodes.
+"""A task: the actions and observations of a policy, its rewards, the end of an episode, and the sampled parameters.
 
 Terms of the reward have a name, a unit and a meaning, and are summed over a control step. The reward of a step is the
-sum of the terms, each times its weight in `Task.rewards`. Terms are what a step adds: the distance in metres, not the
-speed; so a return does not depend on the length of a control step.
+sum of the terms, each times its weight in `Task.rewards`. A term is the increment of a step, for example the distance in
+metres, not the speed, so that a return does not depend on the length of a control step.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
 from nermo_mjx.control.protocol import OBJECT_FORM, ControllerLike, function_place, user_code
-from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
+from nermo_mjx.learn.acting import (
+    ActionController,
+    ActionField,
+    ActionKind,
+    ActionParameters,
+    Residual,
+)
 from nermo_mjx.learn.observing import (
     DEFAULT_OBSERVATION,
     FORMER_NAMES,
@@ -33,7 +39,7 @@ from nermo_mjx.learn.observing import (
     SENSED_READINGS,
     Sensing,
 )
-from nermo_mjx.learn.own import drawn_by, is_own, own_name, own_object
+from nermo_mjx.learn.own import custom_name, custom_object, is_custom, sample_commands
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import (
@@ -76,13 +82,13 @@ class Moment(NamedTuple):
     """A control step of one world that has just ended.
 
     Attributes:
-        before, now: metrics at its start and its end.
-        sensors: readings at its end.
-        seconds: its length [s].
-        speed: smoothed over a gait cycle [m/s].
-        command: name -> value commanded, for `speed` [m/s] and `yaw_rate` [rad/s].
-        action, last_action: of this step and the one before.
-        failed, arrived: whether the episode ends with it.
+        before, now: Metrics at its start and its end.
+        sensors: Sensor readings at its end.
+        seconds: Its length [s].
+        speed: Speed, smoothed over a gait cycle [m/s].
+        command: Commanded values by name: `speed` [m/s] and `yaw_rate` [rad/s].
+        action, last_action: Actions of this step and of the previous one (a,), in [-1, 1].
+        failed, arrived: Whether the episode ends with this step, by a failure or by its distance.
     """
 
     before: MetricState
@@ -102,11 +108,11 @@ class Term:
     """A term of the reward.
 
     Attributes:
-        name: in `Task.rewards`, and of its column.
-        unit: of its value.
-        doc: what it is.
-        value: of a `Moment`, pure JAX, unbatched.
-        needs: the command without which it is meaningless.
+        name: Key in `Task.rewards`, and name of the column.
+        unit: Unit of the value.
+        doc: Meaning of the term.
+        value: Function from a `Moment` to the value, in pure JAX, unbatched.
+        needs: Command that the term requires.
     """
 
     name: str
@@ -116,10 +122,10 @@ class Term:
     needs: str | None = None
 
     def of(self, moment: Moment) -> Scalar:
-        """Its value.
+        """The value of the term in a control step.
 
         Raises:
-            ParameterError: the function fails, cannot be compiled, or gives something else than one number.
+            ParameterError: The function fails, cannot be compiled, or does not return one number.
         """
         with user_code(f"{self.subject}, which fails"):
             value = self.value(moment)
@@ -135,7 +141,7 @@ class Term:
 
     @property
     def subject(self) -> str:
-        """The beginning of messages about it."""
+        """The beginning of messages about the term."""
         return f"rewards has {function_place(self.name, self.value)}"
 
 
@@ -247,19 +253,19 @@ _REWARD_TERMS: Final = (
 TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _REWARD_TERMS}
 
 
-def chosen_terms(
+def select_terms(
     weights: Mapping[str | Term, float], commands: tuple[str, ...]
 ) -> dict[Term, float]:
     """The terms of a task and their weights, given by the names of `TERMS`, as custom terms, or as functions of a
     `Moment`, which FILE.py:NAME can name.
 
     Raises:
-        ParameterError: there is no such term, it needs a command that is not among the task's `commands`, or its weight
-            is no number.
+        ParameterError: A term does not exist, it requires a command that is not among the task's `commands`, or its
+            weight is not a number.
     """
     terms: dict[Term, float] = {}
     for reference, weight in weights.items():
-        term = _own_term(reference) if is_own(reference) else TERMS.get(str(reference))
+        term = _custom_term(reference) if is_custom(reference) else TERMS.get(str(reference))
         if term is None:
             near = nearest(str(reference), list(TERMS))
             hint = f"did you mean {near!r}? " if near else ""
@@ -279,14 +285,17 @@ def chosen_terms(
     return terms
 
 
-def _own_term(reference: Any) -> Term:
-    """A term of one's own; a function has no unit."""
-    function = own_object("rewards", reference)
+def _custom_term(reference: Any) -> Term:
+    """A custom term; a function has no unit."""
+    function = custom_object("rewards", reference)
     if not isinstance(function, Term) and not callable(function):
         raise ParameterError(
             f"rewards has {reference!r}, which is {described(function)}: expected a Term, or a function."
         )
-    name, doc = own_name(reference), (inspect.getdoc(function) or "").partition("\n")[0].rstrip(".")
+    name, doc = (
+        custom_name(reference),
+        (inspect.getdoc(function) or "").partition("\n")[0].rstrip("."),
+    )
     return function if isinstance(function, Term) else Term(name, "1", doc or name, function)
 
 
@@ -304,7 +313,7 @@ class Outcome(enum.Enum):
 
 @parameter_tree
 class Command:
-    """What the robot is commanded to do in an episode; only what a task names is commanded."""
+    """Commands of an episode; only the commands that a task names take effect."""
 
     speed: Any = quantity(0.1, unit="m/s", low=0.0, high=1.0, doc="wanted speed")
     yaw_rate: Any = quantity(
@@ -313,14 +322,14 @@ class Command:
 
 
 @parameter_tree
-class Given:
+class EpisodeInputs:
     """Parameters of an episode in addition to those of a run."""
 
     sensing: Sensing = group(Sensing)
     command: Command = group(Command)
 
 
-#: Default differences between episodes.
+#: Default ranges of the parameters that differ between episodes.
 DEFAULT_RANDOMIZATION: Final[Mapping[str, tuple[float, float]]] = {
     "start.phase": (0.0, 1.0),
     "start.yaw": (-0.05, 0.05),
@@ -337,7 +346,7 @@ DEFAULT_REWARDS: Final[Mapping[str | Term, float]] = {
 
 
 class _Rewards(Checked):
-    """Weights by the names of the reward's terms."""
+    """A field with weights by the names of the reward's terms."""
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_before_validator_function(
@@ -369,14 +378,14 @@ def _terms(value: Any) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class Task(Spec):
-    """What defines an `Environment` in addition to its setup.
+    """The task of an `Environment`.
 
     >>> Task(randomize={"contact.friction": (1.0, 1.6)}, distance=1.0).decimation
     1
 
-    A command is named like any parameter: with `command.speed` or `command.yaw_rate` under `set` or `randomize` the
-    policy is told it, and the published controller obeys it as far as it can (the yaw rate with the pilot `open_loop`).
-    With a pilot that follows a path, the path is the command.
+    A command is set like any parameter. With `command.speed` or `command.yaw_rate` under `set` or `randomize`, the
+    policy observes the command, and the published controller follows it as far as possible (the yaw rate with the pilot
+    `open_loop`). With a pilot that follows a path, the path is the command.
     """
 
     what = "a field of a task"
@@ -421,7 +430,7 @@ class Task(Spec):
     def _known(cls, fields: Any) -> Any:
         if (
             isinstance(fields, dict) and "duration" in fields and "episode_length" not in fields
-        ):  # its former name
+        ):  # the former name of episode_length
             fields = {
                 "episode_length" if key == "duration" else key: value
                 for key, value in fields.items()
@@ -446,7 +455,7 @@ class Task(Spec):
                 raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
         object.__setattr__(self, "terminations", tuple(self.terminations))
         observe = (
-            group if is_own(group) else FORMER_NAMES.get(group, group) for group in self.observe
+            group if is_custom(group) else FORMER_NAMES.get(group, group) for group in self.observe
         )
         object.__setattr__(self, "observe", tuple(observe))
         for section in ("set", "randomize"):
@@ -462,52 +471,56 @@ class Task(Spec):
 
     @property
     def commanded(self) -> tuple[str, ...]:
-        """Fields of `Command` that the task names."""
+        """Names of the fields of `Command` that the task sets or samples."""
         named = {*self.set, *self.randomize, *self.sampled}
         return tuple(name for name in ("speed", "yaw_rate") if f"command.{name}" in named)
 
     @property
     def sampled(self) -> tuple[str, ...]:
-        """Names of what `commands` draws."""
-        return () if self.commands is None else tuple(drawn_by(self.commands)[1])
+        """Names of the parameters and commands that the function `commands` samples."""
+        return () if self.commands is None else tuple(sample_commands(self.commands)[1])
 
     def sample(self, key: Any, steps: Any) -> dict[str, Any]:
-        """What `commands` draws; pure JAX."""
+        """Values that the function `commands` samples, by name; pure JAX."""
         return (
-            {} if self.commands is None else dict(own_object("commands", self.commands)(key, steps))
+            {}
+            if self.commands is None
+            else dict(custom_object("commands", self.commands)(key, steps))
         )
 
-    def with_own(self, change: Callable[[Any], Any]) -> Task:
-        """The task with each entry of one's own replaced by what `change` makes of it."""
+    def replace_custom(self, change: Callable[[Any], Any]) -> Task:
+        """The task with the result of `change` instead of each custom entry."""
 
-        def one(reference: Any) -> Any:
-            return change(reference) if reference is not None and is_own(reference) else reference
+        def replace_entry(reference: Any) -> Any:
+            return (
+                change(reference) if reference is not None and is_custom(reference) else reference
+            )
 
         return dataclasses.replace(
             self,
-            observe=tuple(map(one, self.observe)),
-            rewards={one(name): weight for name, weight in self.rewards.items()},
-            terminations=tuple(map(one, self.terminations)),
-            commands=one(self.commands),
+            observe=tuple(map(replace_entry, self.observe)),
+            rewards={replace_entry(name): weight for name, weight in self.rewards.items()},
+            terminations=tuple(map(replace_entry, self.terminations)),
+            commands=replace_entry(self.commands),
         )
 
     @property
-    def has_own(self) -> bool:
-        """Whether it has code of one's own."""
+    def has_custom_code(self) -> bool:
+        """Whether the task has custom code."""
         return (
-            any(map(is_own, (*self.observe, *self.rewards, *self.terminations)))
+            any(map(is_custom, (*self.observe, *self.rewards, *self.terminations)))
             or self.commands is not None
         )
 
     def ticks(self, dt: float) -> int:
-        """Control ticks of `dt` seconds in an episode, a whole number of control steps."""
+        """Number of control ticks of `dt` [s] in an episode, a multiple of `decimation`."""
         return max(1, round(self.episode_length / dt / self.decimation)) * self.decimation
 
     def check(self, setup: Setup) -> None:
-        """Refuse unknown names, values out of range, and names with two sources.
+        """Check that names are known, values are in their ranges, and each parameter has one source.
 
         Raises:
-            ParameterError: with the field's name, its value and what is allowed.
+            ParameterError: A check fails; the message contains the field, the value and the allowed values.
         """
         if setup.schedule:
             raise ParameterError(
@@ -553,14 +566,14 @@ class Task(Spec):
         )
 
     def check_commands(self, setup: Setup) -> None:
-        """Refuse `commands` that fail, or draw what is no parameter or out of range; not where no code is run.
+        """Check that `commands` runs, and samples known parameters within their ranges; skipped if no code may be run.
 
         Raises:
-            ParameterError: with file, line and what is wrong.
+            ParameterError: A check fails; the message contains the file and the line.
         """
         if self.commands is None or not CODE_EXECUTION.get():
             return
-        allowed, (subject, sampled) = task_parameters(setup), drawn_by(self.commands)
+        allowed, (subject, sampled) = task_parameters(setup), sample_commands(self.commands)
         for name, values in sampled.items():
             if name not in allowed or (
                 name.startswith("terrain.") and name not in terrain_values(str(setup.scene))
@@ -575,9 +588,9 @@ class Task(Spec):
             allowed[name].check(f"{subject}, where {name}", values)
 
 
-#: Parameters of a policy's episodes that runs do not have; its file has them, too.
-POLICY_PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(Given))
-#: Of what pushes the robot there.
+#: Parameters of a policy's episodes that runs do not have; the policy's file contains them, too.
+POLICY_PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(EpisodeInputs))
+#: Parameters of the pushes in episodes.
 PUSH_PARAMETERS: Final[dict[str, Quantity]] = {
     "push.force": Quantity(
         1.0, "N", 0.0, 10.0, f"on the torso for {PUSH_SECONDS:g} s, in any horizontal direction"
@@ -601,49 +614,49 @@ class EpisodeParameters:
     """Parameters of one world in one episode.
 
     Attributes:
-        loop: of the run loop; the action is in `loop.control.action`.
-        given: sensor delay and noise, and the command.
-        drawn: what was drawn, each in [-1, 1] of its range, (r,).
-        seed: of the noise, a whole number below 2^24.
-        ticks: control ticks until its time is over.
+        loop: Parameters of the run loop; the action is in `loop.control.action`.
+        inputs: Delay and noise of the sensors, and the command.
+        sample: Sampled parameters, scaled from their ranges to [-1, 1] (r,).
+        seed: Seed of the noise, a whole number below 2^24.
+        ticks: Control ticks until the time of the episode is over.
     """
 
     loop: LoopParameters
-    given: Given
-    drawn: Float[Array, " r"]
+    inputs: EpisodeInputs
+    sample: Float[Array, " r"]
     seed: Count
     ticks: Count
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Episodes:
-    """Draws episodes: parameters, body and first position of one world from a random key. Pure JAX."""
+    """Samples episodes: parameters, body and initial position of one world from a random key, in pure JAX."""
 
     setup: Setup
     robot: Robot
-    controller: Acting
+    controller: ActionController
     task: Task
 
     @property
-    def drawn(self) -> tuple[str, ...]:
-        """Names of what differs between episodes."""
+    def sampled_names(self) -> tuple[str, ...]:
+        """Names of the parameters that differ between episodes."""
         return (
             *self.task.randomize,
             *(identified.bodies(self.task.bodies).values if self.task.bodies else ()),
         )
 
     @property
-    def reached(self) -> tuple[str, ...]:
-        """Names of the parameters that are not the setup's."""
-        return (*self.setup.body, *self.task.set, *self.task.sampled, *self.drawn)
+    def changed_names(self) -> tuple[str, ...]:
+        """Names of the parameters that differ from the defaults of the setup."""
+        return (*self.setup.body, *self.task.set, *self.task.sampled, *self.sampled_names)
 
     def __call__(
         self, key: Any, cut_short: Any = False, steps: Any = 0.0
     ) -> tuple[EpisodeParameters, ModelParameters, Float[Array, " nq"]]:
-        """Parameters, body and first position of the episode of a random key.
+        """Parameters, body and initial position (nq,) of the episode of a random key.
 
-        With `cut_short` its time is over after a random share of the task's length; `steps` are the control steps of
-        the training so far, for its `commands`.
+        With `cut_short`, the time of the episode is over after a random share of the task's length. `steps` is the
+        number of control steps of the training so far, an argument of the task's `commands`.
         """
         seed, draw, body = jax.random.split(key, 3)
         values: dict[str, Any] = dict(self.task.set)
@@ -664,20 +677,23 @@ class Episodes:
             ]
             shares = jnp.concatenate([shares, jnp.clip(jnp.stack(spread), -1.0, 1.0)])
         sampled = replace_quantities(
-            Given(), {name: value for name, value in values.items() if name in POLICY_PARAMETERS}
+            EpisodeInputs(),
+            {name: value for name, value in values.items() if name in POLICY_PARAMETERS},
         )
         world = self.setup.world(
             {name: value for name, value in values.items() if name not in EPISODE_PARAMETERS}
         )
-        command_values = commanded(
+        command_values = apply_command(
             self.controller.base, self.task.commanded, world.control, sampled.command
         )
-        control = jax.tree.map(_real, Acted(command_values, self.controller.parameters.action))
+        control = jax.tree.map(
+            _as_float, ActionParameters(command_values, self.controller.parameters.action)
+        )
         window = Window(begin=0.0, end=1e6, distance=1e6)
         world = dataclasses.replace(world, control=control)
         loop = loop_parameters(self.robot, world, window, values)
         pusher = jax.random.randint(jax.random.fold_in(seed, 2), (), 0, 1 << 24)
-        loop = dataclasses.replace(loop, push=pushes_of(values, pusher))
+        loop = dataclasses.replace(loop, push=make_pushes(values, pusher))
         shape = world.model if is_shaped(values) else None
         first = StartPose(self.robot, self.controller).qpos(
             control, world.start, loop.terrain, shape
@@ -686,11 +702,13 @@ class Episodes:
         ticks, part = self.task.ticks(self.controller.dt), self.task.decimation
         short = part * jax.random.randint(jax.random.fold_in(seed, 1), (), 1, ticks // part + 1)
         length = jnp.where(cut_short, short, ticks)
-        parameters = jax.tree.map(_real, EpisodeParameters(loop, sampled, shares, number, length))
-        return parameters, jax.tree.map(_real, world.model), first
+        parameters = jax.tree.map(
+            _as_float, EpisodeParameters(loop, sampled, shares, number, length)
+        )
+        return parameters, jax.tree.map(_as_float, world.model), first
 
 
-def pushes_of(values: Mapping[str, Any], seed: Any) -> Pushes | None:
+def make_pushes(values: Mapping[str, Any], seed: Any) -> Pushes | None:
     """The pushes of a world with these values, by name; None if none of `PUSH_PARAMETERS` is among them."""
     force, interval = (
         values.get(name, declaration.default) for name, declaration in PUSH_PARAMETERS.items()
@@ -698,11 +716,13 @@ def pushes_of(values: Mapping[str, Any], seed: Any) -> Pushes | None:
     return Pushes(force, interval, seed) if PUSH_PARAMETERS.keys() & values.keys() else None
 
 
-def commanded(
+def apply_command(
     base: ControllerLike, commands: Collection[str], control: Any, command: Command
 ) -> Any:
-    """Parameters `control` of a controller with the speed and the turn rate that are commanded, if it is the published
-    one; `commands` are the names of what is commanded, `command` has the values."""
+    """The parameters `control` of the published controller `base` with the commanded speed and turn rate.
+
+    `commands` are the names of the commands, and `command` contains their values. Other controllers do not follow commands.
+    """
     if not isinstance(base, Controller):
         return control
     gait, clock_ratio = control.gait, control.tracking.clock_ratio
@@ -718,7 +738,7 @@ def commanded(
     return control
 
 
-def _real(leaf: Any) -> Array:
-    """Numbers in JAX's default precision; whole numbers stay what they are."""
+def _as_float(leaf: Any) -> Array:
+    """An array in JAX's default precision; whole numbers do not change."""
     array = jnp.asarray(leaf)
     return array.astype(float) if jnp.issubdtype(array.dtype, jnp.floating) else array

@@ -16,14 +16,14 @@ BEST: Final = "best.json"
 S = TypeVar("S", Tuning, Search)
 
 
-def stored_spec(path: Path, kind: str, holds: str, read: Callable[[Path], S]) -> S | None:
-    """What a directory was begun for, as its file says; None if there is no file.
+def read_spec(path: Path, kind: str, holds: str, read: Callable[[Path], S]) -> S | None:
+    """The specification in a directory's file; None if there is no file.
 
     Args:
-        holds: what it holds that belongs to an unknown job where there is no file; empty: nothing.
+        holds: Content of the directory that, without the file, belongs to an unknown job; empty if there is none.
 
     Raises:
-        WrongDirectory: the file cannot be read, or is missing.
+        WrongDirectory: The file cannot be read, or is missing although the directory has content.
     """
     try:
         if path.exists():
@@ -40,29 +40,29 @@ def stored_spec(path: Path, kind: str, holds: str, read: Callable[[Path], S]) ->
     return None
 
 
-def other_spec(path: Path, kind: str, apart: Sequence[str]) -> WrongDirectory:
-    """The error about a directory that was begun for another job, and in what that differs."""
+def other_spec_error(path: Path, kind: str, apart: Sequence[str]) -> WrongDirectory:
+    """The error about a directory that belongs to another job, with the fields that differ (`apart`)."""
     return WrongDirectory(
         f"{path.parent} holds another {kind}, with another {', '.join(apart[:3])}; choose another directory, or "
         f"resume with {path}."
     )
 
 
-#: Runs of the sweep that starts from a best point: from slightly different starts, to show whether it is fragile.
+#: Runs of the best point in its sweep, from slightly different initial states, to show whether the point is fragile.
 BEST_POINT_REPEATS: Final = 3
 
 
-def sweep_of(
+def sweep_text(
     walk: WalkSpec, head: str, values: Mapping[str, float], seed: int, folder: Path | None = None
 ) -> str:
-    """A sweep file of a found point: setup, run and `set`, run a few times from slightly different starts.
+    """The text of a sweep file that runs one point a few times from slightly different initial states.
 
     Args:
-        walk: what was tuned or searched.
-        head: a line about the point.
-        values: its parameters.
-        seed: of the starts.
-        folder: where the file is to stand, see `walk_fields`.
+        walk: Walk of the tuning or search.
+        head: Comment line about the point.
+        values: Parameters of the point, by name.
+        seed: Seed of the initial states.
+        folder: Folder of the file, see `walk_fields`.
     """
     data = walk.walk_fields(folder) | {
         "set": {**walk.fixed, **values},

@@ -22,7 +22,8 @@ from nermo_mjx.sweep.table import Results
 # The landscape behind a tuning's paths: its objective on a grid of one or two parameters, the rows of a sweep.
 
 
-#: Points along each parameter: for one, and for two. The ends of a periodic one coincide, and are simulated once.
+#: Points along each parameter, by the number of parameters. The ends of a periodic parameter coincide, and are simulated
+#: once.
 POINTS: Final = {1: 37, 2: 17}
 
 
@@ -31,9 +32,9 @@ class Landscape:
     """The objective on a grid.
 
     Attributes:
-        axes: parameter name -> its values (n,), from bound to bound; one or two of them.
-        value: objective (n,) or (n, m); NaN where the robot did not walk to the end.
-        walks: number of walks, and the engine that simulated them.
+        axes: Values (n,) of one or two parameters from bound to bound, by name.
+        value: Objective (n,) or (n, m); NaN at points whose walk did not end normally.
+        walks: Number of walks, and the engine that simulated them.
     """
 
     axes: dict[str, np.ndarray]
@@ -45,7 +46,7 @@ def grid_axes(tuning: Tuning) -> dict[str, np.ndarray]:
     """The first one or two tuned parameters, and their values on the grid, both ends included."""
     axes, tuned = {}, tuning.tuned[:2]
     for parameter in tuned:
-        # Like the tuner's points, those of a bounded parameter stop short of the bounds.
+        # The points of a bounded parameter do not reach the bounds, like the points of the tuner.
         share = np.linspace(0.0, 1.0, POINTS[len(tuned)])
         share = share if parameter.periodic else FURTHEST + (1.0 - 2.0 * FURTHEST) * share
         axes[parameter.name] = parameter.low + (parameter.high - parameter.low) * share
@@ -77,7 +78,7 @@ def landscape_folder(out: Path, sweep: Sweep) -> Path:
     return out / "landscape" / sweep.digest()
 
 
-def stored_landscape(tuning: Tuning, sweep: Sweep, out: Path) -> Landscape | None:
+def read_landscape(tuning: Tuning, sweep: Sweep, out: Path) -> Landscape | None:
     """The landscape, if the directory of the tuning contains all rows of its sweep."""
     parts = Runs(landscape_folder(out, sweep), sweep.digest()).parts
     if sum(part.rows for part in parts) < sweep.variants:
@@ -86,13 +87,13 @@ def stored_landscape(tuning: Tuning, sweep: Sweep, out: Path) -> Landscape | Non
     value = tuning.objective.value(dict(results.columns(tuning.objective.metrics)))
     grid = np.where(results.well, np.asarray(value, float), np.nan)
     grid = grid.reshape([len(axis.listed()) for axis in sweep.axes])
-    # The end of a periodic parameter is its beginning.
+    # The last point of a periodic parameter is its first one.
     wraps = [(0, int(parameter.periodic)) for parameter in tuning.tuned[:2]]
     walks = f"{results.rows} walks, engine {parts[0].engine}"
     return Landscape(grid_axes(tuning), np.pad(grid, wraps, mode="wrap"), walks)
 
 
-def simulated_landscape(
+def simulate_landscape(
     tuning: Tuning,
     best: Mapping[str, float],
     out: Path,
@@ -112,7 +113,7 @@ def simulated_landscape(
         SpecError: A point of the grid cannot be simulated.
     """
     sweep = landscape_sweep(tuning, best)
-    landscape = stored_landscape(tuning, sweep, out)
+    landscape = read_landscape(tuning, sweep, out)
     if landscape is not None:
         return landscape
 
@@ -126,9 +127,9 @@ def simulated_landscape(
         accept_new_code=True,
         simulator=simulator(),
     )
-    return stored_landscape(tuning, sweep, out)
+    return read_landscape(tuning, sweep, out)
 
 
 def has_landscape(tuning: Tuning) -> bool:
-    """Whether the metrics of a walk are all that the objective needs: a recording is compared with in MJX only."""
+    """Whether the objective needs only metrics of a walk; the comparison with a recording needs MJX."""
     return TRAJECTORY_ERROR not in tuning.objective.metrics

@@ -1,4 +1,4 @@
-"""What is minimized: a weighted sum of terms over named metrics, pure JAX; and in which coordinates a tuning moves."""
+"""The objective, a weighted sum of terms over named metrics in pure JAX, and the coordinates of a tuning."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nermo_mjx.specs.model import Spec
 from nermo_mjx.specs.reading import Document
 from nermo_mjx.specs.values import FILE_METRICS, Choice, Finite, Positive
 
-#: The term that compares with a recording; the tuning's file names it under `recording`.
+#: The term that compares a walk with a recording; `recording` in the tuning's file defines it.
 TRAJECTORY_ERROR: Final = "trajectory_error"
 #: Metrics about the outcome of a run rather than the quality of the walk: flags, or functions of the run's length.
 _NO_AIM: Final = ("distance", "duration", "fell", "diverged", "failure_time")
@@ -32,7 +32,7 @@ OBJECTIVE_FORM: Final = (
 
 
 def objective_metrics(metrics: Mapping[str, Metric] = METRICS) -> dict[str, Metric]:
-    """What a term may name, of the metrics that a run gives.
+    """The metrics of a run that are allowed in a term, by name.
 
     >>> "speed" in objective_metrics(), "fell" in objective_metrics()
     (True, False)
@@ -41,12 +41,12 @@ def objective_metrics(metrics: Mapping[str, Metric] = METRICS) -> dict[str, Metr
     return aims | {TRAJECTORY_ERROR: TRAJECTORY_METRIC}
 
 
-#: What a term may name without custom metrics.
+#: Built-in metrics that are allowed in a term.
 OBJECTIVE_METRICS: Final = objective_metrics()
 
 
 class _Metrics(Choice):
-    """A metric that a term may name: a built-in or a custom one."""
+    """A field for the metric of a term, a built-in or a custom one."""
 
     def check(self, value: Any) -> str:
         return Choice(tuple(objective_metrics(FILE_METRICS.get()))).check(value)
@@ -104,7 +104,7 @@ class ObjectiveTerm(Spec):
 
     @property
     def metric(self) -> str:
-        """The name of m."""
+        """The name of the metric m."""
         return str(getattr(self, self.aim))
 
     def value(self, m: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -122,14 +122,15 @@ class Objective:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """The metrics that the terms read, each once."""
+        """Names of the metrics that the terms read, each once."""
         return tuple(dict.fromkeys(term.metric for term in self.terms))
 
     def value(self, metrics: Mapping[str, Any]) -> Float[Array, "*n"]:
-        """The objective from metrics, name -> (*n,), in SI units and radians.
+        """The objective (*n,) from metrics (*n,) by name, in SI units and radians.
 
-        Only what the terms name is read, so that a NaN elsewhere does no harm. It is finite, and so is its derivative,
-        wherever these metrics are; where one of them is NaN (nothing was measured), so is the objective.
+        The function reads only the metrics of the terms, so that a NaN in another metric has no effect. If these metrics
+        are finite, the objective and its derivative are finite. If one of them is NaN, for example because nothing was
+        measured, the objective is NaN.
         """
         total = self.terms[0].value(jnp.asarray(metrics[self.terms[0].metric]))
         for term in self.terms[1:]:
@@ -155,18 +156,19 @@ def read_objective(doc: Document, terms: Sequence[ObjectiveTerm] | None) -> Obje
 #
 #     x = low + (high - low) sigmoid(u),         dx/du = (high - low) sigmoid(u) (1 - sigmoid(u))
 #
-# A periodic parameter (an angle whose bounds are a whole turn) has no bounds to stay away from. Its coordinate is
-# proportional to it, and x wraps around to the other side:
+# A periodic parameter (an angle whose bounds are a whole turn apart) can cross its bounds. Its coordinate is
+# proportional to the parameter, and x wraps around to the other side:
 #
 #     x = low + (high - low) frac(1/2 + u/4),    dx/du = (high - low) / 4
 #
-# In the middle of the bounds both have the slope (high - low) / 4: a unit of u is the same fraction of every
-# parameter's range, so that one learning rate and one standard deviation suit all.
+# In the middle of the bounds, both kinds have the slope (high - low) / 4: a unit of u is the same fraction of every
+# parameter's range, so that one learning rate and one standard deviation suit all parameters.
 
 
-#: A point nearer to a bound than this share of the range is moved in: on the bound itself u is infinite and dx/du zero.
+#: A point closer to a bound than this share of the range is moved inwards, because on the bound u is infinite and dx/du
+#: is zero.
 EDGE: Final = 0.01
-#: No step leads nearer to a bound than this share of the range: from beyond, returning would take forever.
+#: A step ends at least at this share of the range from a bound, because dx/du is too small to return from closer points.
 FURTHEST: Final = 0.001
 
 
@@ -176,8 +178,8 @@ class Bounds:
     """Bounds of p parameters, in the parameters' own units.
 
     Attributes:
-        low, high: ends of each range (p,); of a periodic parameter they are one period apart.
-        periodic: whether the ends are the same place (p,).
+        low, high: Ends of each range (p,); the ends of a periodic parameter are one period apart.
+        periodic: Whether the parameter is periodic (p,).
     """
 
     low: Float[Array, " p"]
@@ -188,8 +190,8 @@ class Bounds:
 def to_unconstrained(bounds: Bounds, x: Float[Array, "*n p"]) -> Float[Array, "*n p"]:
     """Coordinates u of parameters x within their bounds.
 
-    A bounded parameter on its bound, or within `EDGE` of it, is taken as `EDGE` inside: 1 % of the range, where the
-    slope is a 25th of that in the middle. u is never infinite, so that a start on a bound can leave it.
+    A bounded parameter that is closer to its bound than `EDGE` (1 % of the range) is moved to this distance, where the
+    slope is 1/25 of the slope in the middle. Therefore u is finite, and a starting point on a bound can leave the bound.
     """
     share = (x - bounds.low) / (bounds.high - bounds.low)
     inside = jnp.clip(share, EDGE, 1.0 - EDGE)
@@ -197,23 +199,24 @@ def to_unconstrained(bounds: Bounds, x: Float[Array, "*n p"]) -> Float[Array, "*
 
 
 def from_unconstrained(bounds: Bounds, u: Float[Array, "*n p"]) -> Float[Array, "*n p"]:
-    """Parameters x at coordinates u; within the bounds for every finite u."""
+    """Parameters x (p,) at coordinates u (p,); x is within the bounds for every finite u."""
     turn = 0.5 + 0.25 * u
     share = jnp.where(bounds.periodic, turn - jnp.floor(turn), jax.nn.sigmoid(u))
     return jnp.clip(bounds.low + (bounds.high - bounds.low) * share, bounds.low, bounds.high)
 
 
 def slope(bounds: Bounds, u: Float[Array, "*n p"]) -> Float[Array, "*n p"]:
-    """dx/du at u.
+    """The derivative dx/du at u (p,).
 
-    By the chain rule d value/du = d value/dx dx/du, a gradient to the parameters times this is one to the coordinates.
+    By the chain rule, d value/du = d value/dx dx/du. Therefore the product of this derivative and a gradient with respect
+    to the parameters is the gradient with respect to the coordinates.
     """
     share = jax.nn.sigmoid(u)
     return (bounds.high - bounds.low) * jnp.where(bounds.periodic, 0.25, share * (1.0 - share))
 
 
 def confine(bounds: Bounds, u: Float[Array, "*n p"]) -> Float[Array, "*n p"]:
-    """Coordinates that a step may end at: not nearer to a bound than `FURTHEST`; a periodic one may be anywhere."""
+    """Coordinates at least `FURTHEST` away from the bounds; periodic coordinates do not change."""
     limit = jnp.log((1.0 - FURTHEST) / FURTHEST)
     return jnp.where(bounds.periodic, u, jnp.clip(u, -limit, limit))
 
@@ -228,10 +231,11 @@ class Evaluation:
     """Results of n points.
 
     Attributes:
-        value: objective (n,), lower is better.
-        gradient: d value / d parameters (n, p), per unit of each parameter; None if not requested.
-        metrics: name -> (n,), in the metrics' own units.
-        ok: whether the robot walked to the end and all numbers are finite, value and gradient (n,).
+        value: Objective (n,); lower is better.
+        gradient: Derivative of the value with respect to the parameters (n, p), per unit of each parameter; None if not
+            requested.
+        metrics: Metrics (n,) by name, in their units.
+        ok: Whether the robot walked to the end, and the value and the gradient are finite (n,).
     """
 
     value: Float[Array, " n"]
@@ -241,11 +245,11 @@ class Evaluation:
 
 
 class Problem(Protocol):
-    """A function to be tuned."""
+    """The function that a tuning minimizes."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The p tuned parameters, in the order of a point's numbers."""
+        """Names of the p tuned parameters, in the order of a point's numbers."""
 
     @property
     def simulated_seconds(self) -> float:
@@ -253,10 +257,10 @@ class Problem(Protocol):
 
     @property
     def gradient_cost(self) -> float:
-        """Cost of value and gradient of one world, in forward runs."""
+        """Cost of the value and gradient of one world, in forward runs."""
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        """Value and metrics, and on demand gradients, at n points, one world each.
+        """The value and metrics, and with `gradient` the gradients, at n points, one world each.
 
-        Called with any n; a second call with the same n and `gradient` must not compile again.
+        The number of points can be any n; a second call with the same n and `gradient` must not compile again.
         """

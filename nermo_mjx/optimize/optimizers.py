@@ -1,5 +1,6 @@
-"""Adam with a controlled rate, or any optax optimizer by name, with its options and schedules by name;
-tried out before anything expensive starts.
+"""Adam with a controlled rate, and the optimizers of optax by name, with options and schedules.
+
+An optimizer takes trial steps when it is created, so that a wrong option is reported before an expensive simulation.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from nermo_mjx.specs.reading import describe
 # ---
 # Adam with an automatic learning rate: it adapts to the objective values after each step.
 #
-# With Adam's means of the gradients m and of their squares v, corrected for their start (Kingma and Ba, ICLR 2015), a
-# step is rate * m / sqrt(v). An evaluation that is the best so far makes the rate a fifth larger. After two in a row
-# that are not, it becomes 0.7 of what it was, and the next step starts from the best point again; after a fall, at
-# once.
+# A step is rate * m / sqrt(v), with Adam's means of the gradients m and of their squares v, corrected for their initial
+# values (Kingma and Ba, ICLR 2015). If an evaluation is the best so far, the rate grows by a fifth. If two evaluations
+# in a row are not better, or if the robot fell, the rate is multiplied by 0.7, and the next step starts from the best
+# point again.
 #
-# The direction is averaged, so the landscape may be rough: a walk's speed has teeth as steep as the overall hill, 0.1
-# of a unit of u wide, in which a descent that insists on improvement gets stuck (a trust region with the update of
-# Broyden, Fletcher, Goldfarb and Shanno, much faster on smooth functions, did so at once).
+# The direction is averaged, so that the landscape may be rough: a walk's speed has teeth as steep as the overall hill,
+# 0.1 of a unit of u wide. A descent that requires improvement in every step gets stuck in them; for example, a trust
+# region with the BFGS update, which is much faster on smooth functions, got stuck at once.
 
 
 #: Initial rate, in coordinates u per step: a thirteenth of a parameter's range in its middle.
@@ -45,10 +46,10 @@ class ControlledAdam(NamedTuple):
     """State of the optimizer.
 
     Attributes:
-        adam: means of the gradients and of their squares.
-        rate: length of the next step along each parameter, at most.
-        best, best_u: lowest value so far, infinite while there is none, and where it was (p,).
-        waited: evaluations since then that were not better.
+        adam: Means of the gradients and of their squares.
+        rate: Maximum length of the next step along each parameter.
+        best, best_u: Lowest value so far, infinite before the first, and its point (p,).
+        waited: Number of evaluations since the best one.
     """
 
     adam: optax.ScaleByAdamState
@@ -59,10 +60,10 @@ class ControlledAdam(NamedTuple):
 
 
 def controlled_adam(rate: float = INITIAL_RATE) -> optax.GradientTransformationExtraArgs:
-    """The optimizer, for the vector u of one start; `update` takes `value`, infinite where there is none.
+    """The optimizer, for the vector u of one start; `update` needs `value`, which is infinite if the robot fell.
 
     Args:
-        rate: the initial one, in coordinates u per step.
+        rate: Initial rate, in coordinates u per step.
 
     >>> import jax
     >>> bowl = lambda u: jnp.sum((u - jnp.array([1.0, 3.0])) ** 2 * jnp.array([1.0, 20.0]))
@@ -89,7 +90,7 @@ def controlled_adam(rate: float = INITIAL_RATE) -> optax.GradientTransformationE
         walked, better = jnp.isfinite(value), value < state.best
         ahead, adam = direction.update(gradient, state.adam)
         before, _ = direction.update(jnp.zeros_like(gradient), state.adam)
-        # A fall has no gradient: keep the direction.
+        # A fall has no gradient, so that the direction stays.
         ahead = jnp.where(walked, ahead, before)
         adam = optax.tree.where(walked, adam, state.adam)
         waited = jnp.where(better, 0, state.waited + 1)
@@ -119,14 +120,14 @@ class Optimizer:
     """An optimizer by name; hashable, so that it is static in compiled programs.
 
     Attributes:
-        name: `controlled_adam`, or of a function of optax that has a learning rate: `adam`, `sgd`, ...
-        options: keyword arguments of that function. A schedule is written as
+        name: `controlled_adam`, or the name of an optax function with a learning rate: `adam`, `sgd`, ...
+        options: Keyword arguments of this function. A schedule is written as
             {name: cosine_decay_schedule, option: value}, or as {cosine: {option: value}}.
-        clip: a longer gradient (2-norm over the parameters of one start) is clipped to this norm; None: no clipping.
+        clip: Maximum norm of a gradient (2-norm over the parameters of one start); None for no clipping.
 
     Raises:
-        ParameterError: an unknown name or option, or one that does not work; the message starts with the field
-            (`optimizer.name`, `optimizer.learning_rate`, ...) and is one sentence.
+        ParameterError: A name or option is unknown or does not work; the message is one sentence that starts with the
+            field (`optimizer.name`, `optimizer.learning_rate`, ...).
     """
 
     name: str = CONTROLLED
@@ -145,11 +146,11 @@ class Optimizer:
 
     @property
     def reads_values(self) -> bool:
-        """Whether it uses objective values, so that it can react to a fall."""
+        """Whether the optimizer uses objective values, so that it can react to a fall."""
         return self.name == CONTROLLED
 
     def build(self) -> optax.GradientTransformationExtraArgs:
-        """The pair of pure functions `init` and `update`, for the vector u of one start; `update` is given `value`."""
+        """The pure functions `init` and `update`, for the vector u of one start; `update` has the argument `value`."""
         make = optimizers().get(self.name)
         if make is None:
             allowed = f"{', '.join(OPTIMIZER_NAMES)}{did_you_mean(self.name, OPTIMIZER_NAMES)}"
@@ -167,7 +168,7 @@ class Optimizer:
         return optax.with_extra_args_support(optimizer)
 
     def written(self) -> dict[str, Any]:
-        """As written in a tuning file."""
+        """The fields of the optimizer in a tuning file."""
         return {"name": self.name, **self.options} | (
             {} if self.clip is None else {"clip": self.clip}
         )
@@ -201,7 +202,7 @@ def _functions() -> Iterator[tuple[str, Callable[..., Any]]]:
 
 
 def _schedule(key: str, fields: Mapping[str, Any]) -> optax.Schedule:
-    """The schedule of {name: NAME, option: value, ...} or {NAME: {option: value}}; NAME may lack its ending."""
+    """The schedule of {name: NAME, option: value, ...} or {NAME: {option: value}}; NAME may omit `_schedule`."""
     field, values = f"optimizer.{key}", dict(fields)
     if "name" in values:
         name = str(values.pop("name"))
@@ -221,12 +222,12 @@ def _schedule(key: str, fields: Mapping[str, Any]) -> optax.Schedule:
             f"{field} is the schedule {name!r}: allowed are {', '.join(schedule_functions)}"
             f"{did_you_mean(name, schedule_functions)}"
         )
-    # {10: 0.5}: steps are whole numbers, though every key of a file is a text.
+    # In {10: 0.5}, steps are whole numbers, although every key in a file is a text.
     for option, value in values.items():
         if isinstance(value, Mapping):
             values[option] = {int(step): scale for step, scale in value.items()}
     schedule = _call(field, full, schedule_functions[full], values)
-    with jax.ensure_compile_time_eval():  # a program that is traced builds its optimizer, too
+    with jax.ensure_compile_time_eval():  # also if the optimizer is built while a program is traced
         first = np.asarray(schedule(jnp.zeros((), int)))
     if first.shape != () or not np.isfinite(first):
         raise ParameterError(f"{field} starts at {first}: expected a finite number.")
@@ -234,7 +235,7 @@ def _schedule(key: str, fields: Mapping[str, Any]) -> optax.Schedule:
 
 
 def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, Any]) -> Any:
-    """`make(**values)`; what it does not know, lacks or cannot use is a sentence about `field`."""
+    """`make(**values)`; unknown, missing or unusable arguments are reported in a sentence about `field`."""
     parameters = inspect.signature(make).parameters.values()
     options = {
         parameter.name: parameter
@@ -252,22 +253,22 @@ def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, 
             raise ParameterError(f"{field} is {name} without {option}: it has no default there.")
     try:
         return make(**values)
-    except Exception as error:  # whatever optax says about a value
+    except Exception as error:  # optax raises many kinds of errors about a value
         raise ParameterError(
-            f"{field} is {name}, which refuses its options: {_line(error)}."
+            f"{field} is {name}, which refuses its options: {_one_line(error)}."
         ) from None
 
 
 @functools.lru_cache
 def _try_out(optimizer: Optimizer) -> None:
-    """Two updates of two starts with two parameters: what fails here would fail after the first simulation."""
+    """Update two starts with two parameters twice, because an error would otherwise occur after the first simulation."""
     subject = f"optimizer.name is {optimizer.name!r}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         transformation = optimizer.build()
         point = jnp.array([[0.5, -0.3], [0.1, 0.2]])
 
-        def updated(state: Any) -> Any:
+        def update(state: Any) -> Any:
             return jax.vmap(
                 lambda *arguments: transformation.update(*arguments[:3], value=arguments[3])
             )(jnp.ones_like(point), state, point, point.sum(axis=1))
@@ -275,11 +276,11 @@ def _try_out(optimizer: Optimizer) -> None:
         try:
             initial_shapes = jax.eval_shape(jax.vmap(transformation.init), point)
             step, final_state = jax.jit(
-                lambda: updated(updated(jax.vmap(transformation.init)(point))[1])
+                lambda: update(update(jax.vmap(transformation.init)(point))[1])
             )()
         except Exception as error:
             raise ParameterError(
-                f"{subject}, which does not work from gradients alone: {_line(error)}."
+                f"{subject}, which does not work from gradients alone: {_one_line(error)}."
             ) from None
     if any(
         jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(final_state)
@@ -293,7 +294,7 @@ def _try_out(optimizer: Optimizer) -> None:
         )
 
 
-def _line(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     """An exception in one line."""
     return " ".join(str(error).split()).rstrip(".")[:200]
 

@@ -1,4 +1,4 @@
-"""The simulations behind a tuning: walks with their gradients, and a recorded walk to compare with."""
+"""The simulations of a tuning: walks with their gradients, and the comparison with a recorded walk."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from nermo_mjx.runs.workers import TaskFailed, Workers
 from nermo_mjx.runtime import compiler_options, cpu_batch_limit
 from nermo_mjx.sweep.simulating import SimulatorLike
 
-#: Spread of a coordinate below which it counts as this large: a millimetre, and a hundredth of a radian.
+#: Smallest standard deviation that weights a coordinate: a millimetre, and a hundredth of a radian.
 _LEAST_SPREAD: Final = (1e-3, 1e-2)
 
 
 class WalkProblem:
-    """Implements `objective.Problem`: walks of the engine `c`, and gradients as the tuning's method has them."""
+    """An `objective.Problem` of walks on the engine `c`, with gradients by the method of the tuning."""
 
     def __init__(
         self,
@@ -41,12 +41,12 @@ class WalkProblem:
     ) -> None:
         """
         Args:
-            tuning: what is tuned.
-            reference: replaces the tuning's recording, whose file need not be there then.
-            simulator: replaces `Simulator(tuning.setup, "c")`.
+            tuning: Tuning with the walk, the parameters and the method.
+            reference: Replaces the tuning's recording, whose file may then be missing.
+            simulator: Replaces `Simulator(tuning.setup, "c")`.
 
         Raises:
-            ParameterError: the tuning's recording cannot be compared with its walk.
+            ParameterError: The tuning's recording cannot be compared with its walk.
         """
         self.tuning = tuning
         self.names = tuning.names
@@ -69,7 +69,7 @@ class WalkProblem:
         )
 
     def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
-        """For another machine, which lacks the recording and rebuilds everything else."""
+        """Pickle for another machine, which does not have the recording and rebuilds everything else."""
         return type(self), (self.tuning, self.reference)
 
     @functools.cached_property
@@ -80,8 +80,8 @@ class WalkProblem:
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
         """See `objective.Problem.evaluate`.
 
-        Differences are in NumPy: those of float64 become slopes unrounded. A neighbour beyond a bound stands on it; a
-        forward one turns to the other side where nothing would be left.
+        The differences are computed in NumPy in float64, so that the slopes are not rounded. A neighbour beyond a bound is
+        moved onto the bound; if no distance is left, a forward neighbour is taken on the other side.
         """
         method = self.tuning.method
         if not gradient:
@@ -90,7 +90,7 @@ class WalkProblem:
         if not isinstance(method, Differences):
             limit = cpu_batch_limit() or len(points)
             parts = [
-                self._derived(points[first : first + limit])
+                self._evaluate_gradients(points[first : first + limit])
                 for first in range(0, len(points), limit)
             ]
             return (
@@ -105,7 +105,7 @@ class WalkProblem:
             for end in ("low", "high")
         )
         periodic = np.array([parameter.periodic for parameter in self.tuning.tuned])
-        # Each point and its neighbours (n, worlds, p), and where they are along each parameter, unwrapped.
+        # Each point and its neighbours (n, worlds, p), and their unwrapped values of each parameter.
         steps = np.diag(method.step * (high - low))
         worlds = point_array[:, None] + np.concatenate(
             [np.zeros((1, p)), steps, *([-steps] if central else [])]
@@ -116,7 +116,7 @@ class WalkProblem:
         worlds = np.where(periodic, low + np.mod(worlds - low, high - low), reach)
         value, metrics, ok = self.walk(worlds.reshape(-1, p))
         value, ok = value.reshape(n, -1), ok.reshape(n, -1)
-        # Of each parameter two worlds with different values of it: either neighbour, or one and the point itself.
+        # For each parameter, two worlds with different values: both neighbours, or one neighbour and the point itself.
         above = 1 + np.arange(p)
         below = above + p if central else np.zeros(p, int)
         rise = value[:, above] - value[:, below]
@@ -124,13 +124,13 @@ class WalkProblem:
         metrics = {name: column.reshape(n, -1)[:, 0] for name, column in metrics.items()}
         return _evaluation(value[:, 0], rise / run, metrics, np.logical_and.reduce(ok, axis=1))
 
-    def _derived(self, points: Float[Array, "n p"]) -> Evaluation:
+    def _evaluate_gradients(self, points: Float[Array, "n p"]) -> Evaluation:
         (value, metrics), slope = self._exact(points)
         ok = (metrics["fell"] == 0.0) & (metrics["diverged"] == 0.0) & jnp.isfinite(value)
         return Evaluation(value, slope, metrics, ok & jnp.isfinite(slope).all(axis=-1))
 
     def _walk(self, point: Float[Array, " p"]) -> tuple[Float[Array, ""], dict[str, Array]]:
-        """Objective and metrics of one walk."""
+        """The objective and metrics of one walk."""
         values: dict[str, Any] = dict(self.tuning.constants) | dict(
             zip(self.names, point, strict=True)
         )
@@ -144,10 +144,10 @@ class WalkProblem:
     def walk(
         self, points: np.ndarray, others: Mapping[str, np.ndarray] | None = None
     ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-        """Objective, metrics and whether each of the points (n, p) walked to its end, (n,) each.
+        """The objective and metrics of walks at points (n, p), and whether each walk ended normally, (n,) each.
 
         Args:
-            others: parameters beside the tuned ones, name -> (n,).
+            others: Values (n,) of parameters that are not tuned, by name.
         """
         values = {
             name: np.full(len(points), value) for name, value in self.tuning.constants.items()
@@ -164,27 +164,27 @@ class WalkProblem:
 
 
 def _evaluation(value: Any, slope: Any, metrics: dict[str, Any], ok: Any) -> Evaluation:
-    """Of NumPy arrays, which annotations of JAX's do not mean."""
+    """An evaluation with NumPy arrays, which do not match the annotations of JAX arrays."""
     return Evaluation(value, slope, metrics, ok)
 
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """Positions at the end of each control tick, and how much each of them counts.
+    """Positions at the end of each control tick, and their weights.
 
     Attributes:
-        qpos: (ticks, nq).
-        weight: inverse of each coordinate's variance over the recording, (nq,).
+        qpos: Positions (ticks, nq).
+        weight: Inverse of each coordinate's variance over the recording (nq,).
     """
 
     qpos: Float[np.ndarray, "ticks nq"]
     weight: Float[np.ndarray, " nq"]
 
     def error(self, qpos: Float[Array, "ticks nq"]) -> Float[Array, ""]:
-        """Mean over time and coordinates of the squared difference from the recording, over the recording's variance.
+        """Squared difference from the recording, divided by the recording's variance: mean over time and coordinates.
 
         Args:
-            qpos: of a walk, at the end of each control tick; what is longer than the reference does not count.
+            qpos: Positions of a walk at the end of each control tick; ticks after the end of the reference are ignored.
         """
         apart = (qpos[: len(self.qpos)] - jnp.asarray(self.qpos, qpos.dtype)) ** 2
         return jnp.mean(apart @ jnp.asarray(self.weight, qpos.dtype)) / self.qpos.shape[1]
@@ -194,7 +194,7 @@ def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
     """Read a recording as the reference of a walk of `seconds`.
 
     Raises:
-        ParameterError: it is not a recording, of another robot, or shorter than the walk; one sentence.
+        ParameterError: The file is not a recording, or a recording of another robot, or shorter than the walk.
     """
     try:
         recording = Recording.load(path)
@@ -218,11 +218,11 @@ def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
 
 
 # ---
-# A tuning's worlds, distributed over workers: each evaluates those of some starts, with a program that stays warm.
+# The worlds of a tuning, distributed over workers. Each worker evaluates the worlds of some starts, and compiles once.
 
 
 class Evaluator:
-    """Evaluates points; a `nermo_mjx.runs.workers.Computer`. The problem is sent pickled, and rebuilt there."""
+    """A `nermo_mjx.runs.workers.Computer` that evaluates points. The problem is pickled, and rebuilt on the worker."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
         self._setup, self._engine = tuning.setup, tuning.engine
@@ -232,7 +232,7 @@ class Evaluator:
         return self.__dict__ | {"_problem": pickle.dumps(self._problem)}
 
     def warm(self) -> None:
-        """Make the problem, which may raise `ParameterError`; it compiles with the first points."""
+        """Make the problem, which may raise `ParameterError`; the first points compile its program."""
         if isinstance(self._problem, bytes):
             self._problem = pickle.loads(self._problem)
 
@@ -243,7 +243,7 @@ class Evaluator:
     def __call__(
         self, task: tuple[np.ndarray, bool], progress: Callable[[float], None] | None = None
     ) -> Evaluation:
-        """Points (n, p), with gradients or without; the same as NumPy arrays."""
+        """Evaluate points (n, p), with gradients or without; the results are NumPy arrays."""
         points, gradient = task
         self.warm()
         assert not isinstance(self._problem, bytes)
@@ -251,14 +251,14 @@ class Evaluator:
 
 
 class SharedProblem:
-    """A problem whose worlds are shared among workers; an `objective.Problem` itself.
+    """An `objective.Problem` whose worlds are divided among workers.
 
-    Shares are whole starts, as many in each, which stays while the tuning runs: a worker compiles once, and numbers do
-    not depend on who computes them. One share is the whole batch, and its numbers are the problem's own. With several,
-    MJX rounds the last digits differently, as XLA does in batches of another size.
+    Each share contains the same number of whole starts during the whole tuning, so that a worker compiles once, and the
+    numbers do not depend on the worker. A single share is the whole batch, with the same numbers as the problem. With
+    several shares, MJX rounds the last digits differently, because XLA does so in batches of another size.
 
     Raises:
-        ParameterError, WorkersLost: the problem cannot be evaluated.
+        ParameterError, WorkersLost: The problem cannot be evaluated.
     """
 
     def __init__(self, tuning: Tuning, problem: Problem, workers: Workers) -> None:
@@ -269,11 +269,11 @@ class SharedProblem:
         workers.begin(Evaluator(tuning, problem))
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        """See `objective.Problem.evaluate`; raises what the problem raises, or `WorkersLost`."""
+        """See `objective.Problem.evaluate`; raises the errors of the problem, or `WorkersLost`."""
         point_array = np.asarray(points)
         size = math.ceil(self._starts / self._parts) * (len(point_array) // self._starts)
         shares = math.ceil(len(point_array) / size)
-        # The last share is filled up with points from the beginning.
+        # The last share is filled with points from the beginning.
         filled = np.resize(point_array, (shares * size, point_array.shape[1])).reshape(
             shares, size, -1
         )

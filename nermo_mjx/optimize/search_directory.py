@@ -1,12 +1,12 @@
 """The directory of a search: its batches, and the files that are made from them.
 
 DIR/search.yaml       the resolved search, and the size of its batches
-DIR/results/          the rows, a part for each batch, see `nermo_mjx.runs.rows`
-DIR/results.aside/    parts that were damaged, or hold other points, when they are run again
+DIR/results/          the rows, one part for each batch, see `nermo_mjx.runs.rows`
+DIR/results.aside/    parts that were damaged or contained other points, and were simulated again
 DIR/best.json, DIR/best.yaml, DIR/atlas.parquet, DIR/recordings/, DIR/plots/   made from the rows
-DIR/run.json          the codes and sessions that made it
+DIR/run.json          the codes and sessions that made the directory
 
-Copies of the user's code are stored, too. Files that do not match are renamed DIR/*.aside-N: nothing is deleted.
+The directory also contains copies of the user's code. Files that do not match are renamed DIR/*.aside-N, not deleted.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.optimize.directory import BEST, other_spec, stored_spec, sweep_of
-from nermo_mjx.optimize.search_methods import elites_of, made_by
+from nermo_mjx.optimize.directory import BEST, other_spec_error, read_spec, sweep_text
+from nermo_mjx.optimize.search_methods import find_elites, library_version
 from nermo_mjx.optimize.search_results import Evaluations, atlas_progress, atlas_table, hypervolumes
 from nermo_mjx.optimize.search_spec import Search
 from nermo_mjx.runs import RunDirectory
@@ -43,20 +43,20 @@ ATLAS: Final = "atlas.parquet"
 
 
 # ---
-# A search's directory: one part of its rows for each batch, written before the next batch is requested.
+# A search's directory: each batch is a part of its rows, which is written before the next batch is requested.
 
 
-#: How far points of a stored batch may be from those that are asked for, as a fraction of the bounds: another machine's
-#: eigenvectors differ in their last digits.
+#: Largest difference between the points of a stored batch and the requested points, as a fraction of the bounds. The
+#: points can differ because eigenvectors differ between machines in their last digits.
 APART: Final = 1e-6
 
 
 class Batches:
-    """The batches of one search in a directory that this process holds.
+    """The batches of one search in a directory that this process has locked.
 
     Attributes:
-        search: that they are of, with their size, and with the directory's copies of code.
-        runs: what is stored.
+        search: Search with the size of the batches, and with the directory's copies of code.
+        runs: Stored rows.
     """
 
     def __init__(
@@ -66,18 +66,18 @@ class Batches:
         size: Callable[[], int],
         warn: Callable[[str], None],
     ) -> None:
-        """Make the directory this search's, or refuse.
+        """Claim the directory for a search.
 
         Args:
-            size: of a batch, if neither the search nor the directory has one.
-            warn: called with a message about what is damaged, and is run again.
+            size: Function that returns the size of a batch if neither the search nor the directory has one.
+            warn: Function that receives a message about parts that are damaged, and simulated again.
 
         Raises:
-            DirectoryError: the directory holds another search, or cannot be written.
+            DirectoryError: The directory contains another search, or cannot be written.
         """
         self.held, self.out, self._warn = directory, directory.out, warn
         path, folder = self.out / SEARCH_FILE, self.out.resolve()
-        former_spec = stored_spec(
+        former_spec = read_spec(
             path, "search", "results" if part_files(self.out) else "", Search.from_file
         )
         sweep = dataclasses.replace(
@@ -87,7 +87,7 @@ class Batches:
         self.search = search = dataclasses.replace(search, sweep=sweep, batch=batch)
         if former_spec and former_spec.digest() != search.digest():
             other_order = ["order of the parameters under vary"]
-            raise other_spec(
+            raise other_spec_error(
                 path, "search", changes(former_spec.decisive(), search.decisive()) or other_order
             )
         if former_spec is None or former_spec.to_yaml(folder) != search.to_yaml(
@@ -101,10 +101,10 @@ class Batches:
                 self._parts[int(file.metadata.metadata[b"chunk"])] = part
 
     def read(self, batch: int, rows: Rows) -> pa.Table | None:
-        """The table of a batch, if it is there with these rows (see `APART`); with others it is moved aside.
+        """The table of a batch with these rows (see `APART`), or None. A batch with other rows is moved aside.
 
         Raises:
-            DirectoryError: another version of the library asked for its points, or it cannot be read any more.
+            DirectoryError: Another version of the library requested the points, or the batch cannot be read any more.
         """
         if (part := self._parts.get(batch)) is None:
             return None
@@ -118,7 +118,7 @@ class Batches:
         if near:
             return table
         before = table.schema.metadata.get(b"optimizer", b"").decode()
-        now = made_by(self.search.method)
+        now = library_version(self.search.method)
         if before != now:
             raise DirectoryError(
                 f"{part.path} holds points that {before} asked for, and {now} asks for others: install {before}, or "
@@ -137,9 +137,10 @@ class Batches:
         """Store a batch.
 
         Args:
-            rows: its runs, of which `first` is the first one's place in the table.
-            simulated: at least one result a run.
-            stamp: of the code that simulated.
+            rows: Runs of the batch.
+            first: Row of the first run in the table.
+            simulated: Results, at least one for each run.
+            stamp: Stamp of the code that simulated.
         """
         count = len(rows)
         metadata = {
@@ -149,7 +150,7 @@ class Batches:
             "steps": simulated.steps,
             "wall_seconds": simulated.seconds,
             "search": self.search.digest(),
-            "optimizer": made_by(self.search.method),
+            "optimizer": library_version(self.search.method),
         }
         metrics = {name: values[:count] for name, values in simulated.metrics.items()}
         index = first + np.arange(count)
@@ -169,23 +170,23 @@ class Batches:
 
 
 def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
-    """Make best.json, best.yaml and atlas.parquet from the table; the content of best.json, empty without a best.
+    """Write best.json, best.yaml and atlas.parquet from the table, and return best.json, empty without a best point.
 
-    `parameters`, `objective`, `metrics` (SI units and radians, means over the repeats) and first `row` of the best
-    point; `evaluations`, `failed` of them (a run fell or diverged), `simulated_seconds`; whether the search is
-    `complete`. Of a front `front`, with the same of each point, and `hypervolume`; of an atlas `cells`, `filled` and
-    `qd_score`.
+    best.json contains `parameters`, `objective`, `metrics` (SI units and radians, means over the repeats) and the first
+    `row` of the best point; the numbers of `evaluations` and of `failed` ones (a run fell or diverged),
+    `simulated_seconds`, and whether the search is `complete`. For a front, it also contains `front`, with the same values
+    for each point, and `hypervolume`; for an atlas `cells`, `filled` and `qd_score`.
     """
     evaluations = Evaluations.of(batches.search, batches.out)
     best_index = evaluations.best()
     if best_index is None:
         return {}
-    best: dict[str, Any] = evaluations.described(np.array([best_index]))[0]
+    best: dict[str, Any] = evaluations.describe(np.array([best_index]))[0]
     best |= {"evaluations": len(evaluations.scores), "failed": int((~evaluations.scores.ok).sum())}
     best |= {"simulated_seconds": evaluations.simulated_seconds, "complete": complete}
     if batches.search.aim.pareto:
         best |= {
-            "front": evaluations.described(evaluations.front()),
+            "front": evaluations.describe(evaluations.front()),
             "hypervolume": float(hypervolumes(evaluations)[0][-1]),
         }
     if batches.search.aim.measures:
@@ -196,16 +197,16 @@ def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
     batches.held.write(BEST, to_json(best))
     head = f"Row {best['row']} of a search: objective {best['objective']}."
     sweep = batches.search.sweep
-    best_sweep = sweep_of(sweep, head, best["parameters"], sweep.seed, batches.out.resolve())
+    best_sweep = sweep_text(sweep, head, best["parameters"], sweep.seed, batches.out.resolve())
     batches.held.write("best.yaml", best_sweep.encode())
     return best
 
 
 # ---
-# Rerunning a search's results: the recordings that it keeps, and a row of its table for `replay`.
+# Results of a search are run again for its recordings, and `replay` repeats a row of its table.
 
 
-#: Worlds recorded at once: a walk of ten seconds is 1.5 MB.
+#: Number of worlds that are recorded at once; a recording of ten seconds needs 1.5 MB.
 _RECORDED_BATCH: Final = 32
 
 
@@ -213,20 +214,20 @@ def rows_to_record(evaluations: Evaluations, best: int) -> list[int]:
     """First rows of the points to record: the best ones, or evenly along the front or over the cells of an atlas.
 
     Args:
-        best: the best point, which is always among them.
+        best: Best point, which is always recorded.
     """
     search, count = evaluations.search, evaluations.search.keep
     if not count:
         return []
     if search.aim.kind == "objective":
         order = np.argsort(
-            np.where(evaluations.scores.allowed, evaluations.scores.cost[:, 0], np.inf),
+            np.where(evaluations.scores.is_allowed, evaluations.scores.cost[:, 0], np.inf),
             kind="stable",
         )
-        points = order[: min(count, int(evaluations.scores.allowed.sum()))]
+        points = order[: min(count, int(evaluations.scores.is_allowed.sum()))]
     else:
         points = (
-            elites_of(search.aim, evaluations.scores)[1]
+            find_elites(search.aim, evaluations.scores)[1]
             if search.aim.measures
             else evaluations.front()
         )
@@ -241,10 +242,10 @@ def rows_to_record(evaluations: Evaluations, best: int) -> list[int]:
 
 
 def keep_recordings(batches: Batches, best: dict[str, Any], computer: SweepSimulator) -> list[Path]:
-    """Record what `keep` asks for, as DIR/recordings/row-000123.npz; what is there already stays.
+    """Record as many points as `keep` requires, as DIR/recordings/row-000123.npz; existing recordings stay.
 
     Raises:
-        RecordingError, DirectoryError: one cannot be written.
+        RecordingError, DirectoryError: A recording cannot be written.
     """
     search, evaluations = batches.search, Evaluations.of(batches.search, batches.out)
     rows = rows_to_record(evaluations, best["row"] // search.repeats)
@@ -269,11 +270,11 @@ def keep_recordings(batches: Batches, best: dict[str, Any], computer: SweepSimul
 
 
 def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
-    """A row of a search's table, for `replay_row`; nothing is written, so the search may be at work there.
+    """A row of a search's table, for `replay_row`. The directory is only read, so that the search may be running.
 
     Raises:
-        SpecError: no search is there that can be read, or no such row.
-        DirectoryError: it has no results yet.
+        SpecError: The directory contains no readable search, or the row does not exist.
+        DirectoryError: The search has no results yet.
     """
     out = Path(out)
     search = Search.from_file(out / SEARCH_FILE)
@@ -292,11 +293,11 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
 
 
 # ---
-# How far a search's directory is.
+# The progress of a search.
 
 
 def search_status(out: Path) -> Status:
-    """How many points of its search a directory holds."""
+    """Status of a search's directory: the number of its evaluated points."""
     notes, search, runs = list[str](), None, 0
     try:
         search = Search.from_file(out / SEARCH_FILE)
@@ -313,7 +314,7 @@ def search_status(out: Path) -> Status:
         spent = (
             0.0
             if search is None
-            else search.reached(best["evaluations"], best["simulated_seconds"])
+            else search.budget_share(best["evaluations"], best["simulated_seconds"])
         )
         reached = bool(best["complete"]) and spent >= 1.0 and best["evaluations"] == point_count
     except (TypeError, KeyError):

@@ -1,4 +1,4 @@
-"""The figures of a search: its convergence, its front or its atlas, and any columns of its table."""
+"""The figures of a search: its convergence, its front or its atlas, and figures of chosen columns of its table."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from nermo_mjx.optimize.objective import ObjectiveTerm
 from nermo_mjx.optimize.search_directory import SEARCH_FILE
-from nermo_mjx.optimize.search_methods import cells_of, elites_of
+from nermo_mjx.optimize.search_methods import find_cells, find_elites
 from nermo_mjx.optimize.search_results import Evaluations, atlas_progress, hypervolumes
 from nermo_mjx.optimize.search_spec import Measure, Search
 from nermo_mjx.plotting.charts import (
@@ -40,15 +40,15 @@ from nermo_mjx.sweep.plots import chosen_figure, survey_figures
 from nermo_mjx.sweep.table import Results, profile_text, profiles_of
 
 # ---
-# The figures of a search: how it converged, its front or its atlas; and any columns of its table.
+# The figures of a search: its convergence, its front or its atlas, and figures of chosen columns of its table.
 
 
-#: Pairs of measures that an atlas of three or more shows.
+#: Maximum number of pairs of measures in the figure of an atlas with three or more measures.
 _MAX_ATLAS_PAIRS: Final = 6
 
 
 def search_figures_of(search: Search, results: Results) -> Figures:
-    """(file name, figure) of a search's table; nothing where no point is allowed."""
+    """Pairs of a file name and a figure of a search's table; none if no point is allowed."""
     evaluations = Evaluations.of(search, results)
     if evaluations.best() is None:
         return
@@ -71,16 +71,16 @@ def search_figures_of(search: Search, results: Results) -> Figures:
 def search_figures(
     out: Path, *, x: str | None = None, y: str | None = None, color: str | None = None
 ) -> Figures:
-    """The figures of a search's directory, as far as it goes.
+    """The figures of the batches in a search's directory.
 
     Args:
-        out: the directory.
-        x, y, color: columns of one figure, see `nermo_mjx.sweep.plots.chosen_figure`.
+        out: Directory of the search.
+        x, y, color: Columns of a single figure, see `nermo_mjx.sweep.plots.chosen_figure`.
 
     Raises:
-        ParameterError: there is no such column.
-        SpecError: its search.yaml cannot be read.
-        DirectoryError: there is nothing to draw, or it cannot be read.
+        ParameterError: The column does not exist.
+        SpecError: search.yaml cannot be read.
+        DirectoryError: The table is empty, or cannot be read.
     """
     search, files = Search.from_file(out / SEARCH_FILE), part_files(out)
     if not files:
@@ -99,17 +99,17 @@ def search_figures(
 
 
 def convergence(evaluations: Evaluations) -> Figure:
-    """Every evaluated point, in the order in which they were asked for, and the best so far."""
+    """The objective of all points in the order of the requests, and the best one so far."""
     quantity = _objective(evaluations)
-    values, allowed = quantity.values, evaluations.scores.allowed
+    values, allowed = quantity.values, evaluations.scores.is_allowed
     number = np.arange(1, len(values) + 1)
     cost = np.where(allowed, evaluations.scores.cost[:, 0], np.inf)
     best = int(np.argmin(cost))
     first = np.concatenate(
         [[True], cost[1:] < np.minimum.accumulate(cost)[:-1]]
-    )  # better than all before it
+    )  # better than all points before
     leading = np.maximum.accumulate(np.where(first, np.arange(len(cost)), 0))
-    note = f"{_counted(evaluations)}; line: best so far; star: best, {quantity.shown(values[best])} at {_at(evaluations, best)}"
+    note = f"{_counts(evaluations)}; line: best so far; star: best, {quantity.shown(values[best])} at {_label(evaluations, best)}"
     figure = blank_page(f"{_title(quantity)} over the evaluations", PAGE_WIDTH_INCHES, 4.4, note)
     ax = figure.subplots()
     ax.scatter(
@@ -123,7 +123,7 @@ def convergence(evaluations: Evaluations) -> Figure:
     reached = np.isfinite(cost[leading])
     ax.step(number[reached], values[leading][reached], where="post", color=LINE_COLOUR)
     draw_star(ax, number[best], values[best], 170, zorder=5)
-    if not allowed.all():  # short lines at the bottom where a point fell or broke a constraint
+    if not allowed.all():  # short lines at the bottom for points that fell or violate a constraint
         height = np.full(int((~allowed).sum()), 0.01)
         ax.plot(
             number[~allowed], height, "|", color=MUTED_INK, ms=5, transform=ax.get_xaxis_transform()
@@ -139,15 +139,15 @@ def convergence(evaluations: Evaluations) -> Figure:
 
 
 def front_figure(evaluations: Evaluations) -> Figure:
-    """The first two objectives against each other, with the front of these two or of all."""
+    """The second objective over the first one, with the front of these two or of all objectives."""
     terms, best = evaluations.search.aim.objective.terms, evaluations.front()
-    allowed = np.flatnonzero(evaluations.scores.allowed)
+    allowed = np.flatnonzero(evaluations.scores.is_allowed)
     x, y = (_term_values(evaluations, i) for i in (0, 1))
     index_of_point = {int(point): i for i, point in enumerate(allowed)}
     lines = []
     for point in (int(best[i]) for i in named_points(x.values[best], y.values[best])):
         values_text = f"{x.name} {x.shown(x.values[point])}, {y.name} {y.shown(y.values[point])}"
-        lines.append((index_of_point[point], f"{values_text}:  {_at(evaluations, point)}"))
+        lines.append((index_of_point[point], f"{values_text}:  {_label(evaluations, point)}"))
     front_note = f"front of all {len(terms)} objectives; " if len(terms) > 2 else ""
     across, up = (ShownValues(axis.name, axis.unit, axis.values[allowed]) for axis in (x, y))
     first, second = ("max" if term.aim == "maximize" else "min" for term in terms[:2])
@@ -156,26 +156,26 @@ def front_figure(evaluations: Evaluations) -> Figure:
     title = f"{x.name} against {y.name}".replace("_", " ").capitalize()
     places = np.array([index_of_point[int(point)] for point in best])
     return trade_off(
-        across, up, places, sides, lines, title, f"{_counted(evaluations)}; {front_note}"
+        across, up, places, sides, lines, title, f"{_counts(evaluations)}; {front_note}"
     )
 
 
 def hypervolume(evaluations: Evaluations) -> Figure:
-    """How much of the box between first batch and best values the front beats, over the evaluations."""
+    """The hypervolume over the evaluations, see `hypervolumes`."""
     shares, worst = hypervolumes(evaluations)
     corner = []
     for term, value in zip(evaluations.search.aim.objective.terms, worst.tolist(), strict=True):
         quantity = _quantity(evaluations, term.metric, _as_metric(term, value))
         corner.append(f"{term.metric} {quantity.shown(float(quantity.values))}")
     note = (
-        f"{_counted(evaluations)}; box: from the best of each objective to the worst of the first batch,"
+        f"{_counts(evaluations)}; box: from the best of each objective to the worst of the first batch,"
         f" {', '.join(corner)}"
     )
     figure = blank_page(
         "Hypervolume of the front over the evaluations", PAGE_WIDTH_INCHES, 3.6, note
     )
     ax = figure.subplots()
-    ax.step(_ends(evaluations), 100 * shares, where="post", color=LINE_COLOUR)
+    ax.step(_batch_ends(evaluations), 100 * shares, where="post", color=LINE_COLOUR)
     ax.set(
         xlabel="evaluations [1]", ylabel="hypervolume [%]", xlim=(0, len(evaluations.scores) + 1)
     )
@@ -184,22 +184,22 @@ def hypervolume(evaluations: Evaluations) -> Figure:
 
 
 def coverage(evaluations: Evaluations) -> Figure:
-    """Filled cells and QD score over the evaluations."""
+    """The number of filled cells and the QD score over the evaluations, see `atlas_progress`."""
     filled, total = atlas_progress(evaluations)
     cells = int(np.prod([measure.cells for measure in evaluations.search.aim.measures]))
     terms = evaluations.search.aim.objective.terms
-    note = f"{_counted(evaluations)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
+    note = f"{_counts(evaluations)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
     note += "what their best is better than the worst of the first batch"
     figure = blank_page(
         "Filled cells and QD score over the evaluations", PAGE_WIDTH_INCHES, 4.8, note
     )
     top, bottom = figure.subplots(2, 1, sharex=True)
-    top.step(_ends(evaluations), filled, where="post", color=LINE_COLOUR)
+    top.step(_batch_ends(evaluations), filled, where="post", color=LINE_COLOUR)
     top.set_ylabel("filled cells [1]")
     scale = ShownValues("", "", total)
     if len(terms) == 1 and terms[0].aim != "hold":
         scale = _quantity(evaluations, terms[0].metric, total * terms[0].scale / terms[0].weight)
-    bottom.step(_ends(evaluations), scale.values, where="post", color=LINE_COLOUR)
+    bottom.step(_batch_ends(evaluations), scale.values, where="post", color=LINE_COLOUR)
     bottom.set_ylabel(f"QD score [{scale.unit or 1}]")
     for ax in (top, bottom):
         ax.set_ylim(bottom=0)
@@ -209,16 +209,16 @@ def coverage(evaluations: Evaluations) -> Figure:
 
 
 def atlas(evaluations: Evaluations) -> Figure:
-    """The best in each cell: bars over one measure, a map over two, maps over the pairs of more."""
+    """The best point in each cell: bars for one measure, a map for two, and maps of pairs for more measures."""
     measures, quantity = evaluations.search.aim.measures, _objective(evaluations)
-    cells, points = elites_of(evaluations.search.aim, evaluations.scores)
+    cells, points = find_elites(evaluations.search.aim, evaluations.scores)
     best = int(points[np.argmax(evaluations.scores.quality[points])])
     total = int(np.prod([measure.cells for measure in measures]))
-    note = f"{_counted(evaluations)}; {len(cells):,} of {total:,} cells are filled; star: best, "
-    note += f"{quantity.shown(quantity.values[best])} at {_at(evaluations, best)}"
+    note = f"{_counts(evaluations)}; {len(cells):,} of {total:,} cells are filled; star: best, "
+    note += f"{quantity.shown(quantity.values[best])} at {_label(evaluations, best)}"
     title = f"{_title(quantity)}: the best in each cell"
     if len(measures) == 1:
-        return _bars(evaluations, points, quantity, best, title, note)
+        return _bar_figure(evaluations, points, quantity, best, title, note)
     pairs = list(itertools.combinations(range(len(measures)), 2))[:_MAX_ATLAS_PAIRS]
     if len(pairs) > 1:
         note += "; each map shows the best over all other measures"
@@ -230,13 +230,13 @@ def atlas(evaluations: Evaluations) -> Figure:
     for ax in axes[len(pairs) :]:
         ax.remove()
     for ax, pair in zip(axes, pairs, strict=False):
-        _map(ax, evaluations, points, quantity, scale, pair, best)
+        _draw_map(ax, evaluations, points, quantity, scale, pair, best)
     bar = ScalarMappable(scale, COLOUR_MAP)
     colour_bar(figure, axes[: len(pairs)], bar, quantity.label, shrink=0.9, extend=extend)
     return finish_page(figure, title, note)
 
 
-def _map(
+def _draw_map(
     ax: Axes,
     evaluations: Evaluations,
     points: np.ndarray,
@@ -245,7 +245,7 @@ def _map(
     pair: tuple[int, int],
     best: int,
 ) -> None:
-    """Cells of two measures, coloured by the best point in each."""
+    """Draw the cells of two measures, coloured by the best point in each."""
     measures = [evaluations.search.aim.measures[i] for i in pair]
     places, edges, best_position = [], [], []
     for i, measure in zip(pair, measures, strict=True):
@@ -260,7 +260,7 @@ def _map(
     grid = np.full([measure.cells for measure in measures], np.nan)
     order = np.argsort(
         evaluations.scores.quality[points], kind="stable"
-    )  # the best of several comes last
+    )  # the best of several points is drawn last
     grid[places[0][order], places[1][order]] = z.values[points[order]]
     ax.set_facecolor("#fafafa")
     ax.pcolormesh(
@@ -271,15 +271,15 @@ def _map(
     ax.set(xlabel=edges[0].label, ylabel=edges[1].label)
 
 
-def _bars(
+def _bar_figure(
     evaluations: Evaluations, points: np.ndarray, z: ShownValues, best: int, title: str, note: str
 ) -> Figure:
-    """The best point over one measure."""
+    """The best point of each cell as bars over one measure."""
     (measure,) = evaluations.search.aim.measures
     figure = blank_page(title, PAGE_WIDTH_INCHES, 3.9, note)
     ax = figure.subplots()
     edges = _edges(evaluations, measure)
-    cell = cells_of(evaluations.search.aim, evaluations.scores.measures[points])
+    cell = find_cells(evaluations.search.aim, evaluations.scores.measures[points])
     values = z.values[points]
     floor = (
         min(float(values.min()), 0.0)
@@ -303,7 +303,7 @@ def _bars(
 
 
 def _objective(evaluations: Evaluations) -> ShownValues:
-    """The objective of all points, in the metric's unit where it is one metric, NaN where a run failed."""
+    """The objective of all points (n,), in the unit of the metric if it has one metric; NaN if a run failed."""
     terms = evaluations.search.aim.objective.terms
     if len(terms) == 1 and terms[0].aim != "hold":
         return _term_values(evaluations, 0)
@@ -311,7 +311,7 @@ def _objective(evaluations: Evaluations) -> ShownValues:
 
 
 def _term_values(evaluations: Evaluations, term_index: int) -> ShownValues:
-    """The metric of a term, or what it adds where it holds the metric at a value."""
+    """The metric of a term (n,), or the cost of a term that holds the metric at a value."""
     term, cost = (
         evaluations.search.aim.objective.terms[term_index],
         evaluations.scores.cost[:, term_index],
@@ -322,7 +322,7 @@ def _term_values(evaluations: Evaluations, term_index: int) -> ShownValues:
 
 
 def _as_metric(term: ObjectiveTerm, cost: np.ndarray | float) -> np.ndarray | float:
-    """The metric of a cost, of a term that maximizes or minimizes it."""
+    """The metric from the cost of a term that maximizes or minimizes this metric."""
     return (
         cost
         if term.aim == "hold"
@@ -345,8 +345,8 @@ def _title(quantity: ShownValues) -> str:
     return quantity.name.replace("_", " ").capitalize()
 
 
-def _at(evaluations: Evaluations, point: int) -> str:
-    """The first parameters of a point, as people read them."""
+def _label(evaluations: Evaluations, point: int) -> str:
+    """A text with the first parameters of a point, with units."""
     parameters, names = evaluations.search.sweep.parameters, list(evaluations.search.names[:6])
     values = evaluations.means(names, np.array([point]))
     quantities = [shown(name, parameters[name].unit, values[name][0]) for name in names]
@@ -355,9 +355,9 @@ def _at(evaluations: Evaluations, point: int) -> str:
     )
 
 
-def _counted(evaluations: Evaluations) -> str:
+def _counts(evaluations: Evaluations) -> str:
     failed_count = int((~evaluations.scores.ok).sum())
-    disallowed_count = int((evaluations.scores.ok & ~evaluations.scores.allowed).sum())
+    disallowed_count = int((evaluations.scores.ok & ~evaluations.scores.is_allowed).sum())
     text = profile_text(profiles_of(evaluations.results))
     text += f"; {len(evaluations.scores):,} evaluations by {evaluations.search.method.name.replace('_', '-').upper()}"
     text += (
@@ -369,6 +369,6 @@ def _counted(evaluations: Evaluations) -> str:
     return text + (f"; {disallowed_count:,} broke a constraint" if disallowed_count else "")
 
 
-def _ends(evaluations: Evaluations) -> np.ndarray:
-    """Evaluations at the end of each batch."""
+def _batch_ends(evaluations: Evaluations) -> np.ndarray:
+    """Number of evaluations at the end of each batch (batches,)."""
     return np.cumsum(np.bincount(evaluations.batch))

@@ -36,45 +36,45 @@ class Request:
 
 
 # ---
-# Coordinates in which a search moves: fractions of the bounds, without ends, so that no step leaves them.
+# Coordinates of a search: fractions of the bounds that may take any value, so that every step is within the bounds.
 #
-# A bounded parameter is reflected at its bounds: a coordinate of 1.1 is the share 0.9. A periodic one, whose bounds are
-# a whole turn apart, comes back at the other side: 1.1 is 0.1.
+# A bounded parameter is reflected at its bounds: a coordinate of 1.1 is the share 0.9. A periodic parameter, whose
+# bounds are a whole turn apart, wraps around: 1.1 is 0.1.
 
 
 class Space:
     """The p coordinates of a search.
 
     Attributes:
-        periodic: which parameters come back to the same place, (p,).
-        first: shares of the published gait, as far as the bounds have it, (p,).
+        periodic: Whether each parameter is periodic (p,).
+        published_shares: Shares of the published gait (p,), moved to the bounds if it is outside.
     """
 
     def __init__(self, search: Search) -> None:
         axes, defaults = search.sweep.axes, search.sweep.parameters
         self.dimensions = len(axes)
         self.periodic = np.array([is_turn(axis.name, *axis.numbers[:2]) for axis in axes])
-        self.first = np.array(
+        self.published_shares = np.array(
             [_share(axis, float(np.asarray(defaults[axis.name].default))) for axis in axes]
         )
         self._seed = search.sweep.seed
 
     def shares(self, coordinates: np.ndarray) -> np.ndarray:
-        """Shares of the bounds (n, p), in [0, 1], of any coordinates."""
+        """Shares of the bounds (n, p), in [0, 1], at any coordinates (n, p)."""
         turned = coordinates - np.floor(coordinates)
         reflected = 1.0 - np.abs(1.0 - np.mod(coordinates, 2.0))
         return np.clip(np.where(self.periodic, turned, reflected), 0.0, 1.0)
 
-    def spread(self, count: int) -> np.ndarray:
-        """Shares to begin with (count, p): the published gait, then points of a scrambled Sobol sequence."""
+    def initial_shares(self, count: int) -> np.ndarray:
+        """Initial shares (count, p): the published gait, then points of a scrambled Sobol sequence."""
         points = qmc.Sobol(self.dimensions, rng=np.random.default_rng(self._seed))
         return np.concatenate(
-            [self.first[None], points.random_base2(max(count - 1, 1).bit_length())]
+            [self.published_shares[None], points.random_base2(max(count - 1, 1).bit_length())]
         )[:count]
 
 
 def _share(axis: Axis, value: float) -> float:
-    """Where a value stands between the bounds; the nearer bound, if it is beyond."""
+    """The share of a value between the bounds, clipped to [0, 1]."""
     low, high = axis.numbers[:2]
     value = min(max(value, low), high)
     if axis.form.startswith("log"):
@@ -83,7 +83,7 @@ def _share(axis: Axis, value: float) -> float:
 
 
 # ---
-# What the runs of a batch say about its points: costs, measures, and whether constraints hold.
+# Scores of points from the runs of a batch: costs, measures, and violations of constraints.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,10 +91,10 @@ class Scores:
     """Results of n points.
 
     Attributes:
-        cost: (n, k), less is better: one column for one objective, of a front one for each; NaN where a run failed.
-        measures: (n, m) of an atlas; NaN where a run failed.
-        violation: how far the constraints are from holding, (n,), each in units of its bound; 0 where they hold.
-        ok: whether all runs walked to the end with finite numbers, (n,).
+        cost: Cost of each objective (n, k); less is better, and NaN means that a run failed.
+        measures: Measures of an atlas (n, m); NaN means that a run failed.
+        violation: Sum of the violations of all constraints (n,), each in units of its bound; 0 if all are satisfied.
+        ok: Whether all runs walked to the end with finite numbers (n,).
     """
 
     cost: np.ndarray
@@ -106,26 +106,26 @@ class Scores:
         return len(self.ok)
 
     @property
-    def allowed(self) -> np.ndarray:
-        """Points (n,) that walked to the end and keep to the constraints."""
+    def is_allowed(self) -> np.ndarray:
+        """Whether each point walked to the end and satisfies the constraints (n,)."""
         return self.ok & (self.violation == 0.0)
 
     @property
     def quality(self) -> np.ndarray:
-        """Of one objective, more is better (n,)."""
+        """The negative cost of a single objective (n,); more is better."""
         return -self.cost[:, 0]
 
 
-def scores_of(
+def score_points(
     aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: np.ndarray
 ) -> Scores:
-    """The scores of points, each with all of its repeats side by side.
+    """The scores of points; the repeats of a point are consecutive runs.
 
-    A metric counts by its mean over the repeats. A point of which one run is lost counts as the worst.
+    The score of a metric is its mean over the repeats. A point with a failed run has NaN scores.
 
     Args:
-        metrics: name -> (n * repeats,), at least those of the aim.
-        well: which runs succeeded (n * repeats,).
+        metrics: Metrics (n * repeats,) by name, at least the metrics of the aim.
+        well: Whether each run succeeded (n * repeats,).
     """
     means = {
         name: np.asarray(metrics[name], float).reshape(-1, repeats).mean(axis=1)
@@ -155,23 +155,23 @@ def scores_of(
 
 
 def ranked_cost(scores: Scores, worst: float) -> np.ndarray:
-    """One finite cost a point (n,), by which any method can rank: allowed points, then the least violation, then falls.
+    """One finite cost per point (n,) that ranks allowed points first, then violations by their size, then falls.
 
     Args:
-        worst: highest cost of an allowed point so far; it only has to be finite.
+        worst: Highest cost of an allowed point so far, or any finite number before the first one.
     """
     cost = np.where(
-        scores.allowed, scores.cost[:, 0], worst + 1.0 + np.nan_to_num(scores.violation)
+        scores.is_allowed, scores.cost[:, 0], worst + 1.0 + np.nan_to_num(scores.violation)
     )
     fallen = worst + 2.0 + np.nanmax(np.append(scores.violation, 0.0))
     return np.where(scores.ok, cost, fallen)
 
 
-def cells_of(aim: Aim, measures: np.ndarray) -> np.ndarray:
-    """The cell of each point of an atlas, (n,): the last measure runs fastest; -1 outside of the ranges, or lost.
+def find_cells(aim: Aim, measures: np.ndarray) -> np.ndarray:
+    """The cell of each point of an atlas (n,), with the last measure fastest; -1 outside of the ranges or for NaN.
 
     Args:
-        measures: (n, m).
+        measures: Measures of the points (n, m).
     """
     cell, inside = np.zeros(len(measures), int), np.isfinite(measures).all(axis=1)
     for values, measure in zip(
@@ -183,9 +183,9 @@ def cells_of(aim: Aim, measures: np.ndarray) -> np.ndarray:
     return np.where(inside, cell, -1)
 
 
-def elites_of(aim: Aim, scores: Scores) -> tuple[np.ndarray, np.ndarray]:
-    """Filled cells in order, (k,), and the best allowed point of each, (k,); of equal points the first."""
-    cell = np.where(scores.allowed, cells_of(aim, scores.measures), -1)
+def find_elites(aim: Aim, scores: Scores) -> tuple[np.ndarray, np.ndarray]:
+    """The filled cells in order (k,), and the best allowed point of each (k,), the first one of equal points."""
+    cell = np.where(scores.is_allowed, find_cells(aim, scores.measures), -1)
     order = np.lexsort((np.arange(len(cell)), -scores.quality, cell))
     order = order[cell[order] >= 0]
     cells, first = np.unique(cell[order], return_index=True)
@@ -196,14 +196,14 @@ def elites_of(aim: Aim, scores: Scores) -> tuple[np.ndarray, np.ndarray]:
 # CMA-ES with restarts, for one objective of a search.
 
 
-def strategy(
+def make_strategy(
     start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any
 ) -> Any:
-    """Hansen's CMA-ES with its own random generator, since NumPy's global one is shared.
+    """Make a CMA-ES by Hansen's library, with its own random generator, because NumPy's global generator is shared.
 
     Args:
-        start: where it begins (p,).
-        options: of `cma.CMAEvolutionStrategy`.
+        start: Initial mean (p,).
+        options: Options of `cma.CMAEvolutionStrategy`.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -221,22 +221,22 @@ def strategy(
 
 
 class Searcher(Protocol):
-    """Chooses the points of a search; `ask` and `tell` alternate, and the same results lead to the same requests."""
+    """A method of a search. `ask` and `tell` alternate, and the same results lead to the same requests."""
 
     def ask(self) -> Request:
-        """The next batch."""
+        """Request the next batch of points."""
         ...
 
     def tell(self, scores: Scores) -> None:
-        """The results of the batch, in its order."""
+        """Receive the results of the batch, in the order of its points."""
         ...
 
 
-#: Size of the initial sample, in batches: with two, the better half of the bounds is known before the first step.
+#: Size of the initial sample in batches. Two batches are enough to find the better half of the bounds.
 SPREAD: Final = 2
-#: Standard deviation, as a fraction of the bounds, at which a search has converged: no robot is built more precisely.
+#: Standard deviation of a converged search, as a fraction of the bounds; a robot cannot be built more precisely.
 CONVERGED: Final = 1e-3
-#: Populations grow by this, at most so often.
+#: Factor by which populations grow, and the maximum number of times.
 GROWTH: Final = 2.0
 MOST_GROWTH: Final = 9
 
@@ -244,8 +244,8 @@ MOST_GROWTH: Final = 9
 class RestartedCma(Searcher):
     """CMA-ES with restarts. The first batch is a sample; the first CMA-ES starts from its best point.
 
-    When one has converged, the next begins at a random point: with twice the population (IPOP), or either with that
-    or with a small one and a small step, depending on which has had fewer evaluations (BIPOP, Hansen 2009).
+    When a CMA-ES has converged, the next one begins at a random point. With IPOP it has twice the population. With BIPOP
+    (Hansen 2009) it has either a large population, or a small one with a small step, whichever had fewer evaluations.
     """
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
@@ -260,16 +260,16 @@ class RestartedCma(Searcher):
 
     def ask(self) -> Request:
         if self._strategy is None:
-            return Request(self._space.spread(SPREAD * self._batch))
+            return Request(self._space.initial_shares(SPREAD * self._batch))
         self._points = np.array(self._strategy.ask())
         return Request(self._space.shares(self._points))
 
     def tell(self, scores: Scores) -> None:
-        if scores.allowed.any():
-            self._worst = max(self._worst, float(scores.cost[scores.allowed, 0].max()))
+        if scores.is_allowed.any():
+            self._worst = max(self._worst, float(scores.cost[scores.is_allowed, 0].max()))
         cost = ranked_cost(scores, self._worst)
         if self._strategy is None:
-            first = self._space.spread(SPREAD * self._batch)[int(np.argmin(cost))]
+            first = self._space.initial_shares(SPREAD * self._batch)[int(np.argmin(cost))]
             self._begin(first, self._method.sigma, self._batch)
             return
         self._used[self._regime] += len(cost)
@@ -293,19 +293,19 @@ class RestartedCma(Searcher):
             self._begin(start, self._method.sigma, int(self._batch * GROWTH**self._grown))
 
     def _begin(self, start: np.ndarray, sigma: float, population: int) -> None:
-        self._strategy = strategy(start, sigma, population, self._rng, tolx=CONVERGED)
+        self._strategy = make_strategy(start, sigma, population, self._rng, tolx=CONVERGED)
 
 
 # ---
-# NSGA-II with constraints, for several objectives: pymoo's, driven by ask and tell.
+# NSGA-II with constraints, for several objectives, by the library pymoo.
 
 
-#: Violation of a point that fell: more than any other, so that every walk to the end is better.
+#: Violation of a point that fell; it is larger than any other violation, so that every complete walk is better.
 _FALLEN = 1e9
 
 
-class Genetic(Searcher):
-    """NSGA-II. Generations are as large as a batch; the first is a spread of points."""
+class GeneticSearch(Searcher):
+    """NSGA-II. A generation is a batch; the first one consists of `Space.initial_shares`."""
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
         from pymoo.algorithms.moo.nsga2 import NSGA2
@@ -314,8 +314,8 @@ class Genetic(Searcher):
 
         objectives = len(search.aim.objective.terms)
         problem = Problem(n_var=space.dimensions, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0)
-        self._algorithm = NSGA2(pop_size=batch, sampling=space.spread(batch))
-        # Without an end of its own: the budget is the search's.
+        self._algorithm = NSGA2(pop_size=batch, sampling=space.initial_shares(batch))
+        # The algorithm has no termination, because the search has a budget.
         self._algorithm.setup(
             problem, termination=NoTermination(), seed=search.sweep.seed, verbose=False
         )
@@ -333,22 +333,21 @@ class Genetic(Searcher):
 
 
 # ---
-# CMA-ME, for an atlas: pyribs's emitters, which search for cells that are empty or can be improved.
+# CMA-ME, for an atlas, by the library pyribs, whose emitters search for cells that are empty or can be improved.
 
 
-#: Value reported to an emitter for a point outside the atlas.
+#: Value of a point outside of the atlas for an emitter.
 _WORTHLESS: Final = -1e9
 
 
 class AtlasEmitters(Searcher):
-    """CMA-ME. The first batch is a spread of points; then the batch is divided among emitters.
+    """CMA-ME. The first batch consists of `Space.initial_shares`; later batches are divided among emitters.
 
-    A point outside of the measures' ranges, one that fell, or that breaks a constraint, is not in
-    the atlas.
+    Points that are outside of the measures' ranges, fell, or violate a constraint are not in the atlas.
     """
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
-        with _interpreted():
+        with _import_without_numba():
             from ribs.archives import GridArchive
 
         assert isinstance(search.method, CmaMe)
@@ -371,15 +370,15 @@ class AtlasEmitters(Searcher):
         if not self._emitters:
             first = self._spreads * self._batch
             self._spreads += 1
-            self._shares = self._space.spread(first + self._batch)[first:]
+            self._shares = self._space.initial_shares(first + self._batch)[first:]
             return Request(self._shares)
         points = [emitter.ask() for emitter in self._emitters]
-        self._ends = np.cumsum([len(points_of_emitter) for points_of_emitter in points])
+        self._batch_ends = np.cumsum([len(points_of_emitter) for points_of_emitter in points])
         self._shares = self._space.shares(np.concatenate(points))
         return Request(self._shares)
 
     def tell(self, scores: Scores) -> None:
-        inside = scores.allowed & (cells_of(self._aim, scores.measures) >= 0)
+        inside = scores.is_allowed & (find_cells(self._aim, scores.measures) >= 0)
         status, value = np.zeros(len(inside), np.int32), np.full(len(inside), _WORTHLESS)
         objective = np.where(inside, scores.quality, _WORTHLESS)
         measures = np.where(np.isfinite(scores.measures), scores.measures, 0.0)
@@ -390,14 +389,14 @@ class AtlasEmitters(Searcher):
             if len(self._archive):
                 self._begin()
             return
-        parts = np.split(np.arange(len(inside)), self._ends[:-1])
+        parts = np.split(np.arange(len(inside)), self._batch_ends[:-1])
         for emitter, part in zip(self._emitters, parts, strict=True):
             info = {"status": status[part], "value": value[part]}
             emitter.tell(self._shares[part], objective[part], measures[part], info)
 
     def _begin(self) -> None:
-        """Emitters from elites that are evenly spread over the filled cells."""
-        with _interpreted():
+        """Make emitters that start from elites, which are evenly spaced among the filled cells."""
+        with _import_without_numba():
             from ribs.emitters import EvolutionStrategyEmitter
 
         elites = self._archive.data(["solution", "index"], return_type="dict")
@@ -416,7 +415,7 @@ class AtlasEmitters(Searcher):
 
 
 @contextlib.contextmanager
-def _interpreted() -> Iterator[None]:
+def _import_without_numba() -> Iterator[None]:
     """Import pyribs without compiled functions: they save microseconds per batch but take ten seconds to compile."""
     import numba
 
@@ -434,7 +433,7 @@ class SobolSample(Searcher):
     """Points of one Sobol sequence, starting with the published gait: the baseline for all methods."""
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
-        self._batch, self._first = batch, space.first
+        self._batch, self._first = batch, space.published_shares
         self._points = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed))
         self._begun = False
 
@@ -442,7 +441,7 @@ class SobolSample(Searcher):
         with warnings.catch_warnings():
             warnings.simplefilter(
                 "ignore"
-            )  # one point less than a power of two: the published gait stands for it
+            )  # one point less than a power of two, because the published gait replaces it
             if self._begun:
                 return Request(self._points.random(self._batch))
             self._begun = True
@@ -451,22 +450,22 @@ class SobolSample(Searcher):
             )
 
     def tell(self, scores: Scores) -> None:
-        """The points do not depend on it."""
+        """Ignore the results, because the points do not depend on them."""
 
 
 def searcher(search: Search, batch: int) -> Searcher:
-    """The method of a search, at its beginning.
+    """The method of a search, before its first batch.
 
     Args:
-        batch: points of a batch; some methods change it during the search.
+        batch: Number of points of a batch; some methods change it during the search.
 
     Raises:
-        ParameterError: its library is not installed.
+        ParameterError: The library of the method is not installed.
     """
     check_library(search.method)
     kinds: dict[type[SearchMethod], Any] = {
         Cma: RestartedCma,
-        Nsga2: Genetic,
+        Nsga2: GeneticSearch,
         CmaMe: AtlasEmitters,
         Sobol: SobolSample,
     }
@@ -475,7 +474,7 @@ def searcher(search: Search, batch: int) -> Searcher:
 
 
 def check_library(method: SearchMethod) -> None:
-    """Raises `ParameterError` if the library of a method is not installed."""
+    """Raise `ParameterError` if the library of a method is not installed."""
     require(
         f"method is {method.name}, which",
         method.library,
@@ -483,6 +482,6 @@ def check_library(method: SearchMethod) -> None:
     )
 
 
-def made_by(method: SearchMethod) -> str:
-    """Name and version of what chooses the points, for the table's metadata."""
+def library_version(method: SearchMethod) -> str:
+    """Name and version of the library that chooses the points, for the table's metadata."""
     return f"{method.library} {importlib.metadata.version(method.library)}"

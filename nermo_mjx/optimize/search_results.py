@@ -10,24 +10,24 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.optimize.search_methods import Scores, cells_of, elites_of, scores_of
+from nermo_mjx.optimize.search_methods import Scores, find_cells, find_elites, score_points
 from nermo_mjx.optimize.search_spec import Search
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.table import Columns, Results, columns_of, meta
 
 # ---
-# Results of a search, from its table alone: best.json for programs, best.yaml, a sweep file, and an atlas's elites.
+# Results of a search from its table: best.json for programs, best.yaml, which is a sweep file, and the elites of an atlas.
 
 
 @dataclasses.dataclass(frozen=True)
 class Evaluations:
-    """All points of a search's table, in the order in which they were asked for.
+    """All points of a search's table, in the order of the requests.
 
     Attributes:
-        search: that made it.
-        results: the table, one row per run.
-        scores: of the n points.
-        batch: which one each was part of, (n,).
+        search: Search that made the table.
+        results: Table with one row per run.
+        scores: Scores of the n points.
+        batch: Number of the batch of each point (n,).
     """
 
     search: Search
@@ -37,24 +37,24 @@ class Evaluations:
 
     @classmethod
     def of(cls, search: Search, results: Results | Path) -> Evaluations:
-        """Of a table, or a directory's, as far as it goes."""
+        """The points of a table, or of the table of a directory so far."""
         if isinstance(results, Path):
             results = Results(part_files(results))
         columns = dict(results.columns(["batch", *search.aim.metrics]))
         batch = columns.pop("batch")[:: search.repeats].astype(int)
         return cls(
-            search, results, scores_of(search.aim, search.repeats, columns, results.well), batch
+            search, results, score_points(search.aim, search.repeats, columns, results.well), batch
         )
 
     def means(self, names: list[str], points: np.ndarray) -> dict[str, np.ndarray]:
-        """Columns of some points (k,), means over their repeats."""
+        """Columns (k,) of some points (k,) by name, as means over the repeats."""
         repeats = self.search.repeats
         return {
             name: values.reshape(-1, repeats)[points].mean(axis=1)
             for name, values in self.results.columns(names)
         }
 
-    def described(self, points: np.ndarray) -> list[dict[str, Any]]:
+    def describe(self, points: np.ndarray) -> list[dict[str, Any]]:
         """Row, parameters, objective and metrics of some points (k,)."""
         metrics, parameters = columns_of(self.results, "metric"), list(self.search.names)
         columns = self.means([*parameters, *metrics], points)
@@ -71,24 +71,24 @@ class Evaluations:
 
     @property
     def simulated_seconds(self) -> float:
-        """Of all runs [s]."""
+        """Simulated time of all runs [s]."""
         timing = [name for name in self.search.setup.timing if name in self.results.schema.names]
         seconds = self.search.seconds(dict(self.results.columns(timing)), self.results.rows)
         return float(np.sum(seconds))
 
     def front(self) -> np.ndarray:
-        """Allowed points that no other one beats, in order of the first objective (k,)."""
-        allowed = np.flatnonzero(self.scores.allowed)
-        places = allowed[nondominated(self.scores.cost[allowed])]
+        """Allowed points that no other point dominates, in the order of the first objective (k,)."""
+        allowed = np.flatnonzero(self.scores.is_allowed)
+        places = allowed[find_nondominated(self.scores.cost[allowed])]
         return places[np.argsort(self.scores.cost[places, 0], kind="stable")]
 
     def best(self) -> int | None:
-        """The best allowed point: of a front the one in its middle, nearest to where all objectives would be best."""
-        allowed = np.flatnonzero(self.scores.allowed)
+        """The best allowed point; for a front, the point nearest to the best values of all objectives."""
+        allowed = np.flatnonzero(self.scores.is_allowed)
         if not len(allowed):
             return None
-        if self.search.aim.measures:  # of those that have a cell
-            allowed = elites_of(self.search.aim, self.scores)[1]
+        if self.search.aim.measures:  # only points in a cell
+            allowed = find_elites(self.search.aim, self.scores)[1]
         elif self.search.aim.pareto:
             allowed = self.front()
         if not len(allowed):
@@ -99,8 +99,8 @@ class Evaluations:
         return int(allowed[np.argmin((apart**2).sum(axis=1))])
 
 
-def nondominated(cost: np.ndarray) -> np.ndarray:
-    """Places (k,) of the points (n, m) that no other one beats: as good in all costs and better in one."""
+def find_nondominated(cost: np.ndarray) -> np.ndarray:
+    """Indices (k,) of the points (n, m) that no other point dominates, with equal or lower costs and one lower cost."""
     if not len(cost):
         return np.empty(0, int)
     import moocore
@@ -109,13 +109,13 @@ def nondominated(cost: np.ndarray) -> np.ndarray:
 
 
 def hypervolumes(evaluations: Evaluations) -> tuple[np.ndarray, np.ndarray]:
-    """The share of a box that the front beats after each batch, (batches,), and the box's worst corner, (m,).
+    """The share of a box that the front dominates after each batch (batches,), and the box's worst corner (m,).
 
-    The box reaches from the best of each objective in the whole table to its worst in the first batch.
+    The box extends from the best value of each objective in the whole table to its worst value in the first batch.
     """
     import moocore
 
-    cost, allowed = evaluations.scores.cost, evaluations.scores.allowed
+    cost, allowed = evaluations.scores.cost, evaluations.scores.is_allowed
     allowed_points = np.flatnonzero(allowed)
     first = allowed_points[
         evaluations.batch[allowed_points] == evaluations.batch[allowed_points[0]]
@@ -125,20 +125,20 @@ def hypervolumes(evaluations: Evaluations) -> tuple[np.ndarray, np.ndarray]:
     shares, front = [], np.empty((0, cost.shape[1]))
     for batch in range(evaluations.batch.max() + 1):
         front = np.concatenate([front, cost[(evaluations.batch == batch) & allowed]])
-        front = front[nondominated(front)]
+        front = front[find_nondominated(front)]
         inside = front[(front < worst).all(axis=1)]
         shares.append(float(moocore.hypervolume(inside, ref=worst) / box) if len(inside) else 0.0)
     return np.array(shares), worst
 
 
 def atlas_progress(evaluations: Evaluations) -> tuple[np.ndarray, np.ndarray]:
-    """Filled cells and QD score after each batch, (batches,) each.
+    """The number of filled cells and the QD score after each batch (batches,).
 
-    The QD score is the sum over the filled cells of how much better their elite is than the worst point of the first
-    batch that has a cell (Pugh et al. 2016); nothing counts less than zero.
+    The QD score (Pugh et al. 2016) is a sum over the filled cells. Each cell adds the gain of its elite compared with the
+    worst point of the first batch that has points in cells, but at least zero.
     """
     aim, scores = evaluations.search.aim, evaluations.scores
-    cell = np.where(scores.allowed, cells_of(aim, scores.measures), -1)
+    cell = np.where(scores.is_allowed, find_cells(aim, scores.measures), -1)
     points_in_cells = np.flatnonzero(cell >= 0)
     floor = (
         float(
@@ -163,12 +163,13 @@ def atlas_progress(evaluations: Evaluations) -> tuple[np.ndarray, np.ndarray]:
 
 
 def atlas_table(evaluations: Evaluations) -> pa.Table:
-    """One row per filled cell, in order: row of the table, cell, parameters, metrics (means over the repeats).
+    """A table with one row per filled cell, in order: row of the search's table, cell, parameters, mean metrics.
 
-    The schema's metadata `atlas` is JSON: `objective` with metric and direction, `measures` with metric, range, cells.
+    The metadata `atlas` of the schema is JSON: `objective` with metric and direction, `measures` with metric, range and
+    cells.
     """
     aim, schema = evaluations.search.aim, evaluations.results.schema
-    cells, points = elites_of(aim, evaluations.scores)
+    cells, points = find_elites(aim, evaluations.scores)
     table = Columns()
     table.add(
         "row",

@@ -1,4 +1,4 @@
-"""Run a search: ask for points, simulate those that the directory lacks, tell the results, and publish."""
+"""Run a search: request points, simulate the batches that the directory lacks, report the results to the method."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from nermo_mjx.optimize.search_figures import search_figures_of
 from nermo_mjx.optimize.search_methods import (
     Scores,
     Space,
-    cells_of,
     check_library,
-    scores_of,
+    find_cells,
+    score_points,
     searcher,
 )
 from nermo_mjx.optimize.search_spec import Search
@@ -49,23 +49,23 @@ from nermo_mjx.sweep.store import batch_values
 from nermo_mjx.sweep.table import Results, read_table
 
 # ---
-# A search: batches until its budget is used up.
+# A search evaluates batches until its budget is used up.
 
 
-#: Worlds for each core with MuJoCo C. Half as many as in a sweep: two cores are busy with 16 worlds, and a method that
-#: is told of each of 16 has gone further after 64.
+#: Worlds for each core with MuJoCo C, half as many as in a sweep: 16 worlds keep two cores busy, and a method is better
+#: after 64 points if it receives results after every 16 of them.
 CORE_WORLDS: Final = 8
-#: An atlas has several emitters in a batch.
+#: Worlds for each core for an atlas, which has several emitters in a batch.
 ATLAS_WORLDS: Final = 32
-#: Generations that a budget is to last for.
+#: Least number of batches within a budget.
 BUDGET_GENERATIONS: Final = 10
 
 
 def batch_points(search: Search, engine: str) -> int:
-    """Points of a batch on this machine.
+    """Number of points of a batch on this machine.
 
     Args:
-        engine: name of the engine, or "auto".
+        engine: Name of the engine, or "auto".
     """
     expected = search.evaluations or 1000
     least = 4 + int(3 * math.log(len(search.names)))
@@ -84,14 +84,14 @@ PUBLISHED_EVERY: Final = 60.0
 
 @dataclasses.dataclass(frozen=True)
 class SearchResult:
-    """A search's outcome.
+    """The result of a search.
 
     Attributes:
-        out: its directory.
-        search: what was searched, with the size of its batches.
-        best: content of best.json (`nermo_mjx.optimize.search_directory`).
-        evaluations_run: points that this call evaluated.
-        recordings, plots: files that were made.
+        out: Directory of the search.
+        search: Search with the size of its batches.
+        best: Content of best.json (`nermo_mjx.optimize.search_directory`).
+        evaluations_run: Number of points that this call evaluated.
+        recordings, plots: Paths of the recordings and figures.
     """
 
     out: Path
@@ -103,7 +103,7 @@ class SearchResult:
 
     @property
     def table(self) -> pa.Table:
-        """The table of all runs, read from the directory at each use; see `nermo_mjx.sweep.read_table`."""
+        """The table of all runs, which is read from the directory at each use; see `nermo_mjx.sweep.read_table`."""
         return read_table(self.out)
 
 
@@ -128,19 +128,18 @@ def run_search(
     >>> sorted(result.best["parameters"]), result.best["evaluations"]
     (['frequency'], 8)
 
-    Each batch is stored before the next one is asked for. Resuming replays what is stored,
-    so that killing the process loses only the batch in flight, and the same numbers come out: bit for bit on the
-    engine `c`.
+    Each batch is stored before the next one is requested. A resumed search repeats the stored batches, so that a killed
+    process loses only the batch in progress, and the results are the same, on the engine `c` bit for bit.
 
     Args:
-        spec: a `Search`, a dict with the fields of a search file, or the path of one.
-        out: the directory; see `nermo_mjx.optimize.search_directory`.
-        engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
-        watch: is told the progress, and what is damaged, and is run again.
-        progress: whether it is shown where somebody looks, if there is no watch.
-        accept_new_code: resume a directory that other code or another engine started.
-        workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
-        simulator: replaces `Simulator(search.setup, engine)`.
+        spec: A `Search`, a dict with the fields of a search file, or the path of a search file.
+        out: Directory of the search; see `nermo_mjx.optimize.search_directory`.
+        engine: Engine of the simulator; "auto" is the engine of the directory's results, if there are any.
+        watch: Receiver of the progress, and of messages about parts that are damaged and simulated again.
+        progress: Whether to show a progress bar in a terminal or notebook, if there is no watch.
+        accept_new_code: Whether to resume a directory that other code or another engine started.
+        workers: Workers that simulate, such as `nermo_mjx.runs.ray_workers.RayWorkers`; by default this process.
+        simulator: Replaces `Simulator(search.setup, engine)`.
 
     Raises:
         SpecError, DirectoryError, OtherCode, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
@@ -176,7 +175,7 @@ def run_search(
 
 
 class SearchLoop:
-    """The batches of a search, one after the other; `evaluated` points were evaluated here, and not read."""
+    """The batches of a search, one after another. `evaluated` is the number of points that this process evaluated."""
 
     def __init__(
         self, batches: Batches, workers: Workers, computer: SweepSimulator, watch: Watch
@@ -193,21 +192,21 @@ class SearchLoop:
         self._cells = set[int]()
 
     def run(self, accept: bool) -> None:
-        """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
+        """Run batches until the budget is used up; batches that the directory lacks are simulated."""
         search = self._search
         repeats = self._search.repeats
         stamp = None
         published = time.monotonic()
         method, shares, batch = searcher(search, self._size), np.empty((0, len(search.names))), 0
-        while search.reached(self._evaluations, self._seconds) < 1.0:
+        while search.budget_share(self._evaluations, self._seconds) < 1.0:
             request = method.ask()
             shares = np.concatenate([shares, request.points])
-            # Repeats stand side by side; draws follow from a point and the repeat.
+            # The repeats of a point are consecutive rows; its random values depend on the point and the repeat.
             first = self._evaluations * repeats
             rows = Sample(search.sweep, shares).take(np.arange(first, len(shares) * repeats))
             table = self._batches.read(batch, rows)
             if table is None:
-                if stamp is None:  # the first one that is missing
+                if stamp is None:  # the first missing batch
                     self._resumed = self._evaluations
                     self._report()
                     stamp = self._workers.begin(self._computer)
@@ -227,10 +226,12 @@ class SearchLoop:
                 published = time.monotonic()
 
     def _report(self, share: float = 0.0) -> None:
-        """Report how far all is; `share` of the next batch is done."""
+        """Report the progress of the search; `share` is the completed share of the next batch."""
         search = self._search
-        part = share * (search.reached(self._size, 0.0) if search.evaluations is not None else 0.0)
-        fraction = min(1.0, search.reached(self._evaluations, self._seconds) + part)
+        part = share * (
+            search.budget_share(self._size, 0.0) if search.evaluations is not None else 0.0
+        )
+        fraction = min(1.0, search.budget_share(self._evaluations, self._seconds) + part)
         cells = {"cells": float(len(self._cells))} if search.aim.measures else {}
         done = Progress(
             fraction,
@@ -243,14 +244,12 @@ class SearchLoop:
         self._watch.progress(done)
 
     def _simulate(self, batch: int, rows: Rows) -> Simulated:
-        """All runs of a batch, in tasks of one size: nothing compiles twice, also where a population grows."""
+        """Simulate all runs of a batch in tasks of one size, so that a growing population needs no new compilation."""
         size = math.ceil(self._size * self._search.repeats / self._workers.parts)
         parts = [np.arange(len(rows))[begin : begin + size] for begin in range(0, len(rows), size)]
 
         def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
-            for k, part in enumerate(
-                parts
-            ):  # the engine c has lanes of its own; there nothing need be filled up
+            for k, part in enumerate(parts):  # on the engine c, tasks need not have the same size
                 filled = len(part) if self._computer.engine == "c" else size
                 yield k, (0, batch_values(self._search.sweep, rows.take(part), filled))
 
@@ -289,7 +288,7 @@ class SearchLoop:
         )
 
     def _scores(self, table: pa.Table) -> Scores:
-        """What a batch's rows say of its points."""
+        """The scores of a batch's points from its rows."""
         aim = self._search.aim
         metrics = {name: table.column(name).to_numpy() for name in aim.metrics}
         well = np.array(table.column("status").to_pylist()) == "ok"
@@ -301,18 +300,20 @@ class SearchLoop:
                     "metric, or change the walk."
                 )
         self._measured = self._measured or bool(well.any())
-        scores = scores_of(aim, self._search.repeats, metrics, well)
+        scores = score_points(aim, self._search.repeats, metrics, well)
         if aim.measures:
             self._cells |= {
-                int(cell) for cell in cells_of(aim, scores.measures)[scores.allowed] if cell >= 0
+                int(cell)
+                for cell in find_cells(aim, scores.measures)[scores.is_allowed]
+                if cell >= 0
             }
-        if not aim.pareto and scores.allowed.any():
-            lowest_cost = float(scores.cost[scores.allowed, 0].min())
+        if not aim.pareto and scores.is_allowed.any():
+            lowest_cost = float(scores.cost[scores.is_allowed, 0].min())
             self._best = lowest_cost if self._best is None else min(self._best, lowest_cost)
         return scores
 
 
-#: Points whose mean length of a run stands for all.
+#: Number of points in the estimate of the mean length of a run.
 _TIMED_POINTS = 256
 #: Bytes of a row of the table.
 _ROW_BYTES = 700
@@ -321,21 +322,21 @@ _ROW_BYTES = 700
 def search_forecast(
     search: Search, engine: str = "auto", simulator: SimulatorLike | None = None
 ) -> Forecast:
-    """The cost of a search from the start, a run's length being its mean over the bounds.
+    """Estimate the cost of a whole search from the mean length of a run within the bounds.
 
-    The counts are whole `batches`, the `evaluations` and `runs` in them, and `evaluations_per_batch`.
+    The counts are `batches`, the `evaluations` and `runs` in all batches, and `evaluations_per_batch`.
 
     Args:
-        engine: of the simulator.
-        simulator: replaces `Simulator(search.setup, engine)`.
+        engine: Engine of the simulator.
+        simulator: Replaces `Simulator(search.setup, engine)`.
 
     Raises:
-        ParameterError: an unknown engine, or a library that is missing.
+        ParameterError: The engine is unknown, or a library is missing.
     """
     check_library(search.method)
     engine = resolve_engine(engine)
     batch = search.batch or batch_points(search, engine)
-    shares = Space(search).spread(_TIMED_POINTS)
+    shares = Space(search).initial_shares(_TIMED_POINTS)
     rows = Sample(search.sweep, shares).take(
         np.arange(0, len(shares) * search.repeats, search.repeats)
     )

@@ -1,4 +1,4 @@
-"""The checked content of a search file. Errors are reported here, before work begins."""
+"""The checked content of a search file. Errors are reported before the search starts."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ class SearchMethod(Spec):
     """How a search chooses its points.
 
     Attributes:
-        name: in a file.
-        aims: what it is for: one `objective`, several (`pareto`), an `atlas`.
-        library: needed in addition to NumPy and SciPy.
+        name: Name in a file.
+        aims: Aims of the method: one `objective`, several (`pareto`), or an `atlas`.
+        library: Required library in addition to NumPy and SciPy.
     """
 
     name: ClassVar[str]
@@ -101,16 +101,16 @@ SEARCH_METHODS: Final[Mapping[str, type[SearchMethod]]] = {
 
 
 # ---
-# A search file: what is wanted, and for how long.
+# The fields of a search file: its aim, and its budget.
 
 
 MOST_EVALUATIONS: Final = 10_000_000
-#: Cells of an atlas, all measures together.
+#: Maximum number of cells of an atlas, over all measures.
 MOST_CELLS: Final = 1_000_000
 
 
-def searched() -> tuple[str, ...]:
-    """Metrics that a search may name, custom ones among them, while its file is read."""
+def search_metrics() -> tuple[str, ...]:
+    """Names of the metrics that a search may use, including custom ones, while its file is read."""
     return tuple(name for name in objective_metrics(FILE_METRICS.get()) if name != TRAJECTORY_ERROR)
 
 
@@ -172,7 +172,7 @@ class KeepFields(Fields):
 
 @dataclasses.dataclass(frozen=True)
 class Measure:
-    """One axis of an atlas, written as [low, high, cells]: a metric, its range, and in how many cells it is divided."""
+    """One axis of an atlas, written as [low, high, cells]: a metric, its range, and the number of cells."""
 
     metric: str
     low: float
@@ -182,13 +182,13 @@ class Measure:
 
 @dataclasses.dataclass(frozen=True)
 class Aim:
-    """What a search wants.
+    """The aim of a search.
 
     Attributes:
-        objective: of a search with one, or of an atlas; of a front its terms are the objectives.
-        pareto: whether each term is an objective of its own.
-        measures: axes of the atlas.
-        limits: what a point must keep to.
+        objective: Objective of a search or an atlas; for a front, its terms are the objectives.
+        pareto: Whether each term is a separate objective.
+        measures: Axes of the atlas.
+        limits: Constraints of the points.
     """
 
     objective: Objective
@@ -203,13 +203,13 @@ class Aim:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Every metric that counts, each once."""
+        """Names of the metrics in the objective, measures and limits, each once."""
         measured = (measure.metric for measure in self.measures)
         limited = (measure.metric for measure in self.limits)
         return tuple(dict.fromkeys([*self.objective.metrics, *measured, *limited]))
 
     def written(self) -> dict[str, Any]:
-        """As written in a search file."""
+        """The fields of the aim in a search file."""
         terms = [written(term) for term in self.objective.terms]
         data: dict[str, Any] = {"pareto" if self.pareto else "objective": terms}
         if self.measures:
@@ -223,7 +223,7 @@ class Aim:
 
 
 def _read_aim(doc: Document, file: SearchFile) -> Aim:
-    """What the file wants: `objective` or `pareto`, `atlas` and `subject_to`."""
+    """The aim of the file, from `objective` or `pareto`, `atlas` and `subject_to`."""
     pareto = file.pareto is not None
     terms = file.pareto if pareto else file.objective
     if pareto and file.objective is not None:
@@ -249,8 +249,8 @@ def _read_aim(doc: Document, file: SearchFile) -> Aim:
             )
     for section in ("atlas", "subject_to"):
         for name in getattr(file, section):
-            if name not in searched():
-                allowed = f"{', '.join(searched())}{did_you_mean(name, searched())}"
+            if name not in search_metrics():
+                allowed = f"{', '.join(search_metrics())}{did_you_mean(name, search_metrics())}"
                 doc.fail(
                     (section, name), f"is not a metric that can be aimed at; allowed are {allowed}"
                 )
@@ -275,9 +275,9 @@ def _read_aim(doc: Document, file: SearchFile) -> Aim:
     )
 
 
-#: Fields that do not change which points are evaluated: a search may be resumed with others.
+#: Fields that do not change the evaluated points, so that a search can be resumed with other values.
 _FREE_OF_SEARCH: Final = ("budget", "keep", "plots")
-#: Fields of other files, and what stands in their place here.
+#: Fields of other files, and the fields that replace them in a search file.
 _FOREIGN: Final = {
     "sample": "how points are chosen is the method's: put sobol under 'method' for a sample",
     "tune": "what is to change stands under 'vary'",
@@ -290,10 +290,10 @@ class OneOrMore(Checked):
     """A list, of which one entry may stand alone."""
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        def listed(value: Any) -> Any:
+        def as_list(value: Any) -> Any:
             return [value] if isinstance(value, dict) else value
 
-        return core_schema.no_info_before_validator_function(listed, handler(source))
+        return core_schema.no_info_before_validator_function(as_list, handler(source))
 
     def schema(self, base: JsonSchema) -> JsonSchema:
         return {"anyOf": [base, base["items"]]}
@@ -348,12 +348,12 @@ class Search(Described):
     """A checked search over p parameters. Build it with `from_file`, `from_text` or `from_dict`.
 
     Attributes:
-        sweep: what is run: the walk, the bounds (`axes`), what is drawn, and the repeats of each point.
-        aim: what is wanted.
-        evaluations, simulated_seconds: the budget, one of the two.
-        batch: points that are evaluated together; None lets the runner choose.
-        keep: number of recordings that are kept.
-        method, plots: see `SearchFile`.
+        sweep: Sweep with the walk, the bounds (`axes`), the randomized parameters, and the repeats of each point.
+        aim: Aim of the search.
+        evaluations, simulated_seconds: Budget, the number of points or the simulated time [s]; one of them is None.
+        batch: Number of points that are evaluated together; None lets the runner choose.
+        keep: Number of recordings.
+        method, plots: See `SearchFile`.
     """
 
     kind: ClassVar = "search"
@@ -372,29 +372,29 @@ class Search(Described):
 
     @property
     def setup(self) -> Setup:
-        """The static choices."""
+        """Setup of the walks."""
         return self.sweep.setup
 
     @property
     def run(self) -> Run:
-        """How long each run lasts."""
+        """Run with the duration of the walks."""
         return self.sweep.run
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The p searched parameters, in the order of the file."""
+        """Names of the p searched parameters, in the order of the file."""
         return tuple(axis.name for axis in self.sweep.axes)
 
     @property
     def repeats(self) -> int:
-        """Runs of each point."""
+        """Number of runs of each point."""
         return self.sweep.repeats
 
     def seconds(self, values: Mapping[str, np.ndarray], runs: int) -> np.ndarray:
-        """How long each of some runs is simulated (runs,) [s].
+        """Simulated time of each of some runs (runs,) [s].
 
         Args:
-            values: parameters that differ between runs, name -> (runs,).
+            values: Parameters that differ between the runs (runs,), by name.
         """
         constants = self.sweep.constants | dict(values)
         rate = self.setup.cycle_rate(
@@ -402,8 +402,8 @@ class Search(Described):
         )
         return np.broadcast_to(np.asarray(self.run.seconds(rate)[1], float), runs)
 
-    def reached(self, evaluations: int, simulated_seconds: float) -> float:
-        """The share of the budget that is used up; 1 or more where it is."""
+    def budget_share(self, evaluations: int, simulated_seconds: float) -> float:
+        """The used share of the budget; 1 or more if the budget is used up."""
         if self.evaluations is not None:
             return evaluations / self.evaluations
         assert self.simulated_seconds is not None
@@ -432,18 +432,18 @@ class Search(Described):
         return data | {"plots": self.plots}
 
     def decisive(self) -> dict[str, Any]:
-        """The fields that decide which points are evaluated; a controller counts by what it is."""
+        """The fields that determine the evaluated points; a controller is identified by its content."""
         data = {key: value for key, value in self.resolved().items() if key not in _FREE_OF_SEARCH}
         return data | code_identity(self.setup)
 
     def digest(self) -> str:
-        """A hash of all that decides the rows of the table, defaults of what the file does not name included."""
-        # The number of points of the sweep inside is no decision: which points there are, is the method's.
+        """A hash of all inputs of the table's rows, including defaults of fields that the file does not contain."""
+        # The number of points of the sweep has no effect, because the method chooses the points.
         return digest_of(self.decisive(), dataclasses.replace(self.sweep, samples=1).digest())
 
 
 def _read_method(doc: Document, chosen_method: SearchMethod | None, aim: Aim) -> SearchMethod:
-    """The method of the file, which must be for its aim, or the default one for it."""
+    """The method of the file, which must support its aim, or the default method of this aim."""
     allowed = [candidate for candidate in SEARCH_METHODS.values() if aim.kind in candidate.aims]
     method = allowed[0]() if chosen_method is None else chosen_method
     if type(method) not in allowed:
@@ -454,7 +454,7 @@ def _read_method(doc: Document, chosen_method: SearchMethod | None, aim: Aim) ->
     return method
 
 
-# Long because each field of the file is checked in its order.
+# This function is long because the fields of the file are checked in their order.
 def _read_search(doc: Document) -> Search:
     with known_names(doc):
         doc = written_out(doc)

@@ -1,4 +1,4 @@
-"""The iteration of a tuning, which steps the points of several starts along their gradients."""
+"""The iteration of a tuning, which moves the points of several starts along their gradients."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from nermo_mjx.optimize.optimizers import Optimizer
 from nermo_mjx.optimize.tuning_spec import Tuning
 
 # ---
-# State of a tuning: everything that its next iteration depends on, as one pytree of arrays.
+# The state of a tuning is one pytree of arrays with all inputs of the next iteration.
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class TuneState:
-    """A tuning of p parameters from several starts, before an iteration.
+    """The state of a tuning of p parameters from several starts, before an iteration.
 
     Attributes:
-        u: points in unbounded coordinates (starts, p), see `nermo_mjx.optimize.objective`.
-        optimizer: state of the optimizer, every leaf with a leading axis of starts.
-        iteration: iterations done.
-        best_u: the best point of each start so far (starts, p); its beginning, where none walked to the end yet.
-        best_value: objective there (starts,); infinite, where none walked to the end yet.
-        best_iteration: iteration that evaluated it (starts,); -1, where none walked to the end yet.
+        u: Points in unbounded coordinates (starts, p), see `nermo_mjx.optimize.objective`.
+        optimizer: State of the optimizer, whose leaves have a leading axis of starts.
+        iteration: Number of completed iterations.
+        best_u: Best point of each start so far (starts, p); the initial point before the first completed walk.
+        best_value: Objective at the best point (starts,); infinite before the first completed walk.
+        best_iteration: Iteration that evaluated the best point (starts,); -1 before the first completed walk.
     """
 
     u: Float[Array, "starts p"]
@@ -47,11 +47,12 @@ class TuneState:
     best_value: Float[Array, " starts"]
     best_iteration: Int[Array, " starts"]
 
-    def after(self, u: Any, optimizer: Any, better: Any, better_u: Any, value: Any) -> TuneState:
-        """The state one iteration later, at u.
+    def advance(self, u: Any, optimizer: Any, better: Any, better_u: Any, value: Any) -> TuneState:
+        """The state one iteration later, at the points u (starts, p).
 
         Args:
-            better, better_u, value: which starts found a better point (starts,), the point and its objective.
+            optimizer: State of the optimizer.
+            better, better_u, value: Whether each start found a better point (starts,), this point and its objective.
         """
         return TuneState(
             u=u,
@@ -78,15 +79,15 @@ def initial_state(tuning: Tuning) -> TuneState:
 
 @dataclasses.dataclass(frozen=True)
 class Iterate:
-    """What an iteration found at the points it began with; numpy arrays, one entry per start.
+    """Results of an iteration at its initial points, in NumPy arrays with one entry per start.
 
     Attributes:
-        points: parameters in their own units (starts, p).
-        value: objective (starts,); NaN where the robot did not walk to the end.
-        ok: whether it did (starts,).
-        gradient: d value / d parameters (starts, p); NaN without one.
-        metrics: name -> (starts,).
-        simulated_seconds: simulated time that the iteration took, gradients at their cost in forward runs [s].
+        points: Parameters in their units (starts, p).
+        value: Objective (starts,); NaN if the robot did not walk to the end.
+        ok: Whether the robot walked to the end (starts,).
+        gradient: Derivative of the value with respect to the parameters (starts, p); NaN if there is none.
+        metrics: Metrics (starts,) by name.
+        simulated_seconds: Simulated time of the iteration [s], where a gradient counts as its cost in forward runs.
     """
 
     points: np.ndarray
@@ -98,7 +99,7 @@ class Iterate:
 
 
 class Tuner:
-    """Steps a tuning on a problem along gradients; two small programs run before and after the problem's large one."""
+    """Runs the iterations of a tuning. Two small programs run before and after the large program of the problem."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
         assert tuple(problem.names) == tuning.names, (
@@ -109,9 +110,9 @@ class Tuner:
 
     def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
         """Evaluate the points of a state and take one step from them."""
-        points = placed(self.bounds, state)
+        points = point_parameters(self.bounds, state)
         evaluation = self.problem.evaluate(points, True)
-        next_state, ok = _advanced(
+        next_state, ok = _advance(
             self.tuning.optimizer,
             self.bounds,
             state,
@@ -133,13 +134,13 @@ class Tuner:
 
 
 @jax.jit
-def placed(bounds: Bounds, state: TuneState) -> Float[Array, "starts p"]:
-    """Parameters of all starts."""
+def point_parameters(bounds: Bounds, state: TuneState) -> Float[Array, "starts p"]:
+    """Parameters of all starts, in their units."""
     return from_unconstrained(bounds, state.u)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _advanced(
+def _advance(
     optimizer: Optimizer,
     bounds: Bounds,
     state: TuneState,
@@ -149,12 +150,12 @@ def _advanced(
 ) -> tuple[TuneState, Bool[Array, " starts"]]:
     """The state after the iteration, and whether each point has a value and a gradient.
 
-    A start without a completed walk has no gradient: it moves halfway back to its best point, and
-    its optimizer is not updated; an optimizer that uses values reacts by itself.
+    A start without a completed walk has no gradient. It moves halfway back to its best point, and its optimizer is not
+    updated, unless the optimizer uses values and therefore handles this case itself.
     """
     update = optimizer.build().update
     ok = ok & jnp.isfinite(value) & jnp.isfinite(gradient).all(axis=-1)
-    # What does not count is replaced before anything is computed from it, so that no NaN can come through a product.
+    # Invalid values are replaced before the computation, so that products contain no NaN.
     gradient = jnp.where(ok[:, None], gradient, 0.0) * slope(bounds, state.u)
     better = ok & (value < state.best_value)
     best_u = jnp.where(better[:, None], state.u, state.best_u)
@@ -169,4 +170,4 @@ def _advanced(
         updated,
         state.optimizer,
     )
-    return state.after(u, next_parts, better, state.u, value), ok
+    return state.advance(u, next_parts, better, state.u, value), ok

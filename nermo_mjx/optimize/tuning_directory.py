@@ -1,14 +1,14 @@
 """The directory of a tuning: its checkpoints, and the files that are made from them.
 
 DIR/tuning.yaml       the resolved tuning
-DIR/recording.npz     a copy of its reference recording, if any, so that the directory can be moved
+DIR/recording.npz     a copy of the reference recording, if any, so that the directory can be moved
 DIR/checkpoints/      Orbax checkpoints, the latest few, with state and history
 DIR/history.parquet   one row per iteration and start
-DIR/landscape/        the sweep behind the paths; `DIR/landscape/DIGEST` is its directory
+DIR/landscape/        the sweep of the landscape behind the paths; `DIR/landscape/DIGEST` is its directory
 DIR/best.json, DIR/tuned.yaml, DIR/plots/   made from the history
-DIR/run.json          the codes and sessions that made it
+DIR/run.json          the codes and sessions that made the directory
 
-Copies of the user's code are stored, too. Files that do not match are renamed DIR/*.aside-N: nothing is deleted.
+The directory also contains copies of the user's code. Files that do not match are renamed DIR/*.aside-N, not deleted.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.files import MAX_FILE_BYTES, read_bytes
-from nermo_mjx.optimize.directory import BEST, other_spec, stored_spec, sweep_of
+from nermo_mjx.optimize.directory import BEST, other_spec_error, read_spec, sweep_text
 from nermo_mjx.optimize.tuner import TuneState, initial_state
 from nermo_mjx.optimize.tuning_history import HISTORY, TuningHistory
 from nermo_mjx.optimize.tuning_spec import Tuning
@@ -51,22 +51,22 @@ TUNING_RECORDING_FILE: Final = "recording.npz"
 
 
 # ---
-# A tuning's directory. The history has no other source than the checkpoints, and everything else is made from it.
+# A tuning's directory. The history is stored in the checkpoints only, and all other files are made from the history.
 
 
 class TuningDirectory:
-    """A directory held by this process for one tuning; use it in a `with` statement.
+    """A directory that this process has locked for one tuning; use it in a `with` statement.
 
-    A checkpoint for each iteration holds the state and the history so far (item `tuning`), and what they are (`about`:
-    the tuning they belong to, precision, names of the metrics, shape of the history, which code made it, checksums).
+    A checkpoint of each iteration contains the state and the history so far (item `tuning`), and their description
+    (`about`: identity of the tuning, precision, names of the metrics, shape of the history, its codes, checksums).
 
     Args:
-        out: the directory; made if it does not exist.
-        tuning: what the directory is for.
-        warn: called with a message about each thing that is moved aside.
+        out: Path of the directory, which is created if it does not exist.
+        tuning: Tuning that the directory contains.
+        warn: Function that receives a message about each file that is moved aside.
 
     Raises:
-        DirectoryError: on entry: the directory holds another tuning, is in use, or cannot be written.
+        DirectoryError: On entry, if the directory contains another tuning, is in use, or cannot be written.
     """
 
     def __init__(
@@ -84,11 +84,11 @@ class TuningDirectory:
     def __enter__(self) -> TuningDirectory:
         with contextlib.ExitStack() as stack, clear_errors(self.out):
             stack.enter_context(self.held)
-            # Until an iteration is stored, another tuning may take the directory over.
+            # Another tuning may take over the directory until an iteration is stored.
             if any(path.name.isdecimal() for path in (self.out / "checkpoints").glob("*")):
-                begun = stored_spec(self.out / TUNING, "tuning", "checkpoints", read_stored)
+                begun = read_spec(self.out / TUNING, "tuning", "checkpoints", read_stored)
                 if begun and (apart := changes(begun.decisive(), self.tuning.decisive())):
-                    raise other_spec(self.out / TUNING, "tuning", apart)
+                    raise other_spec_error(self.out / TUNING, "tuning", apart)
             stack.enter_context(self._checkpoints)
             self._stack = stack.pop_all()
         return self
@@ -97,20 +97,20 @@ class TuningDirectory:
         self._stack.close()
 
     def restore(self, *, accept: bool = False) -> tuple[TuneState, TuningHistory]:
-        """Where the tuning is, and its history so far; damaged checkpoints are moved aside.
+        """The latest state of the tuning, and its history so far; damaged checkpoints are moved aside.
 
         Args:
-            accept: take checkpoints that were computed with other defaults.
+            accept: Whether to continue checkpoints that were computed with other defaults.
 
         Raises:
-            DirectoryError: one cannot be read now, or was computed in another precision, for another tuning, or with
-                other defaults; nothing has been changed.
+            DirectoryError: A checkpoint cannot be read now, or was computed in another precision, for another tuning, or
+                with other defaults; the directory is unchanged.
         """
         like = initial_state(self.tuning)
 
-        def shapes(metadata: Mapping[str, Any]) -> dict[str, Any]:
+        def make_template(metadata: Mapping[str, Any]) -> dict[str, Any]:
             if metadata["digest"] != self._digest:
-                self._refuse(metadata["identity"], accept)
+                self._check_identity(metadata["identity"], accept)
             if metadata["precision"] != str(like.u.dtype):
                 raise DirectoryError(
                     f"{self._checkpoints.folder} was started in {metadata['precision']}, and JAX now computes in "
@@ -118,7 +118,7 @@ class TuningDirectory:
                 )
             return {"state": like, "history": np.empty(metadata["rows"])}
 
-        checkpoint = self._checkpoints.restore(shapes, self.warn)
+        checkpoint = self._checkpoints.restore(make_template, self.warn)
         if checkpoint is None:
             return like, TuningHistory(self.tuning)
         parts, metadata = checkpoint
@@ -127,10 +127,10 @@ class TuningDirectory:
             self.tuning, tuple(metadata["metrics"]), parts["history"], codes
         )
 
-    def _refuse(self, former: Mapping[str, Any], accept: bool) -> None:
-        """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
+    def _check_identity(self, former: Mapping[str, Any], accept: bool) -> None:
+        """Raise an error about a checkpoint of another tuning, or with other defaults that are not accepted."""
         current = self._identity
-        # A field that only one of the two knows has a default there.
+        # A field that only one of the two identities contains has its default in the other one.
         shared = [name for name in current["fields"] if name in former["fields"]]
         differences = changes(
             *({name: identity["fields"][name] for name in shared} for identity in (former, current))
@@ -151,7 +151,7 @@ class TuningDirectory:
             )
 
     def claim(self, history: TuningHistory) -> None:
-        """Claim the directory for this tuning; existing files that do not follow from this history are moved aside."""
+        """Claim the directory for this tuning; files that do not match this history are moved aside."""
         file_names = (HISTORY, BEST, "tuned.yaml")
         content = content_of(self.out / HISTORY)
         table = None if content is None else parquet_table(content)
@@ -170,7 +170,7 @@ class TuningDirectory:
         write_described(self.held, TUNING, self.tuning, read_stored, self.warn)
 
     def keep(self, state: TuneState, history: TuningHistory) -> dict[str, Any] | None:
-        """Store a state and its history, and make the other files from it; the content of best.json, if any."""
+        """Store a state and its history, write the files of `publish`, and return the content of best.json, if any."""
         metadata = {
             "digest": self._digest,
             "precision": str(state.u.dtype),
@@ -186,36 +186,40 @@ class TuningDirectory:
         return self.publish(history)
 
     def publish(self, history: TuningHistory) -> dict[str, Any] | None:
-        """Make history.parquet, best.json and tuned.yaml from the history; the content of best.json, if any."""
+        """Write history.parquet, best.json and tuned.yaml, and return the content of best.json, if any."""
         best = history.best()
         self.held.write(HISTORY, parquet_bytes(history.table()))
         if best is not None:
             self.held.write(BEST, to_json(best))
             declarations, values = self.tuning.parameters, dict[str, float]()
             for name, value in best["parameters"].items():
-                # float32 may lie a rounding error outside the allowed range: seven digits are significant.
+                # A float32 may be outside of the allowed range by a rounding error; seven digits are significant.
                 inside = float(np.clip(value, declarations[name].low, declarations[name].high))
                 values[name] = float(f"{inside:.7g}") if math.isfinite(inside) else inside
             head = f"Iteration {best['iteration']} of start {best['start']}: objective {best['objective']:.6g}."
-            sweep = sweep_of(self.tuning, head, values, self.tuning.seed, self.out.resolve())
+            sweep = sweep_text(self.tuning, head, values, self.tuning.seed, self.out.resolve())
             self.held.write("tuned.yaml", sweep.encode())
         return best
 
 
 def read_stored(path: Path) -> Tuning:
-    """The tuning of a file in a directory, whose recording need not be there; raises `SpecError`."""
+    """The tuning of a file in a directory, whose recording may be missing; raises `SpecError`."""
     return Tuning.from_file(path, recorded=False)
 
 
 def load_tuning(out: str | os.PathLike[str]) -> Tuning:
-    """The tuning that a directory was made for; see `read_stored`."""
+    """The tuning of a directory; see `read_stored`."""
     return read_stored(Path(out) / TUNING)
 
 
 def keep_recording(
     directory: RunDirectory, tuning: Tuning, warn: Callable[[str], None] = lambda _: None
 ) -> Tuning:
-    """The tuning with its recording in the directory, where it is copied to; another one there is moved aside."""
+    """Copy the recording of a tuning into the directory; another recording is moved aside.
+
+    Returns:
+        The tuning with this copy.
+    """
     folder = directory.out.resolve()
     if tuning.recording is None or tuning.recording.parent == folder:
         return tuning
@@ -227,7 +231,7 @@ def keep_recording(
 
 
 def tuning_status(out: Path) -> Status:
-    """How many evaluations of its starts the history of a tuning's directory has."""
+    """Status of a tuning's directory: the number of evaluations of its starts."""
     notes, rows, step_count = list[str](), None, 0
     try:
         tuning = Tuning.from_file(out / TUNING)

@@ -25,8 +25,8 @@ from nermo_mjx.optimize.landscape import (
     Landscape,
     has_landscape,
     landscape_sweep,
-    simulated_landscape,
-    stored_landscape,
+    read_landscape,
+    simulate_landscape,
 )
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR
 from nermo_mjx.optimize.tuning_directory import TuningDirectory, load_tuning
@@ -60,7 +60,7 @@ from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import meta, profile_text
 
 # ---
-# A tuning's history as arrays over iterations and starts, for figures and summaries.
+# The history of a tuning as arrays over iterations and starts, for figures and summaries.
 
 
 #: Maximum number of starts in a figure, including the best and the given one.
@@ -72,8 +72,8 @@ class Traces:
     """The history of each start.
 
     Attributes:
-        tuning: that was run.
-        table: its history, see `nermo_mjx.optimize.tuning_directory`.
+        tuning: Tuning that was run.
+        table: History of the tuning, see `nermo_mjx.optimize.tuning_directory`.
     """
 
     tuning: Tuning
@@ -86,7 +86,7 @@ class Traces:
 
     @property
     def iterations(self) -> np.ndarray:
-        """Number of each evaluation (n,); 0 is that of the first points."""
+        """Number of each evaluation (n,); 0 is the evaluation of the initial points."""
         return np.arange(self.table.num_rows // self.starts)
 
     @cached_property
@@ -96,36 +96,36 @@ class Traces:
 
     @cached_property
     def best(self) -> tuple[int, int]:
-        """Iteration and start of the lowest objective; there is one where `best.json` exists."""
+        """Iteration and start of the lowest objective, which exists if `best.json` exists."""
         value = self.column("objective")
         iteration, start = np.unravel_index(np.nanargmin(value), value.shape)
         return int(iteration), int(start)
 
     def column(self, name: str) -> np.ndarray:
-        """Values of a column (n, starts), in its own unit."""
+        """Values of a column (n, starts), in its unit."""
         return self.table.column(name).to_numpy(zero_copy_only=False).reshape(-1, self.starts)
 
     def quantity(self, name: str) -> ShownValues:
-        """Values of a column (n, starts) as figures show them; of a metric, only where the robot walked to the end."""
+        """Values of a column (n, starts) in the unit of figures; metrics of walks that did not end normally are NaN."""
         metadata = meta(self.table.schema.field(name))
         values = self.column(name)
         if metadata["role"] == "metric":
             values = np.where(self.ok, values, np.nan)
         return shown(name, metadata["unit"], values)
 
-    def unwrapped(self, tuned: Tuned) -> np.ndarray:
-        """Values of a parameter (n, starts) in its own unit; a periodic one continues beyond its bounds."""
+    def unwrapped_values(self, tuned: Tuned) -> np.ndarray:
+        """Values of a parameter (n, starts) in its unit; a periodic parameter continues beyond its bounds."""
         values = self.column(tuned.name)
         return (
             np.unwrap(values, axis=0, period=tuned.high - tuned.low) if tuned.periodic else values
         )
 
     def in_shown_unit(self, name: str, value: float | np.ndarray) -> np.ndarray:
-        """Values of a parameter or metric as figures show them."""
+        """Values of a parameter or metric in the unit of figures."""
         return shown(name, meta(self.table.schema.field(name))["unit"], np.asarray(value)).values
 
     def gradient_norm(self) -> np.ndarray:
-        """Norm of each gradient (n, starts); NaN without one.
+        """Norm of each gradient (n, starts); NaN if there is no gradient.
 
         Each component counts per whole range of its parameter, so that units do not matter.
         """
@@ -138,30 +138,32 @@ class Traces:
         norm = np.linalg.norm(gradient, axis=-1)
         return np.where(norm > 0, norm, np.nan)
 
-    def drawn(self) -> list[int]:
-        """The starts that are drawn: all, or the given one, the best, and some between."""
+    def drawn_starts(self) -> list[int]:
+        """The starts in figures: all of them, or the first one, the best one, and some in between."""
         if self.starts <= MOST_STARTS:
             return list(range(self.starts))
         some = np.linspace(0, self.starts - 1, MOST_STARTS - 1).round().astype(int)
         return sorted({*some.tolist(), self.best[1]})
 
 
-def corner(ax: Axes, text: str, y: float = 1.01, va: Literal["bottom", "top"] = "bottom") -> None:
-    """A small note at the top right of a panel."""
+def draw_note(
+    ax: Axes, text: str, y: float = 1.01, va: Literal["bottom", "top"] = "bottom"
+) -> None:
+    """Draw a small note at the top right of a panel."""
     ax.annotate(
         text, (1, y), xycoords="axes fraction", ha="right", va=va, fontsize=8, color=MUTED_INK
     )
 
 
-def legend(ax: Axes, handles: Any = None, labels: Any = None, **more: Any) -> None:
-    """The legend beside a panel, if there is something in it."""
+def draw_legend(ax: Axes, handles: Any = None, labels: Any = None, **more: Any) -> None:
+    """Draw the legend beside a panel, unless it is empty."""
     if handles is None:
         handles, labels = ax.get_legend_handles_labels()
     if handles:
         ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, **more)
 
 
-#: Colours of single starts; with more starts, only the best one has its own.
+#: Colours of single starts; with more starts, only the best one has its own colour.
 START_COLOURS: Final = SERIES
 #: Panels of one figure.
 MAX_PARAMETER_PANELS: Final = 12
@@ -185,22 +187,22 @@ def objective_figure(traces: Traces) -> Figure:
     iteration, start = traces.best
     best = traces.column("objective")[iteration, start]
     start_note = f" of start {start}" if traces.starts > 1 else ""
-    note = f"{_what(traces)}; dashed: best so far; star: best, {best:.4g} in iteration {iteration}{start_note}"
+    note = f"{_subtitle(traces)}; dashed: best so far; star: best, {best:.4g} in iteration {iteration}{start_note}"
     figure = blank_page(
         "Objective over the iterations (lower is better)",
         PAGE_WIDTH_INCHES,
         2.9 + _PANEL * len(terms),
         note,
     )
-    axes = _column(figure, 1 + len(terms))
+    axes = _make_panels(figure, 1 + len(terms))
     value = traces.column("objective")
     _draw_starts(axes[0], traces, value)
-    # Where no start has walked to the end yet there is no best.
+    # There is no best point before the first completed walk.
     lowest = np.minimum.accumulate(np.where(np.isfinite(value), value, np.inf).min(axis=1))
     lowest[np.isinf(lowest)] = np.nan
     axes[0].step(traces.iterations, lowest, where="post", color=INK, lw=1.1, ls=(0, (4, 2)))
     axes[0].set_ylabel("objective [1]")
-    _cut(axes[0], value)
+    _limit_axis(axes[0], value)
     label: str | None = "fell"
     for start_index, style in start_styles(traces).items():
         fell = traces.iterations[~traces.ok[:, start_index]]
@@ -223,7 +225,7 @@ def objective_figure(traces: Traces) -> Figure:
         if term.aim == "hold":
             target = float(traces.in_shown_unit(metric, np.asarray(term.at)))
             ax.axhline(target, color=MUTED_INK, lw=1.0, ls="--", zorder=1)
-        corner(ax, _AIM_TEXTS[term.aim])
+        draw_note(ax, _AIM_TEXTS[term.aim])
         ax.set_ylabel(quantity.label)
     draw_star(axes[0], iteration, best, lw=0.9, zorder=6)
     for ax, metric in zip(axes[1:], terms, strict=True):
@@ -233,12 +235,10 @@ def objective_figure(traces: Traces) -> Figure:
 
 
 def parameters_figure(traces: Traces) -> Figure:
-    """Each parameter over the iterations, in its unit, with its bounds; a periodic one continues beyond them."""
+    """Each parameter over the iterations with its bounds, in its unit; a periodic one continues beyond its bounds."""
     tuned = traces.tuning.tuned[:MAX_PARAMETER_PANELS]
     left_out = len(traces.tuning.tuned) - len(tuned)
-    note = (
-        f"{_what(traces)}; dashed: bounds, or where a periodic parameter wraps around; star: best"
-    )
+    note = f"{_subtitle(traces)}; dashed: bounds, or where a periodic parameter wraps around; star: best"
     note += f"; {left_out} more parameters are not shown" if left_out else ""
     columns = 1 if len(tuned) <= 3 else 2
     rows = math.ceil(len(tuned) / columns)
@@ -249,7 +249,7 @@ def parameters_figure(traces: Traces) -> Figure:
     for ax in axes[len(tuned) :]:
         ax.remove()
     for ax, parameter in zip(axes, tuned, strict=False):
-        values = traces.in_shown_unit(parameter.name, traces.unwrapped(parameter))
+        values = traces.in_shown_unit(parameter.name, traces.unwrapped_values(parameter))
         _draw_starts(ax, traces, values)
         _draw_bounds(ax, traces, parameter, values)
         draw_star(ax, traces.best[0], values[traces.best], lw=0.9, zorder=6)
@@ -263,11 +263,11 @@ def parameters_figure(traces: Traces) -> Figure:
 
 
 def gradients_figure(traces: Traces) -> Figure:
-    """Norm of the gradient."""
+    """The norm of the gradient over the iterations."""
     norm = traces.gradient_norm()
-    note = f"{_what(traces)}; each component counts per whole range of its parameter"
+    note = f"{_subtitle(traces)}; each component counts per whole range of its parameter"
     figure = blank_page("Gradient over the iterations", PAGE_WIDTH_INCHES, _MARGINS + 2.3, note)
-    axes = _column(figure, 1)
+    axes = _make_panels(figure, 1)
     _draw_starts(axes[0], traces, norm)
     axes[0].set_ylabel("norm of the gradient [1]")
     if np.isfinite(norm).any():
@@ -278,8 +278,8 @@ def gradients_figure(traces: Traces) -> Figure:
 
 
 def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
-    """Line style of each drawn start, by its number; a few have their own colour and legend entry."""
-    best, drawn_starts = traces.best[1], traces.drawn()
+    """Line style of each drawn start, by its number; some starts have their own colour and legend entry."""
+    best, drawn_starts = traces.best[1], traces.drawn_starts()
     if len(drawn_starts) <= len(START_COLOURS):
         names = {
             start: f"start {start}" + (" (given)" if start == 0 else "") for start in drawn_starts
@@ -313,8 +313,8 @@ def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
     return styles
 
 
-def _column(figure: Figure, count: int) -> list[Axes]:
-    """Panels below one another, the first one a little higher."""
+def _make_panels(figure: Figure, count: int) -> list[Axes]:
+    """Make panels one below another, where the first one is a little higher."""
     return list(
         figure.subplots(
             count, 1, sharex=True, squeeze=False, height_ratios=[1.3] + [1] * (count - 1)
@@ -322,9 +322,9 @@ def _column(figure: Figure, count: int) -> list[Axes]:
     )
 
 
-def _what(traces: Traces) -> str:
+def _subtitle(traces: Traces) -> str:
     profile = profile_text([traces.tuning.setup.profile])
-    starts, drawn_count = traces.starts, len(traces.drawn())
+    starts, drawn_count = traces.starts, len(traces.drawn_starts())
     drawn_note = f" ({drawn_count} of them drawn)" if drawn_count < starts else ""
     return f"{profile}; {len(traces.iterations)} evaluations" + (
         f" of {starts:,} starts{drawn_note}" if starts > 1 else ""
@@ -332,7 +332,7 @@ def _what(traces: Traces) -> str:
 
 
 def _draw_starts(ax: Axes, traces: Traces, values: np.ndarray) -> None:
-    """A line for each start; `values` are (n, starts)."""
+    """Draw a line for each start; `values` are (n, starts)."""
     marker: dict[str, Any] = (
         {"marker": "o", "ms": 3.0, "mec": "white", "mew": 0.4}
         if len(traces.iterations) <= 60
@@ -343,24 +343,24 @@ def _draw_starts(ax: Axes, traces: Traces, values: np.ndarray) -> None:
         ax.plot(traces.iterations, values[:, start], **style, **marker_options)
 
 
-def _cut(ax: Axes, values: np.ndarray) -> None:
-    """Cut off values so far above the rest that nothing else would be visible."""
+def _limit_axis(ax: Axes, values: np.ndarray) -> None:
+    """Limit the axis so that a few much larger values do not hide the differences between the other values."""
     good = values[np.isfinite(values)]
     low, high = np.min(good), np.quantile(good, 0.9)
     top = max(high + 2.0 * (high - low), low + 1.05 * (np.nan_to_num(values[0, 0], nan=low) - low))
     if high > low and good.max() > top:
         ax.set_ylim(low - 0.05 * (top - low), top)
-        corner(ax, f"{int((good > top).sum())} higher", 1, "top")
+        draw_note(ax, f"{int((good > top).sum())} higher", 1, "top")
 
 
 def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> None:
-    """The bounds, and the axis about them, or about the path where it is short."""
+    """Draw the bounds, and limit the axis to them, or to the path if the path is short."""
     low, high = (
         float(traces.in_shown_unit(tuned.name, bound)) for bound in (tuned.low, tuned.high)
     )
     lowest, highest, span = float(values.min()), float(values.max()), high - low
     text = f"{low:.4g} to {high:.4g}, {'periodic' if tuned.periodic else 'bounds'}"
-    corner(ax, text)
+    draw_note(ax, text)
     if highest - lowest < _ZOOM * span:
         room = max(0.6 * (highest - lowest), 0.01 * span)
         ax.set_ylim(lowest - room, highest + room)
@@ -387,30 +387,30 @@ def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> 
 
 
 def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
-    """Grid, ticks at whole iterations, the label below the lowest panels, the legend beside the first row."""
+    """Draw the grid, ticks at whole iterations, the label below the lowest panels, and the legend of the first row."""
     for ax in axes:
         draw_horizontal_grid(ax)
         ax.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
         ax.set_xlim(-0.5, len(traces.iterations) - 0.5)
     for ax in axes[len(axes) - columns :]:
         ax.set_xlabel("iteration [1]")
-    legend(axes[columns - 1], *axes[0].get_legend_handles_labels())
+    draw_legend(axes[columns - 1], *axes[0].get_legend_handles_labels())
 
 
 # ---
 # The path of each start over one or two parameters, drawn on the objective's landscape if available.
 
 
-#: Lower is better, and brighter.
+#: Colours of the landscape; a lower objective, which is better, is brighter.
 _LANDSCAPE_COLOURS: Final = f"{COLOUR_MAP}_r"
 _LEVELS: Final = 18
 _LABEL: Final = "objective, lower is better [1]"
-#: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
+#: Share of the landscape's points within the range of colours; the highest points would reduce the contrast.
 _COVERED: Final = 0.97
 
 
 def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
-    """The paths over the first two tuned parameters, or of a single one its objective."""
+    """The paths over the first two tuned parameters, or the objective over a single one."""
     beneath = profile_text([traces.tuning.setup.profile])
     if landscape is not None:
         other_count = len(traces.tuning.tuned) - len(landscape.axes)
@@ -418,7 +418,7 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
             ", the other parameters as in the best point" if other_count else ""
         )
     if len(traces.tuning.tuned) == 1:
-        return _line(traces, landscape, beneath)
+        return _line_figure(traces, landscape, beneath)
     pair = traces.tuning.tuned[:2]
     note = f"ring: start; dot: end; star: best; {beneath}" + "; colour: objective" * (
         landscape is None
@@ -434,9 +434,10 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     else:
         _draw_values(figure, ax, traces)
     paths = [
-        traces.in_shown_unit(parameter.name, traces.unwrapped(parameter)) for parameter in pair
+        traces.in_shown_unit(parameter.name, traces.unwrapped_values(parameter))
+        for parameter in pair
     ]
-    for start in traces.drawn():
+    for start in traces.drawn_starts():
         path, turns = [path[:, start] for path in paths], []
         for tuned, values, (low, high) in zip(pair, path, ends, strict=True):
             first, last = (
@@ -469,8 +470,8 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     return figure
 
 
-def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
-    """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
+def _line_figure(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
+    """The objective over a single parameter: the landscape as a line, and the points that each start visited."""
     (parameter,) = traces.tuning.tuned
     note = f"dots: evaluations, larger towards the end; star: best; {beneath}"
     figure = blank_page(
@@ -492,12 +493,12 @@ def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     set_scales(ax, quantity)
     ax.set(xlabel=quantity.label, ylabel="objective [1]", xlim=quantity.values)
     draw_horizontal_grid(ax)
-    legend(ax)
+    draw_legend(ax)
     return figure
 
 
 def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landscape) -> None:
-    """Filled contours; where the robot did not walk to the end, grey hatching shows through."""
+    """Draw filled contours, and grey hatching at points whose walk did not end normally."""
     hatch_axes(ax)
     good = landscape.value[np.isfinite(landscape.value)]
     if not len(good):
@@ -506,12 +507,12 @@ def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landsca
     high = high if high > low else low + max(1e-9, 1e-6 * abs(low))
     x, y = (traces.in_shown_unit(name, nodes) for name, nodes in landscape.axes.items())
     cut = "max" if good.max() > high else "neither"
-    # The outermost points stand a little inside of the bounds, and their colours reach there.
+    # The outermost points are a little inside of the bounds, and their colours extend to the bounds.
     x[[0, -1]], y[[0, -1]] = (
         traces.in_shown_unit(t.name, np.array(t.bounds)) for t in traces.tuning.tuned[:2]
     )
     masked = np.ma.masked_invalid(landscape.value.T)
-    # The lines are denser towards the best point, and evenly spaced if the objective is a parabola.
+    # The lines are denser towards the best point, so that they are evenly spaced if the objective is a parabola.
     levels = low + (high - low) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
     scale = PowerNorm(0.5, low, high)
     ax.contourf(x, y, masked, levels, cmap=_LANDSCAPE_COLOURS, norm=scale, extend=cut, zorder=1)
@@ -530,13 +531,13 @@ def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landsca
 
 
 def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
-    """Without a landscape, each visited point has the colour of its objective."""
+    """Draw each visited point in the colour of its objective, if there is no landscape."""
     x, y = (
         traces.in_shown_unit(parameter.name, traces.column(parameter.name))
         for parameter in traces.tuning.tuned[:2]
     )
     value = traces.column("objective")
-    drawn_starts, good = traces.drawn(), value[np.isfinite(value)]
+    drawn_starts, good = traces.drawn_starts(), value[np.isfinite(value)]
     low, high = float(good.min()), float(np.quantile(good, _COVERED))
     scale = Normalize(low, high if high > low else low + 1e-9)
     points = ax.scatter(
@@ -561,9 +562,9 @@ def _draw_path(
     spans: list[float],
     look: Literal["best", "", "thin"],
 ) -> None:
-    """One start's path, from a ring to a dot; a path across a periodic bound continues at the other side.
+    """Draw the path of one start, from a ring to a dot; across a periodic bound it continues on the other side.
 
-    The best one is wider; without a landscape a path is a thin line, so that its points carry the colour.
+    The path of the best start is wider. Without a landscape, a path is a thin line, and its points are coloured.
     """
     width, layer, thin = 1.6 if look == "best" else 0.9, 5 if look == "best" else 4, look == "thin"
     mark: dict[str, Any] = {"ls": "none", "marker": "o", "zorder": 6}
@@ -600,9 +601,9 @@ def tuning_figures_of(
     """The figures of a tuning: `objective`, `parameters`, `gradients` and `path`.
 
     Args:
-        tuning: that was run.
-        history: its table, as `read_history` returns it; in some iteration the robot walked to the end.
-        landscape: the objective's landscape behind the paths.
+        tuning: Tuning that was run.
+        history: Table of `read_history` with at least one completed walk.
+        landscape: Landscape of the objective behind the paths.
     """
     traces = Traces(tuning, history)
     yield "objective", objective_figure(traces)
@@ -612,11 +613,11 @@ def tuning_figures_of(
 
 
 def tuning_figures(out: Path) -> Figures:
-    """The figures of a tuning's directory, as far as it is complete.
+    """The figures of the iterations in a tuning's directory.
 
     Raises:
-        SpecError: its tuning.yaml cannot be read.
-        DirectoryError: there is nothing to draw, or it cannot be read.
+        SpecError: tuning.yaml cannot be read.
+        DirectoryError: The history is empty, or cannot be read.
     """
     tuning, history = load_tuning(out), read_history(out)
     if not pc.any(pc.is_finite(history.column("objective"))).as_py():
@@ -628,7 +629,7 @@ def tuning_figures(out: Path) -> Figures:
     landscape = None
     if has_landscape(tuning):
         with contextlib.suppress(SpecError):  # a point of the grid cannot be simulated
-            landscape = stored_landscape(tuning, landscape_sweep(tuning, best), out)
+            landscape = read_landscape(tuning, landscape_sweep(tuning, best), out)
     return tuning_figures_of(tuning, history, landscape)
 
 
@@ -642,14 +643,14 @@ def make_figures(
     """Make the figures of a tuning.
 
     Args:
-        directory: where they go.
-        simulator: creates the simulator for the landscape on first use; None: nothing is simulated.
-        watch: is told what is being made, and the share of it.
-        history: the tuning's table.
-        best: the best point, see `nermo_mjx.optimize.tuning_directory`.
+        directory: Directory of the figures.
+        simulator: Function that creates the simulator of the landscape on first use; None for no simulation.
+        watch: Receiver of the progress.
+        history: Table of the tuning's history.
+        best: Best point, see `nermo_mjx.optimize.tuning_directory`.
 
     Returns:
-        The files, and a sentence if there is no landscape.
+        Paths of the figures, and a sentence if there is no landscape.
     """
     tuning, out = directory.tuning, directory.out
     if not tuning.plots:
@@ -657,7 +658,7 @@ def make_figures(
     landscape, notes = None, tuple[str, ...]()
     if simulator is not None and has_landscape(tuning):
         try:
-            landscape = simulated_landscape(tuning, best["parameters"], out, simulator, watch)
+            landscape = simulate_landscape(tuning, best["parameters"], out, simulator, watch)
         except SpecError as error:
             notes = (
                 f"There is no landscape behind the paths, because some of it cannot be walked: {error}",

@@ -21,14 +21,15 @@ HISTORY: Final = "history.parquet"
 
 
 # ---
-# The history of a tuning: one row per iteration and start; in each column's metadata its unit, meaning and role.
+# The history of a tuning has one row per iteration and start. The metadata of each column contains its unit, meaning and
+# role.
 #
 # Roles: `index` (iteration, start), `objective`, `parameter`, `gradient`, `metric`, `status` (ok), `effort`
 # (simulated_seconds, wall_seconds), `code`. A resumed tuning has the same history as an uninterrupted one, except for
 # `wall_seconds`.
 
 
-#: Fraction of the total gain that counts as nothing.
+#: Fraction of the total gain below which a gain is negligible.
 NOTHING: Final = 0.01
 
 
@@ -46,10 +47,10 @@ class TuningHistory:
     """The history of a tuning so far.
 
     Attributes:
-        tuning: that it is of.
-        metrics: names of the metrics in it.
-        rows: float64 (iterations, starts, columns), the columns as `history_columns` lists them.
-        codes: which code made the iterations, by first iteration; "" is unknown code.
+        tuning: Tuning of the history.
+        metrics: Names of the metrics in the history.
+        rows: Values, float64 (iterations, starts, columns), with the columns of `history_columns`.
+        codes: Codes that made the iterations, by first iteration; "" is unknown code.
     """
 
     tuning: Tuning
@@ -61,11 +62,11 @@ class TuningHistory:
         return len(self.rows)
 
     def column(self, name: str) -> np.ndarray:
-        """A column (iterations, starts)."""
+        """Values of a column (iterations, starts)."""
         names = [column.name for column in history_columns(self.tuning, self.metrics)]
         return self.rows[:, :, names.index(name)]
 
-    def extended(self, iterate: Iterate, wall_seconds: float, code: str) -> TuningHistory:
+    def extend(self, iterate: Iterate, wall_seconds: float, code: str) -> TuningHistory:
         """The history with one more iteration, its duration and its code."""
         tuning, metric_names = self.tuning, [*(self.tuning.metrics | self.tuning.objective_metrics)]
         metrics = self.metrics or tuple(sorted(iterate.metrics, key=metric_names.index))
@@ -92,7 +93,7 @@ class TuningHistory:
         return TuningHistory(tuning, metrics, rows, codes)
 
     def table(self) -> pa.Table:
-        """The history as a table: iterations in order, the starts of each side by side."""
+        """The history as a table, with the starts of an iteration in consecutive rows."""
         iterations, starts, _ = self.rows.shape
         table = Columns()
         table.add(
@@ -126,7 +127,7 @@ class TuningHistory:
         return table.table({"tuning": self.tuning.digest()})
 
     def point(self, iteration: int, start: int) -> dict[str, Any]:
-        """An evaluated point: `parameters`, `objective` and `metrics`; not finite where the robot did not walk."""
+        """An evaluated point: `parameters`, `objective` and `metrics`, which are not finite for a failed walk."""
         values = {
             name: float(self.column(name)[iteration, start])
             for name in (*self.tuning.names, *self.metrics)
@@ -138,16 +139,16 @@ class TuningHistory:
         }
 
     def start(self) -> dict[str, Any]:
-        """The given start, as its first evaluation found it: see `point`, and whether it is `ok`."""
+        """The first evaluation of the first start: see `point`, and whether it is `ok`."""
         return self.point(0, 0) | {"ok": bool(self.column("ok")[0, 0])}
 
     def best(self) -> dict[str, Any] | None:
-        """The content of best.json: the evaluated point of the lowest objective; None if no robot walked to the end.
+        """The content of best.json, the evaluated point with the lowest objective; None without a completed walk.
 
-        `parameters` and `metrics` by name in SI units and radians; `objective`; `iteration` and `start` that it is
-        from; `simulated_seconds` of the whole tuning and `simulated_seconds_to_best`, gradients at their cost in
-        forward runs; `iterations` done, whether the tuning is `complete`, and why it `stopped` before its iterations
-        were done, or null.
+        It contains `parameters` and `metrics` by name in SI units and radians, `objective`, the `iteration` and `start` of
+        the point, `simulated_seconds` of the whole tuning and `simulated_seconds_to_best`, where a gradient counts as its
+        cost in forward runs, the number of completed `iterations`, whether the tuning is `complete`, and the reason why
+        it `stopped` early, or null.
         """
         value = self.column("objective")
         if not np.isfinite(value).any():
@@ -155,7 +156,7 @@ class TuningHistory:
         iteration, start = (int(i) for i in np.unravel_index(np.nanargmin(value), value.shape))
         simulated = self.column("simulated_seconds")[:, start].tolist()
         stopped = None
-        if len(self) <= self.tuning.iterations and self.stalled:
+        if len(self) <= self.tuning.iterations and self.is_stalled:
             stopped = (
                 f"It stopped after {len(self) - 1} of {self.tuning.iterations} iterations: the last "
                 f"{self.tuning.patience} gained less than {NOTHING:.0%} of the total gain; a longer patience continues."
@@ -166,21 +167,21 @@ class TuningHistory:
             "simulated_seconds": simulated[-1],
             "simulated_seconds_to_best": simulated[iteration],
             "iterations": len(self) - 1,
-            "complete": self.done,
+            "complete": self.is_done,
             "stopped": stopped,
         }
 
     @property
-    def done(self) -> bool:
-        """Whether the iterations are done, or the last of them gained almost nothing."""
-        return len(self) > self.tuning.iterations or self.stalled
+    def is_done(self) -> bool:
+        """Whether the iterations are complete, or the last iterations gained almost nothing."""
+        return len(self) > self.tuning.iterations or self.is_stalled
 
     @property
-    def stalled(self) -> bool:
+    def is_stalled(self) -> bool:
         """Whether the last `patience` iterations gained almost nothing, at each start.
 
-        What counts is the lowest objective of each start so far. The total gain is from the first iteration with a
-        completed walk to the best of all.
+        The criterion is the lowest objective of each start so far. The total gain is the difference between the first
+        iteration with a completed walk and the best one.
         """
         patience = self.tuning.patience
         if len(self) <= patience:
@@ -198,7 +199,7 @@ class TuningHistory:
 
 
 def history_columns(tuning: Tuning, metrics: Sequence[str]) -> list[HistoryColumn]:
-    """The columns of a tuning's history, but for the index."""
+    """The columns of a tuning's history, without the index."""
     parameters = tuning.parameters
     value = "value that is minimized; NaN where the robot did not walk to the end"
     columns = [HistoryColumn("objective", "objective", "1", value)]
@@ -235,10 +236,10 @@ def history_columns(tuning: Tuning, metrics: Sequence[str]) -> list[HistoryColum
 
 
 def read_history(out: str | os.PathLike[str]) -> pa.Table:
-    """The history of a tuning's directory so far.
+    """The history of a tuning's directory so far, one row per iteration and start.
 
     Raises:
-        DirectoryError: there is none, it is damaged, or cannot be read now.
+        DirectoryError: The history is missing, damaged, or cannot be read now.
     """
     folder = of_type("out", out, (str, os.PathLike), "the path of a directory")
     return stored_table(Path(folder) / HISTORY, "history of a tuning")

@@ -1,4 +1,4 @@
-"""Run a tuning: step from the latest checkpoint of its directory until the iterations are done, and publish."""
+"""Run a tuning: iterate from the latest checkpoint of its directory to the end, and write the results."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.sweep.simulating import SimulatorLike, pace
 
 # ---
-# A tuning: steps from its directory's latest checkpoint until the iterations are done.
+# A tuning iterates from the latest checkpoint of its directory to the end.
 
 
 @dataclasses.dataclass(frozen=True)
 class TuningResult:
-    """A tuning's outcome.
+    """The result of a tuning.
 
     Attributes:
-        out: its directory.
-        tuning: what was tuned.
-        start: the given start as first evaluated (`TuningHistory.start`).
-        best: content of best.json (`TuningHistory.best`).
-        history: the history's table (`nermo_mjx.optimize.tuning_directory`).
-        state: after the last iteration.
-        iterations_run: evaluations that this call made.
-        plots: Files of the figures.
+        out: Directory of the tuning.
+        tuning: Tuning that was run.
+        start: First evaluation of the first start (`TuningHistory.start`).
+        best: Content of best.json (`TuningHistory.best`).
+        history: Table of the history (`nermo_mjx.optimize.tuning_directory`).
+        state: State after the last iteration.
+        iterations_run: Number of evaluations of this call.
+        plots: Paths of the figures.
         notes: A sentence about each result that could not be made.
     """
 
@@ -79,24 +79,24 @@ def run_tuning(
 ) -> TuningResult:
     """Tune parameters by gradient or finite differences into a directory, or resume what it contains.
 
-    A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
-    more is gained (`TuningHistory.stalled`); every evaluation is one batch. After each, the
-    state is stored: killing the process loses the iteration in flight, and the resumed tuning ends with the same
-    numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from starts that the tuning
-    has not seen (`verified`).
+    A tuning evaluates its starts `iterations` + 1 times, because the points after the last step are evaluated, too. It
+    stops earlier if the iterations gain almost nothing (`TuningHistory.is_stalled`). Every evaluation is one batch. The
+    state is stored after each evaluation, so that a killed process loses only the iteration in progress, and the resumed
+    tuning has the same numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from
+    initial states that are not part of the tuning (`verify_points`).
 
     Args:
-        spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
-        out: the directory; see `nermo_mjx.optimize.tuning_directory`.
-        problem: replaces the simulation of the tuning (`nermo_mjx.optimize.problems.WalkProblem`).
-        simulator: replaces `Simulator(tuning.setup, "c")`, which verifies start and best, and simulates the landscape
-            behind the paths. None of this happens if only `problem` is given.
-        watch: is told the progress before the first evaluation and after each, what is drawn at the end, and what is
-            moved aside.
-        progress: whether it is shown where somebody looks, if there is no watch.
-        accept_new_code: resume a directory that other code started.
-        workers: what evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
-            several workers numbers differ in their last digits from those of one.
+        spec: A `Tuning`, a dict with the fields of a tuning file, or the path of a tuning file.
+        out: Directory of the tuning; see `nermo_mjx.optimize.tuning_directory`.
+        problem: Replaces the simulation of the tuning (`nermo_mjx.optimize.problems.WalkProblem`).
+        simulator: Replaces `Simulator(tuning.setup, "c")`, which verifies the start and the best point, and simulates the
+            landscape behind the paths. This step is skipped if only `problem` is given.
+        watch: Receiver of the progress before the first evaluation and after each evaluation, of the figures at the end,
+            and of messages about files that are moved aside.
+        progress: Whether to show a progress bar in a terminal or notebook, if there is no watch.
+        accept_new_code: Whether to resume a directory that other code started.
+        workers: Workers that evaluate the starts, such as `nermo_mjx.runs.ray_workers.RayWorkers`; by default this
+            process. The number of workers changes the last digits of the results.
 
     Raises:
         SpecError, DirectoryError, OtherCode, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
@@ -115,7 +115,7 @@ def run_tuning(
                 Progress(done / total, done, total, resumed, best=best, numbers=numbers or {})
             )
 
-        goes_on = not history.done
+        goes_on = not history.is_done
         if goes_on:
             made_by = stamp(tuning.setup.load().fingerprint, tuning.engine)
             directory.held.take_code(made_by, holds_rows=resumed > 0, accept=accept_new_code)
@@ -128,7 +128,7 @@ def run_tuning(
         directory.claim(history)
         if goes_on:
             directory.held.note_session(session(begun_at=resumed))
-        while not history.done:
+        while not history.is_done:
             began = time.perf_counter()
             state, iterate = tuner.step(state)
             if not iterate.ok.any() and not np.isfinite(state.best_value).any():
@@ -136,12 +136,12 @@ def run_tuning(
                     f"{directory.out}: no world of iteration {len(history)} walked to its end, nor did one before: "
                     "choose other starts or bounds."
                 )
-            history = history.extended(iterate, time.perf_counter() - began, made_by.id)
+            history = history.extend(iterate, time.perf_counter() - began, made_by.id)
             with interruption.shielded():
                 best = directory.keep(state, history)
             report(None if best is None else best["objective"], _numbers(iterate, best))
         walker: Callable[[], SimulatorLike] | None = (
-            None  # nothing is simulated beside a given problem
+            None  # a given problem replaces all simulations
         )
         if simulator is not None or problem is None:
             walker = functools.cache(lambda: simulator or Simulator(directory.tuning.setup, "c"))
@@ -169,7 +169,7 @@ def _publish(
     walker: Callable[[], SimulatorLike] | None,
     watch: Watch,
 ) -> tuple[dict[str, Any], tuple[Path, ...], tuple[str, ...]]:
-    """Write what is made of a complete history; the content of best.json, files of the figures, and notes."""
+    """Write the results of a complete history: the content of best.json, paths of the figures, and notes."""
     best, start, notes = directory.publish(history), history.start(), tuple[str, ...]()
     if best is None:
         raise JobFailed(
@@ -179,7 +179,7 @@ def _publish(
         watch.progress(Progress(0.0, what="engine c"))
         points = {"start": start["parameters"], "best": best["parameters"]}
         try:
-            best |= {"verified": verified(directory.tuning, points, walker())}
+            best |= {"verified": verify_points(directory.tuning, points, walker())}
             directory.held.write(BEST, to_json(best))
         except ParameterError as error:
             notes = (f"Start and best are not verified: {error}",)
@@ -187,26 +187,26 @@ def _publish(
     return best, plots, (*notes, *extra_files)
 
 
-#: Walks of each point that is verified.
+#: Number of walks of each point in the verification.
 WALKS: Final = 8
-#: Tells these draws from all others of a tuning's seed.
+#: Key of the verification's initial states, which differs from all other keys of a tuning's seed.
 _UNSEEN: Final = 0x5EED
 
 
-def verified(
+def verify_points(
     tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulator: SimulatorLike
 ) -> dict[str, Any]:
-    """Results of named points on the engine `c`, each simulated from the same few slightly different starts.
+    """Simulate named points on the engine `c`, each from the same few slightly different initial states.
 
-    Starts are spread like those of a sweep's repeats. A walk that is compared with a recording has its start, and is
-    simulated once.
+    The initial states have the spread of a sweep's repeats. A walk that is compared with a recording starts like the
+    recording, and is simulated once.
 
     Args:
-        points: name -> values of the tuned parameters.
+        points: Values of the tuned parameters of each point, by name.
 
     Returns:
-        `engine`, `walks`, and of each point under its name `walks_ok`, the means `objective` and `metrics` over the
-        completed walks, and `lowest` and `highest` objective of them; None if there are none.
+        `engine`, `walks`, and for each point under its name `walks_ok`, the means `objective` and `metrics` over the
+        completed walks, and their `lowest` and `highest` objective; None if no walk was completed.
     """
     compared = TRAJECTORY_ERROR in tuning.objective.metrics
     walks = 1 if compared else WALKS
@@ -245,10 +245,10 @@ def verified(
 
 
 # ---
-# The cost on this machine, before it starts: of a tuning by each method, and of a search.
+# The cost of a tuning by each method on this machine, before it starts.
 
 
-#: Worlds of the probe: enough to keep two cores busy.
+#: Number of worlds of the measurement; they keep two cores busy.
 _PROBE_WORLDS: Final = 16
 #: How much slower MJX runs on a CPU than MuJoCo C, with this many worlds or more, and with fewer in proportion
 #: (docs/benchmarks: 14 simulated seconds per second, and 3.5 with one world, against 136).
@@ -257,15 +257,15 @@ MJX_WORLDS: Final = 4
 
 
 def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
-    """The cost of all iterations by each method, that of the tuning first; `evaluations` are walks.
+    """Estimate the cost of all iterations by each method, starting with the tuning's method; `evaluations` are walks.
 
     Raises:
-        ParameterError: the tuning's recording cannot be compared with its walk, or a library that is missing.
+        ParameterError: The tuning's recording cannot be compared with its walk, or a library is missing.
     """
     seconds = tuning.seconds({parameter.name: parameter.low for parameter in tuning.tuned})
     if tuning.recording is not None:
         load_reference(tuning.recording, Rollout(tuning.setup, tuning.run), seconds)
-    local_pace, forecasts = pace_here(tuning), []
+    local_pace, forecasts = measure_pace(tuning), []
     others = (
         parameter()
         for parameter in TUNING_METHODS.values()
@@ -285,6 +285,6 @@ def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
     return forecasts
 
 
-def pace_here(tuning: Tuning) -> float:
-    """Simulated seconds per second on the engine `c`, measured now."""
+def measure_pace(tuning: Tuning) -> float:
+    """Measure the simulated seconds per second on the engine `c`."""
     return pace(Simulator(tuning.setup, "c"), tuning.setup, _PROBE_WORLDS)

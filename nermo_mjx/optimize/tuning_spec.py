@@ -1,4 +1,4 @@
-"""The checked content of a tuning file. Errors are reported here, before work begins."""
+"""The checked content of a tuning file. Errors are reported before the tuning starts."""
 
 from __future__ import annotations
 
@@ -57,20 +57,20 @@ from nermo_mjx.specs.walk import (
 )
 
 # ---
-# Methods, with their options. The methods of a tuning step from given points; those of a search look for the best.
+# The methods of a tuning, with their options.
 
 
 class TuningMethod(Spec):
-    """How an iteration of a tuning finds its step.
+    """The method by which an iteration of a tuning finds its step.
 
     Attributes:
-        name: in a file.
+        name: Name in a file.
     """
 
     name: ClassVar[str]
 
     def gradient_cost(self, parameters: int) -> float:
-        """Cost of value and gradient, in runs."""
+        """Cost of the value and gradient with respect to so many parameters, in runs."""
         return 1.0
 
     def engine_for(self, parameters: int) -> str:
@@ -105,19 +105,19 @@ class Differences(TuningMethod):
         return 1.0 + parameters * (2 if self.scheme == "central" else 1)
 
 
-#: Methods by their names in files; of a search the first one for an aim is its default.
+#: Methods by their names in files.
 TUNING_METHODS: Final[Mapping[str, type[TuningMethod]]] = {
     m.name: m for m in (Gradient, Differences)
 }
-#: Former names of methods of a tuning, which files may still contain; directories know a tuning by them.
+#: Former names of methods, which files may contain; the identity of a tuning in its directory contains them, too.
 FORMER_METHODS: Final = {"gradient": "local_gradient", "differences": "wide_differences"}
-#: Numbers of parameters up to which a local gradient takes a tuning as far as a secant does, and up to which a secant
-#: takes it about as far as CMA-ES does: 2, 16 and 64 have been measured (docs/benchmarks/rematch.md).
+#: Numbers of parameters up to which a local gradient is as good as a secant, and up to which a secant is about as good as
+#: CMA-ES; 2, 16 and 64 parameters have been measured (docs/benchmarks/rematch.md).
 MOST_EXACT, MOST_SECANTS = 8, 32
 
 
 def default_method(parameters: int) -> TuningMethod | None:
-    """The method of a tuning of so many parameters whose file names none; None if the file has to name one."""
+    """The default method for so many parameters; None if the file must contain the method."""
     if parameters > MOST_SECANTS:
         return None
     return Gradient() if parameters <= MOST_EXACT else Differences(scheme="forward")
@@ -127,7 +127,7 @@ def default_method(parameters: int) -> TuningMethod | None:
 # A tuning file: tuned parameters, objective, optimizer.
 
 
-#: Periodic parameters, or what names of such begin with, and their periods.
+#: Names or prefixes of the names of periodic parameters, and their periods.
 _PERIODS: Final = {
     "spine.phase": 2 * math.pi,
     "start.yaw": 2 * math.pi,
@@ -143,7 +143,7 @@ def period_of(name: str) -> float | None:
 
 
 def is_turn(name: str, low: float, high: float) -> bool:
-    """Whether bounds of a parameter are one whole period apart, up to their rounding: 3.14 is meant as pi."""
+    """Whether bounds of a parameter are one period apart, up to their rounding; 3.14 means pi, for example."""
     period = period_of(name)
     return period is not None and abs(high - low - period) <= 1e-3 * period
 
@@ -174,7 +174,7 @@ class Tuned(Spec):
         return self.bounds[1]
 
     def of(self, doc: Document, name: str, declaration: Quantity) -> Tuned:
-        """The parameter of that name, with what a file leaves out; raises `SpecError`."""
+        """The parameter of that name with the defaults of missing fields; raises `SpecError`."""
         path: FieldPath = ("tune", name)
         low, high = self.bounds or (declaration.low, declaration.high)
         if not math.isfinite(low) or not math.isfinite(high):
@@ -196,7 +196,7 @@ class Tuned(Spec):
                 doc.fail((*path, "periodic"), f"is true, but {message}")
             middle = 0.5 * (low + high)
             low, high = middle - 0.5 * period, middle + 0.5 * period
-        # An open bound is allowed: no iterate ever stands on a bound; a closed one counts with its rounding.
+        # An open bound is allowed, because points never reach a bound; a closed bound is compared after rounding.
         for bound in (low, high):
             if (
                 not declaration.low - 1e-6 * abs(declaration.low)
@@ -245,7 +245,7 @@ class OptimizerFields(Fields):
 
     @classmethod
     def optimizer(cls, doc: Document) -> Optimizer:
-        """The optimizer of a file, whose options are as they stand there."""
+        """The optimizer with the options of a file."""
         options = {"name": "adam", **cls.written_out(doc.data.get("optimizer", CONTROLLED))}
         clip = float(options.pop("clip")) if "clip" in options else None
         try:
@@ -255,13 +255,13 @@ class OptimizerFields(Fields):
             doc.fail(tuple(subject.split(".")), message, subject)
 
 
-#: A run counted in gait cycles may not grow longer than this where the frequency is tuned [s].
+#: Longest duration of a run with a number of gait cycles, if the frequency is tuned [s].
 LONGEST_RUN: Final = 120.0
-#: What replaces CMA-ES in a tuning.
+#: Advice in place of CMA-ES in a tuning.
 _SEARCH: Final = "run nermo-mjx search with method: cma"
-#: Fields that do not change what an iteration computes: a tuning may be resumed with others.
+#: Fields that do not change the iterations, so that a tuning can be resumed with other values.
 _FREE_OF_TUNING: Final = ("iterations", "patience", "plots")
-#: Fields that a tuning has as they stand in its file.
+#: Fields that a tuning has in the same form as its file.
 _PLAIN: Final = ("starts", "iterations", "patience", "seed", "plots")
 _KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
 
@@ -321,7 +321,7 @@ class TuningFile(WalkFields):
 
     @classmethod
     def written_out(cls, value: Any) -> Any:
-        """Without `video: false`, which the directories of earlier releases contain."""
+        """Remove `video: false`, which the directories of earlier releases contain."""
         data = super().written_out(value)
         return (
             {key: data[key] for key in data if key != "video" or data[key]}
@@ -348,8 +348,8 @@ class TuningFile(WalkFields):
 class Tuning(WalkSpec, Described):
     """A checked tuning of p parameters. Build it with `from_file`, `from_text` or `from_dict`.
 
-    The fields from `tuned` on are those of `TuningFile`, which documents them; `tuned` are the parameters under `tune`
-    in the order of the file.
+    `TuningFile` documents the fields from `tuned` on; `tuned` contains the parameters under `tune` in the order of the
+    file.
     """
 
     kind: ClassVar = "tuning"
@@ -368,7 +368,7 @@ class Tuning(WalkSpec, Described):
     def from_file(
         cls, path: str | os.PathLike[str], body: str | None = None, *, recorded: bool = True
     ) -> Tuning:
-        """See `Described.from_file`. Without `recorded`, its recording may be gone."""
+        """See `Described.from_file`. Without `recorded`, the file of the recording may be missing."""
         return _read_tuning(with_body(read_file(path, cls.kind), body), recorded=recorded)
 
     @classmethod
@@ -377,12 +377,12 @@ class Tuning(WalkSpec, Described):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the p tuned parameters; numbers of a point come in this order."""
+        """Names of the p tuned parameters, in the order of a point's numbers."""
         return tuple(parameter.name for parameter in self.tuned)
 
     @property
     def objective_metrics(self) -> dict[str, Metric]:
-        """What a term may name, by name."""
+        """The metrics that are allowed in a term, by name."""
         return objective_metrics(self.metrics)
 
     @property
@@ -400,7 +400,7 @@ class Tuning(WalkSpec, Described):
         return self.method.engine_for(len(self.names))
 
     def seconds(self, values: Mapping[str, float]) -> float:
-        """How long a run with these parameters lasts [s]."""
+        """Duration of a run with these parameters [s]."""
         timing = {
             name: value
             for name, value in (self.constants | dict(values)).items()
@@ -409,7 +409,7 @@ class Tuning(WalkSpec, Described):
         return float(self.run.seconds(self.setup.cycle_rate(timing))[1])
 
     def start_points(self) -> np.ndarray:
-        """Where each start begins (starts, p): the given point, then Sobol points within the bounds."""
+        """The initial point of each start (starts, p): the given point, then Sobol points within the bounds."""
         first_points = np.array([[parameter.start for parameter in self.tuned]])
         exponent = max(
             self.starts - 2, 0
@@ -437,9 +437,9 @@ class Tuning(WalkSpec, Described):
         return data
 
     def decisive(self) -> dict[str, Any]:
-        """The fields that may not change: a recording counts beside them, a controller by what it is.
+        """The fields that a resumed tuning may not change; a controller is identified by its content.
 
-        A method keeps its former name here, so that a directory of an older version contains the same tuning.
+        A method has its former name here, so that the directory of an older version contains the same tuning.
         """
         data = {
             key: value
@@ -452,12 +452,12 @@ class Tuning(WalkSpec, Described):
         return data | code_identity(self.setup)
 
     def identity(self) -> dict[str, Any]:
-        """All that decides an iteration: the `fields`, `defaults` of what they do not name, the `recording`'s digest.
+        """All inputs of an iteration: `fields`, `defaults` of missing fields, and the digest of the `recording`.
 
-        The number of iterations, and figures do not count: a tuning can be extended.
+        The number of iterations and the figures are not inputs, so that a tuning can be extended.
 
         Raises:
-            SpecError: the recording cannot be read.
+            SpecError: The recording cannot be read.
         """
         try:
             recorded = b"" if self.recording is None else read_bytes(self.recording, MAX_FILE_BYTES)
@@ -483,14 +483,14 @@ def _without_false(spec: Spec) -> dict[str, Any]:
 
 
 def _refuse_distance(doc: Document, run: Run) -> None:
-    """Fail if runs end at a distance where derivatives are wanted."""
+    """Report an error if runs end at a distance, because their derivatives do not exist."""
     if run.distance is not None:
         why = "such a length jumps by whole cycles and has no derivative; give run: {cycles: 8}."
         doc.fail(("pilot", "straight", "distance"), f"ends each run at a distance: {why}")
 
 
 def _read_recording(doc: Document, value: Any, objective: Objective, recorded: bool) -> Path | None:
-    """The path of the recording that the objective is compared with, if any; with `recorded` it exists."""
+    """The path of the recording of the objective, if any; with `recorded`, the file must exist."""
     compared = TRAJECTORY_ERROR in objective.metrics
     if value is None:
         if compared:
@@ -545,7 +545,7 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     check_sources(doc, tuning, {"tune": list(tuning.names)})
     low = {declared.name: declared.low for declared in tuning.tuned}.get("frequency")
     if low is not None and "frequency" in tuning.setup.timing and tuning.run.duration is None:
-        # A run of a given number of cycles lasts longer at a lower frequency.
+        # A run with a number of cycles lasts longer at a lower frequency.
         cycles = float(tuning.run.cycles)  # type: ignore[arg-type]
         if cycles > LONGEST_RUN * low:
             lasts = f"would last {cycles / low:g} s" if low > 0 else "would never end"

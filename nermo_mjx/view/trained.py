@@ -12,10 +12,10 @@ from typing import Any, Final
 from matplotlib import rc_context
 
 from nermo_mjx.learn.directory import EVALUATION_FILE, POLICY_FILE, SPEC_FILE
-from nermo_mjx.learn.evaluation import POLICY, recorded, summary_of
-from nermo_mjx.learn.own import code_place
+from nermo_mjx.learn.evaluation import POLICY, record_walks, summarize_walks
+from nermo_mjx.learn.own import custom_code_file
 from nermo_mjx.learn.plots import training_figures
-from nermo_mjx.learn.policy import judged_in, load_policy
+from nermo_mjx.learn.policy import evaluation_physics, load_policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.plotting.files import Figures, lay_out
 from nermo_mjx.plotting.style import STYLE
@@ -59,21 +59,23 @@ def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Pa
     start_jax()
     training, figures = Training.from_file(path / SPEC_FILE), training_figures(path)
     name, parts, samples = html.escape(path.resolve().name), list[str](), 0
-    code = code_place(training.task.observe)
+    code = custom_code_file(training.task.observe)
     if code and not CODE_EXECUTION.get():
         code_name = html.escape(Path(code).name)
         parts.append(
             f"<p>The policy observes functions of {code_name}, which a command that only reads does not run.</p>"
         )
     elif (path / POLICY_FILE).exists():
-        for scene, recording in recorded(training, load_policy(path / POLICY_FILE, code), engine):
+        for scene, recording in record_walks(
+            training, load_policy(path / POLICY_FILE, code), engine
+        ):
             page = page_of([recording], ["A"], 520)
             parts.append(f"<h2>The policy on {html.escape(scene)}</h2>{page._repr_html_()}")
             samples = max(samples, page.samples)
     if (content := content_of(path / EVALUATION_FILE)) is not None:
-        judged = judged_in(training.evaluated()[0][0])
+        judged = evaluation_physics(training.evaluated()[0][0])
         conditions = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
-        table = _table(summary_of(parquet_table(content)))
+        table = _table(summarize_walks(parquet_table(content)))
         parts.append(
             f'<h2>Evaluation</h2><p>{conditions}</p><div class="wide"><table>{table}</table></div>'
         )

@@ -26,9 +26,9 @@ from nermo_mjx.learn import (
     Task,
     Term,
 )
-from nermo_mjx.learn.acting import Acted, Acting
-from nermo_mjx.learn.observing import SENSED_READINGS, Observer, Sensing, Told
-from nermo_mjx.learn.task import Episodes, chosen_terms
+from nermo_mjx.learn.acting import ActionController, ActionParameters
+from nermo_mjx.learn.observing import SENSED_READINGS, InternalInputs, Observer, Sensing
+from nermo_mjx.learn.task import Episodes, select_terms
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import Geometry
 
@@ -134,7 +134,7 @@ def test_an_episode_is_cut_off_when_its_time_is_over_and_the_next_one_begins(sta
 def test_episodes_begin_with_a_gait_whose_feet_and_limbs_have_parameters():
     """As every controller's, they are arrays: what neither file nor draw changes were plain numbers, and refused."""
     setup = Setup(physics="fast", trajectory="free", spine="stride_extension+harmonics")
-    robot, controller = setup.load(), Acting(setup.make_controller(), Residual())
+    robot, controller = setup.load(), ActionController(setup.make_controller(), Residual())
     draw = Episodes(
         setup, robot, controller, Task(set={"foot.rear.z3": 0.01, "limb.duty.rear": 0.05})
     )
@@ -231,10 +231,10 @@ def test_readings_come_late_and_with_noise_of_the_given_size():
     observer = Observer(
         ("gyro", "action"), (), ("a",), False, False, delayed=4, noisy=False, dt=0.01
     )
-    channel_spec = Told(None, jnp.zeros(0), None, jnp.array([7.0]), Geometry())
+    channel_spec = InternalInputs(None, jnp.zeros(0), None, jnp.array([7.0]), Geometry())
     memory = observer.memory(jnp.zeros(3))
     for tick in range(1, 5):
-        memory = observer.remembered(
+        memory = observer.update_memory(
             memory, observer.readings(sensors(gyro=jnp.full(3, float(tick))))
         )
     observation = observer.observe(
@@ -254,17 +254,19 @@ def test_a_policy_can_be_told_how_its_path_bends():
     """Times 0.5 m: 1 on a circle of that radius to the left, and nothing without a path."""
     for side in (1.0, -1.0):
         circle = arc(Pilot(radius=0.5, direction=side), jnp.array([0.1, -0.2, 0.0]))
-        channel_spec = Told(
+        channel_spec = InternalInputs(
             phase=None, command=jnp.zeros(0), path=circle, action=jnp.zeros(0), geometry=Geometry()
         )
         observer = Observer(
             ("curvature",), (), (), phase=False, path=True, delayed=0, noisy=False, dt=0.01
         )
         assert observer.names == ("curvature.path",)
-        np.testing.assert_allclose(observer.told(channel_spec, sensors()), [side], rtol=1e-6)
+        np.testing.assert_allclose(
+            observer.input_values(channel_spec, sensors()), [side], rtol=1e-6
+        )
     nowhere = dataclasses.replace(observer, path=False)
     assert nowhere.names == ()
-    assert nowhere.told(channel_spec._replace(path=None), sensors()).shape == (0,)
+    assert nowhere.input_values(channel_spec._replace(path=None), sensors()).shape == (0,)
 
 
 @pytest.mark.release
@@ -281,16 +283,16 @@ def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     np.testing.assert_allclose(commanded_servo.spine, -0.1)
     np.testing.assert_allclose(Targets(knee=0.0).servo(servo, home, action[:5]).knee, home.knee)
     ranges = {"frequency": (0.4, 1.67), "pilot.turn_rate": (-1.0, 0.5)}
-    acting = Acting(base, Modulation(ranges))
-    under = acting.kind.parameters(base.parameters, jnp.array([0.5, -1.0]))
+    action_controller = ActionController(base, Modulation(ranges))
+    under = action_controller.kind.parameters(base.parameters, jnp.array([0.5, -1.0]))
     assert float(under.gait.frequency) == pytest.approx(0.67 + 0.5 * (1.67 - 0.67))
     assert float(under.pilot.turn_rate) == -1.0
     # In a batch, as runs ask it.
-    batch = Acted(
+    batch = ActionParameters(
         jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), base.parameters),
         jnp.array([[0.0, 0], [1, 0]]),
     )
-    np.testing.assert_allclose(acting.cycle_rate(batch), [0.67, 1.67], rtol=1e-6)
+    np.testing.assert_allclose(action_controller.cycle_rate(batch), [0.67, 1.67], rtol=1e-6)
 
 
 @pytest.mark.release
@@ -334,7 +336,7 @@ def test_a_term_that_gives_no_number_is_refused_before_anything_runs(value, mess
 
 def test_headway_saturates_so_that_being_stuck_costs_more_than_haste_earns():
     """Of a second: nothing at rest, nearly all of it at 0.15 m/s, and a loss of the same size backward."""
-    (term,) = chosen_terms({"headway": 1.0}, ())
+    (term,) = select_terms({"headway": 1.0}, ())
     standstill, slow, fast, back = (
         float(term.value(types.SimpleNamespace(seconds=1.0, speed=speed)))
         for speed in (0.0, 0.05, 0.15, -0.05)
@@ -362,7 +364,7 @@ def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
     np.testing.assert_array_equal(b.episode["unsolved"], 0)
     modified = b.engine._replace(carry=b.engine.carry._replace(unsolved=jnp.array([7, 0])))
     np.testing.assert_array_equal(
-        jax.jit(jax.vmap(theirs._worlds.seen))(modified).episode["unsolved"], [7, 0]
+        jax.jit(jax.vmap(theirs._worlds.observe))(modified).episode["unsolved"], [7, 0]
     )
 
     with jax.enable_x64(True):

@@ -27,7 +27,12 @@ from nermo_mjx.learn import (
     load_policy,
     run_training,
 )
-from nermo_mjx.learn.evaluation import EVALUATION_OFFSET, Draws, PolicyEvaluator, unseen_bodies
+from nermo_mjx.learn.evaluation import (
+    EVALUATION_OFFSET,
+    BodySample,
+    PolicyEvaluator,
+    sample_bodies,
+)
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
 from nermo_mjx.specs.reading import SpecError
@@ -333,7 +338,7 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
     )
     for spec, share in ((training, 1.0), (ending, 0.0)):
         table = PolicyEvaluator(spec, "c")(
-            None, draws=Draws(2, EVALUATION_OFFSET), walkers=("alone",)
+            None, draws=BodySample(2, EVALUATION_OFFSET), walkers=("alone",)
         )
         assert table["success"].to_pylist() == [bool(share)] * 2
 
@@ -363,13 +368,13 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(
         run_training(path, out)
     code.unlink()
     new_directory = Path(shutil.move(out, tmp_path / "moved"))
-    monkeypatch.setattr("nermo_mjx.learn.run._evaluated", lambda *_: None)
+    monkeypatch.setattr("nermo_mjx.learn.run._evaluate", lambda *_: None)
     result = run_training(new_directory / "training.yaml", new_directory)
     assert result.iterations_run == 2
     assert bits(result) == bits(training_result)
-    speeds = unseen_bodies(result.training, result.training.task, Draws(50, EVALUATION_OFFSET))[
-        "command.speed"
-    ]
+    speeds = sample_bodies(
+        result.training, result.training.task, BodySample(50, EVALUATION_OFFSET)
+    )["command.speed"]
     assert 0.15 < speeds.max() <= 0.2, "as at the end of the curriculum"
     assert 0.05 <= speeds.min() < 0.08
 

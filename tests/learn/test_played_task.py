@@ -15,7 +15,12 @@ from command import call, json_of
 from nermo_mjx import ParameterError, Run, Simulator
 from nermo_mjx.learn import PPO, Policy, Training, run_training
 from nermo_mjx.learn.directory import HISTORY_FILE, training_status
-from nermo_mjx.learn.evaluation import EVALUATION_OFFSET, Draws, played_task, unseen_bodies
+from nermo_mjx.learn.evaluation import (
+    EVALUATION_OFFSET,
+    BodySample,
+    played_task,
+    sample_bodies,
+)
 from nermo_mjx.learn.policy import RandomPolicy
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.view import Page
@@ -48,8 +53,8 @@ def way(recording) -> float:
 def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     world_values = {
         name: float(column[0])
-        for name, column in unseen_bodies(
-            training, training.task, Draws(1, EVALUATION_OFFSET)
+        for name, column in sample_bodies(
+            training, training.task, BodySample(1, EVALUATION_OFFSET)
         ).items()
     }
     slow, fast = (
@@ -124,7 +129,7 @@ def at_work(tmp_path_factory, training):
     """A training that made videos."""
     out = tmp_path_factory.mktemp("training") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("nermo_mjx.learn.run._evaluated", lambda *_: None)
+        patch.setattr("nermo_mjx.learn.run._evaluate", lambda *_: None)
         run_training(training, out, video=True)
     return out
 

@@ -63,7 +63,7 @@ def test_a_push_moves_the_robot_as_the_same_push_does_in_a_drive():
     ticks = jnp.arange(40)
     push_forces = np.asarray(
         jax.jit(jax.vmap(lambda push: jax.vmap(lambda tick: push.at(tick, 0.01))(ticks)))(
-            environment._worlds.drawn[0][0].loop.push
+            environment._worlds.samples[0][0].loop.push
         )
     )
     drives = [Driving(SETUP), Driving(SETUP)]

@@ -37,18 +37,18 @@ from nermo_mjx.learn import (
     run_training,
 )
 from nermo_mjx.learn.directory import TrainingDirectory, training_status
-from nermo_mjx.learn.environment import Mixture, divided
+from nermo_mjx.learn.environment import Mixture, divide_worlds
 from nermo_mjx.learn.evaluation import (
     EVALUATION_OFFSET,
-    Draws,
+    BodySample,
     PolicyEvaluator,
-    recorded,
-    summary_of,
-    unseen_bodies,
+    record_walks,
+    sample_bodies,
+    summarize_walks,
 )
 from nermo_mjx.learn.experience import make_collector
 from nermo_mjx.learn.policy import export
-from nermo_mjx.learn.run import _VALIDATION_OFFSET, BestPolicy, successes
+from nermo_mjx.learn.run import _VALIDATION_OFFSET, BestPolicy, success_shares
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
@@ -361,24 +361,24 @@ def chosen(policy):
 def test_the_best_of_all_checkpoints_is_the_policy(choosing, tmp_path):
     """Of equals the earliest; each walks once, also when the training is resumed."""
     begin, policies_by_steps, walked = choosing
-    assert [chosen(begin().of(policies_by_steps[steps])) for steps in (0, 10, 20, 30)] == [
+    assert [chosen(begin().choose(policies_by_steps[steps])) for steps in (0, 10, 20, 30)] == [
         0,
         10,
         10,
         10,
     ]
     assert (tmp_path / "policy.npz").read_bytes() == policies_by_steps[10].content()
-    assert begin().of(policies_by_steps[30]).content() == policies_by_steps[10].content()
+    assert begin().choose(policies_by_steps[30]).content() == policies_by_steps[10].content()
     assert walked == [0, 10, 20, 30]
     table = pq.read_table(tmp_path / "validation.parquet").to_pydict()
     assert table == {"steps": walked, "planks": [0.5, 0.8, 0.8, 0.6], "ramp": [1.0] * 4}
-    assert chosen(begin().of(policies_by_steps[40])) == 40
+    assert chosen(begin().choose(policies_by_steps[40])) == 40
 
 
 def test_what_counts_is_success_where_it_fails_most(choosing):
     """As in the summary; the mean decides between equals."""
     begin, policies_by_steps, _ = choosing
-    assert [chosen(begin().of(policies_by_steps[steps])) for steps in (10, 50, 20, 40)] == [
+    assert [chosen(begin().choose(policies_by_steps[steps])) for steps in (10, 50, 20, 40)] == [
         10,
         50,
         50,
@@ -391,9 +391,9 @@ def test_a_choice_by_other_rules_stands(choosing, tmp_path):
     begin, policies_by_steps, _ = choosing
     warned = []
     for steps in (50, 10):
-        begin(warned).of(policies_by_steps[steps])
+        begin(warned).choose(policies_by_steps[steps])
     (tmp_path / "policy.npz").write_bytes(policies_by_steps[10].content())
-    assert [chosen(begin(warned).of(policies_by_steps[steps])) for steps in (10, 30, 40)] == [
+    assert [chosen(begin(warned).choose(policies_by_steps[steps])) for steps in (10, 30, 40)] == [
         10,
         10,
         40,
@@ -406,17 +406,17 @@ def test_a_choice_that_was_killed_is_made_again(choosing, tmp_path):
     begin, policies_by_steps, walked = choosing
     table, warned = tmp_path / "validation.parquet", []
     for steps in (0, 10, 30):
-        begin(warned).of(policies_by_steps[steps])
+        begin(warned).choose(policies_by_steps[steps])
     table_bytes = table.read_bytes()
-    begin(warned).of(policies_by_steps[40])
+    begin(warned).choose(policies_by_steps[40])
     complete_table = table.read_bytes()
     table.write_bytes(table_bytes)
-    assert chosen(begin(warned).of(policies_by_steps[40])) == 40
+    assert chosen(begin(warned).choose(policies_by_steps[40])) == 40
     assert walked == [0, 10, 30, 40, 40]
     assert table.read_bytes() == complete_table
     assert not warned
     (tmp_path / "policy.npz").unlink()
-    assert chosen(begin(warned).of(policies_by_steps[20])) == 20
+    assert chosen(begin(warned).choose(policies_by_steps[20])) == 20
     assert "the choice begins anew" in warned[0]
 
 
@@ -426,13 +426,14 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
     shares = {0: 0.0, 96: 0.5, 192: 0.95, 224: 1.0}
     fields = {"validation": 2, "until": {"success": 0.9}}
     monkeypatch.setattr(
-        "nermo_mjx.learn.run.successes", lambda _, policy: {"flat": shares[chosen(policy)]}
+        "nermo_mjx.learn.run.success_shares", lambda _, policy: {"flat": shares[chosen(policy)]}
     )
-    monkeypatch.setattr("nermo_mjx.learn.run._evaluated", lambda *_: None)
+    monkeypatch.setattr("nermo_mjx.learn.run._evaluate", lambda *_: None)
     robot = Environment(Setup(), worlds=2, task=Task(episode_length=0.1))
     point = PointMass(8, pure=False)
     monkeypatch.setattr(
-        "nermo_mjx.learn.run._Learning._policy", lambda self, learned: _policy_after(robot, learned)
+        "nermo_mjx.learn.run._TrainingLoop._policy",
+        lambda self, learned: _policy_after(robot, learned),
     )
     complete_result = run_training(SPEC | fields, tmp_path / "whole", environment=point)
     assert (
@@ -470,11 +471,11 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     fields = {"run": {"duration": 0.3}, "validation": 4, "evaluate": {"bodies": 4}}
     plain = PolicyEvaluator(Training.from_dict(fields))
     speeds = (
-        plain(policy[0], draws=Draws(4, _VALIDATION_OFFSET), walkers=("policy",))
+        plain(policy[0], draws=BodySample(4, _VALIDATION_OFFSET), walkers=("policy",))
         .to_pandas()
         .sort_values("speed")
     )
-    assert successes(plain, policy[0]) == {"flat": 1.0}
+    assert success_shares(plain, policy[0]) == {"flat": 1.0}
     limit = float(speeds.speed.iloc[1:3].mean())
     evaluator = PolicyEvaluator(
         Training.from_dict(fields | {"until": {"success": 1.0, "speed": limit}})
@@ -482,7 +483,7 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     evaluator._simulators = plain._simulators
     assert speeds.success.all()
     assert limit > 0.0
-    assert successes(evaluator, policy[0]) == {"flat": 0.5}
+    assert success_shares(evaluator, policy[0]) == {"flat": 0.5}
 
 
 @pytest.mark.parametrize(
@@ -494,16 +495,16 @@ def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool)
     randomize = {"start.yaw": [-0.3, 0.3], "start.x": [0.8, 1.6], "start.phase": [0.0, 1.0]}
     training = Training.from_dict({"randomize": randomize, "task": {"bodies": identified}})
     many_walks, one_walk = (
-        unseen_bodies(training, training.task, Draws(count, key)) for count in (200, 1)
+        sample_bodies(training, training.task, BodySample(count, key)) for count in (200, 1)
     )
     for count in (100, 3, 1):
-        smaller_walks = unseen_bodies(training, training.task, Draws(count, key))
+        smaller_walks = sample_bodies(training, training.task, BodySample(count, key))
         assert smaller_walks.keys() == many_walks.keys()
         for name, column in smaller_walks.items():
             np.testing.assert_array_equal(column, many_walks[name][:count], err_msg=name)
     assert one_walk.keys() == many_walks.keys() >= randomize.keys()
-    other_key = unseen_bodies(
-        training, training.task, Draws(200, EVALUATION_OFFSET + _VALIDATION_OFFSET - key)
+    other_key = sample_bodies(
+        training, training.task, BodySample(200, EVALUATION_OFFSET + _VALIDATION_OFFSET - key)
     )
     for name, (low, high) in randomize.items():
         fractions = (many_walks[name] - low) / (high - low)
@@ -531,7 +532,7 @@ def test_a_page_shows_the_first_walk_of_the_evaluation(policy):
         .to_pandas()
         .set_index(["scene", "body"])
     )
-    for scene, recording in recorded(training, policy[0]):
+    for scene, recording in record_walks(training, policy[0]):
         first = table.loc[scene, 0]
         for name in fields["randomize"]:
             assert recording.metadata["parameters"][name] == pytest.approx(first[name], rel=1e-12)
@@ -626,7 +627,7 @@ for name in ("speed", "distance", "servo_work"):
 def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):
     """As a directory from before has it."""
     former_table = pa.Table.from_pandas(evaluated[0].drop(columns=["cross_track_peak", "slip"]))
-    assert summary_of(former_table)["flat"]["alone"]["distance"] > 0.0
+    assert summarize_walks(former_table)["flat"]["alone"]["distance"] > 0.0
 
 
 @pytest.mark.release
@@ -677,11 +678,11 @@ def test_worlds_are_divided_in_shares():
     for _ in range(200):
         parts = int(random.integers(2, 9))
         worlds = int(random.integers(parts, 300))
-        assert divided(worlds, [1.0] * parts) == [
+        assert divide_worlds(worlds, [1.0] * parts) == [
             len(split) for split in np.array_split(np.arange(worlds), parts)
         ]
         shares = random.uniform(0.05, 10.0, parts)
-        counts = np.array(divided(worlds, shares.tolist()))
+        counts = np.array(divide_worlds(worlds, shares.tolist()))
         assert counts.sum() == worlds
         assert counts.min() >= 1
         exact = worlds * shares / shares.sum()

@@ -17,9 +17,9 @@ from nermo_mjx.optimize import Search, run_search
 from nermo_mjx.optimize.search_methods import (
     Scores,
     Space,
-    cells_of,
+    find_cells,
     ranked_cost,
-    scores_of,
+    score_points,
     searcher,
 )
 from nermo_mjx.optimize.search_run import search_forecast
@@ -48,7 +48,7 @@ def test_a_phase_between_narrow_bounds_does_not_turn():
         {"spine.phase": {"uniform": [-1.0, 1.0]}, "frequency": {"loguniform": [0.4, 1.0]}}
     )
     assert not space.periodic.any()
-    assert space.first[1] == pytest.approx(math.log(0.67 / 0.4) / math.log(1.0 / 0.4))
+    assert space.published_shares[1] == pytest.approx(math.log(0.67 / 0.4) / math.log(1.0 / 0.4))
 
 
 def test_falls_come_after_broken_constraints_and_these_by_how_much():
@@ -63,7 +63,7 @@ def test_both_ends_of_a_measures_range_are_in_the_atlas():
     aim = Search.from_dict(ATLAS).aim
     speed = [0.0, 0.16, 0.16, 0.021, 0.1601, -1e-9, np.nan, 0.05]
     roll = [0.0, 0.1, 0.0, 0.051, 0.05, 0.05, 0.05, np.nan]
-    cells = cells_of(aim, np.stack([speed, roll], axis=1))
+    cells = find_cells(aim, np.stack([speed, roll], axis=1))
     assert cells.tolist() == [0, 47, 42, 9, -1, -1, -1, -1]
 
 
@@ -281,6 +281,8 @@ def test_a_point_with_a_lost_run_comes_after_all_without():
     """One run of two fell, or has no number for what is asked, however fast the other: as for best variants."""
     aim = Search.from_dict({**SPEED, "randomize": {"repeats": 2}}).aim
     speed = {"speed": np.array([0.1, 0.1, 9.0, 9.0, 9.0, np.nan, 0.2, 0.2])}
-    scores = scores_of(aim, 2, speed, np.array([True, True, True, False, True, True, True, True]))
+    scores = score_points(
+        aim, 2, speed, np.array([True, True, True, False, True, True, True, True])
+    )
     assert scores.ok.tolist() == [True, False, False, True]
     assert np.argsort(ranked_cost(scores, 0.0), kind="stable").tolist() == [3, 0, 1, 2]

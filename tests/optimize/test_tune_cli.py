@@ -40,7 +40,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     monkeypatch.setattr("nermo_mjx.optimize.tuning_run.WalkProblem", problem)
     monkeypatch.setattr("nermo_mjx.optimize.tuning_run.Simulator", lambda *_: created["walker"])
-    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.measure_pace", lambda _: 100.0)
     return created
 
 

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize import tuning_figures as figures
-from nermo_mjx.optimize.landscape import Landscape, grid_axes, landscape_sweep, simulated_landscape
+from nermo_mjx.optimize.landscape import Landscape, grid_axes, landscape_sweep, simulate_landscape
 from nermo_mjx.optimize.tuner import Tuner, initial_state
 from nermo_mjx.optimize.tuning_figures import MOST_STARTS, Traces, path_figure
 from nermo_mjx.optimize.tuning_history import TuningHistory
@@ -45,7 +45,7 @@ def traces_of(change=None, **of_problem):
     history = TuningHistory(tuning)
     for _ in range(tuning.iterations + 1):
         state, iterate = tuner.step(state)
-        history = history.extended(iterate, 0.1, "a")
+        history = history.extend(iterate, 0.1, "a")
     return Traces(tuning, history.table())
 
 
@@ -84,7 +84,7 @@ def undrawn(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def drawn(finished, tmp_path_factory):
+def drawn_starts(finished, tmp_path_factory):
     """A tuning with all figures, and what walked for them."""
     out, walker = tmp_path_factory.mktemp("tuning") / "out", FakeWalker()
     shutil.copytree(finished.out, out)
@@ -189,7 +189,7 @@ def test_one_wild_value_does_not_flatten_the_rest():
     ax = matplotlib.figure.Figure().subplots()
     values = np.concatenate([np.linspace(3.0, 1.0, 30), [1e6]])[:, None]
     ax.plot(values)
-    figures._cut(ax, values)
+    figures._limit_axis(ax, values)
     assert 3.0 < ax.get_ylim()[1] < 20.0
     assert "1 higher" in [text.get_text() for text in ax.texts]
 
@@ -228,11 +228,11 @@ def test_gradients_are_per_range():
 def test_many_starts_are_thinned_and_the_best_is_among_them():
     """No picture draws a hundred starts; the given and the best one have names of their own."""
     traces = traces_of({"starts": 100, "iterations": 1})
-    assert len(traces.drawn()) <= MOST_STARTS
-    assert {0, traces.best[1]} <= set(traces.drawn())
+    assert len(traces.drawn_starts()) <= MOST_STARTS
+    assert {0, traces.best[1]} <= set(traces.drawn_starts())
     text = texts(figures.objective_figure(traces))
     assert f"start {traces.best[1]} (best)" in text
-    assert f"100 starts ({len(traces.drawn())} of them drawn)" in text
+    assert f"100 starts ({len(traces.drawn_starts())} of them drawn)" in text
 
 
 # --- the landscape behind the paths
@@ -240,7 +240,7 @@ def test_many_starts_are_thinned_and_the_best_is_among_them():
 
 def walked(tuning, out, walker):
     """The landscape of a tuning whose best point does not matter."""
-    return simulated_landscape(tuning, {}, out, lambda: walker, SILENT)
+    return simulate_landscape(tuning, {}, out, lambda: walker, SILENT)
 
 
 @pytest.mark.release

@@ -95,7 +95,7 @@ def test_tunings_of_one_optimizer_share_their_programs(compilations):
         _, iterate = Tuner(tuning, FakeProblem(tuning)).step(initial_state(tuning))
         np.testing.assert_allclose(iterate.points[0], [0.05, 2.5], rtol=1e-5)
     assert any("program" in name for name in compilations)
-    assert not [name for name in compilations if "_placed" in name or "_advanced" in name]
+    assert not [name for name in compilations if "_point_parameters" in name or "_advance" in name]
 
 
 def test_the_first_iteration_is_the_given_start(reference):

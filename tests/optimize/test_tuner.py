@@ -93,7 +93,7 @@ def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
 
 def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
-    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.measure_pace", lambda _: 100.0)
     costs = {
         forecast.method: forecast for forecast in tuning_forecasts(Tuning.from_dict(DIFFERENCES))
     }
