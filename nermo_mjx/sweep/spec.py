@@ -940,8 +940,8 @@ class Sample:
                 for number in distinct.tolist()
             ]
             shift = np.reshape(shifts, (len(distinct), draw_count))[stream]
-            points = self._sobol_points(int(repeat.max(initial=0)) + 1)[repeat, :draw_count]
-            columns = ((points ^ shift) / (1 << _SOBOL_BITS)).T
+            sobol_points = self._sobol_points(int(repeat.max(initial=0)) + 1)[repeat, :draw_count]
+            columns = ((sobol_points ^ shift) / (1 << _SOBOL_BITS)).T
             for draw, column in zip(sweep.draws, columns, strict=False):
                 value = (
                     np.where(repeat == 0, 0.0, draw.at(column)) if draw.implied else draw.at(column)
