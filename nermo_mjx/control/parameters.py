@@ -106,7 +106,13 @@ class Gait:
     """Timing of the feet's contact, and length of their steps (5.21, 5.22, Tables A.2, A.6)."""
 
     frequency: Any = quantity(0.67, "Hz", 1e-3, 5.0, "gait cycles per second")
-    stride: Any = quantity(1.0, "1", 0.0, 1.2, "stride length, as a share of the maximum")
+    stride: Any = quantity(
+        1.0,
+        "1",
+        0.0,
+        1.2,
+        "excursion of the feet relative to the body, as a share of stance.max_stride",
+    )
     duty: Any = quantity(0.5, "1", 0.01, 1.0, "stance share of the gait cycle", open_high=True)
     gait_factor: Any = quantity(
         2.0, "1", 0.5, 100.0, "strides of body travel per cycle (5.21); 1 / duty where not given"
@@ -142,7 +148,7 @@ class Stance:
     )
     swing_amplitude: Any = quantity(0.010, "m", 0.0, 0.03, "foot lift at mid-swing")
     stance_amplitude: Any = quantity(0.005, "m", 0.0, 0.02, "foot push-down at mid-stance")
-    max_stride: Any = quantity(0.060, "m", 0.0, 0.08, "stride length at stride = 1")
+    max_stride: Any = quantity(0.060, "m", 0.0, 0.08, "excursion of the feet at stride = 1")
 
 
 @parameter_tree
