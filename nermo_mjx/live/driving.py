@@ -510,7 +510,7 @@ class Journal(AppendedFile):
     """
 
     def __init__(self, path: Path, driving: Driving) -> None:
-        """See `Appended`."""
+        """See `AppendedFile`."""
         super().__init__(path)
         self._driving, self._written, self._before = driving, (0, 0, 0), cast(Any, None)
         self._left = (

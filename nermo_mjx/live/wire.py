@@ -285,7 +285,7 @@ class LinkLog(AppendedFile):
     def __init__(
         self, path: Path, channels: Channels, robot: Robot, clock: Callable[[], float]
     ) -> None:
-        """See `Appended`."""
+        """See `AppendedFile`."""
         super().__init__(path)
         self.about, self._begun, self._offset = path.with_suffix(".yaml"), clock(), math.inf
         self._robot = robot
