@@ -40,7 +40,7 @@ from nermo_mjx.identify.report import RESULT, identification_page
 from nermo_mjx.identify.run import identification_status
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.live import driving
-from nermo_mjx.live.driving import replayed
+from nermo_mjx.live.driving import replay_drive
 from nermo_mjx.optimize import run_search
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
@@ -417,7 +417,7 @@ def hunted(kinds_of_files: Any, mutants: int, seed: int) -> list[str]:
         parquet_table,
         lambda path: read_row_table(read_mapping({}), str(path.with_suffix(".parquet"))),
         stored_json,
-        replayed,
+        replay_drive,
         lambda path: protocol.Source.named(
             "metrics has", str(path.with_suffix(".py")), "a file"
         ).content(),

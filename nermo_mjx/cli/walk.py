@@ -700,7 +700,7 @@ def _replay_drive(
     path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]
 ) -> Output:
     """Drive a recording or a journal again, and compare; no Python runs that the person has not named."""
-    from nermo_mjx.live.driving import as_sweep, difference, replayed
+    from nermo_mjx.live.driving import as_sweep, difference, replay_drive
     from nermo_mjx.recording import RecordingError, write_whole
     from nermo_mjx.robot import ParameterError
     from nermo_mjx.sweep import Sweep
@@ -711,11 +711,11 @@ def _replay_drive(
             contextlib.nullcontext() if controller else only_reading(),
             ProgressBar("replay", compiles=True),
         ):
-            driven = recording or replayed(path, controller)
+            driven = recording or replay_drive(path, controller)
             if sweep is not None:
                 text = Sweep.from_dict(as_sweep(driven, controller)).to_yaml(sweep.parent)
                 write_whole(sweep, "the sweep file", text.encode())
-            again = driven if recording is None else replayed(recording, controller)
+            again = driven if recording is None else replay_drive(recording, controller)
     except (RecordingError, ParameterError) as error:
         raise WrongUse(f"{path}: {error}") from None
     save_run(again, **saved)

@@ -185,7 +185,7 @@ class TrainingResult:
 
 
 @shows_progress("training", "steps")
-# This function has many parameters because it is a public job with named options.
+# Many parameters because it is a public job with named options.
 def run_training(
     spec: Training | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -240,10 +240,8 @@ def run_training(
         begun = len(curves)
         evaluator, choice = PolicyEvaluator(training), None
         if training.validation:
-            walks, code = (
-                functools.partial(success_shares, evaluator),
-                custom_code_file(training.task.observe),
-            )
+            walks = functools.partial(success_shares, evaluator)
+            code = custom_code_file(training.task.observe)
             choice = BestPolicy(directory.run_directory, walks, watch.warn, code)
         goes_on = not _is_complete(training, learned, curves, choice)
         code = directory.take_code(curves, accept=accept_new_code) if goes_on else ""

@@ -1,1 +1,1 @@
-"""A robot that is driven while it walks: one controller, tick by tick, for the simulated body and the real one."""
+"""Drives: a user commands the robot while it walks. The same controller runs the simulated robot and the real one."""

@@ -1,8 +1,9 @@
-"""A drive: controller and body on engine c, tick by tick, under commands that come while the robot walks.
+"""A drive: controller and body on the engine `c`, tick by tick, under commands that arrive while the robot walks.
 
-A command is a `Switch` that begins when it comes. Commands whose blends overlap are added, each with its own length, so
-feet and servos are continuous as in a schedule. The loop is the compiled one of engine `c`, and a drive can be made
-again bit for bit from its commands. A journal keeps them in a file while they come, so that no drive is lost.
+A command is a `Switch` that begins when it arrives. Commands whose blends overlap are added, each with its own length, so
+that feet and servos move continuously, as in a schedule. The loop is the compiled loop of the engine `c`, and the
+commands are sufficient to repeat a drive bit for bit. A journal stores the commands in a file at once, so that no drive
+is lost.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from nermo_mjx.trust import FileError
 #: Largest force of a push on each axis [N]; the robot weighs 2.65 N. Longest push [s].
 LARGEST_FORCE_NEWTONS: Final = 10.0
 LONGEST_PUSH_SECONDS: Final = 5.0
-#: Changes under way at once: each takes its time in every tick.
+#: Maximum number of simultaneous changes, because each of them needs time in every tick.
 MAX_BLENDS: Final = 100
 
 
@@ -51,10 +52,10 @@ class Push:
     """A force on a body.
 
     Attributes:
-        tick: before which it begins.
-        ticks: that it lasts.
-        body: index in the model.
-        force: in the world, at the body's centre of mass [N].
+        tick: Tick before which the force begins.
+        ticks: Number of ticks of the force.
+        body: Index of the body in the model.
+        force: Force in the world frame, at the body's centre of mass [N].
     """
 
     tick: int
@@ -64,7 +65,7 @@ class Push:
 
 
 class Driving:
-    """A drive from its start to now.
+    """A drive from its start to the present.
 
     >>> from nermo_mjx import Setup
     >>> driving = Driving(Setup(pilot="open_loop"), {"frequency": 0.8})
@@ -72,21 +73,21 @@ class Driving:
     (0.01, 5)
 
     Attributes:
-        setup, values: as given.
-        simulator: its program, with every mode that a command can turn on: the last digits of a drive may be others
-            than those of a walk, whose program has only its own modes.
-        dt: between ticks [s].
-        steps_per_tick: readings of the sensors between two ticks.
-        parameters: those that a command can change, with their ranges.
-        about: what a recording says of it.
-        ticks: since the start.
-        commands, pushes: since the start, each command with the tick before which it came.
-        rows: positions, velocities, targets and readings after each tick that is kept.
-        control: the controller's parameters of this moment, leaves (1, ...).
-        modes: those that act, by the choice that makes them.
+        setup, values: Arguments of the drive.
+        simulator: Simulator of the drive, with every mode that a command can turn on. Therefore the last digits can
+            differ from a walk, whose program contains only its own modes.
+        dt: Time between ticks [s].
+        steps_per_tick: Number of sensor readings between two ticks.
+        parameters: Parameters that a command can change, with their ranges.
+        about: Metadata of a recording of the drive.
+        ticks: Number of ticks since the start.
+        commands, pushes: Commands and pushes since the start; each command has the tick before which it arrived.
+        rows: Positions, velocities, targets and readings after each recorded tick.
+        control: Present parameters of the controller, leaves (1, ...).
+        modes: Active modes, by the choice that they belong to.
     """
 
-    #: Whether its commands make it again.
+    #: Whether the commands are sufficient to repeat the drive.
     repeatable = True
 
     def __init__(
@@ -94,12 +95,12 @@ class Driving:
     ) -> None:
         """
         Args:
-            setup: any. The switches of its schedule are commands that come at their times.
-            values: of parameters at the start, by name.
-            record: whether every tick is kept, for `recording`.
+            setup: Setup of the walk. The switches of its schedule are commands that arrive at their times.
+            values: Parameters at the start, by name.
+            record: Whether to store every tick, for `recording`.
 
         Raises:
-            ParameterError: see `Setup`, `Simulator`.
+            ParameterError: See `Setup`, `Simulator`.
         """
         self.setup, self.values, self._record = setup, dict(values or {}), record
         once = dataclasses.replace(setup, schedule=())
@@ -127,7 +128,7 @@ class Driving:
         self.reset()
 
     def reset(self) -> None:
-        """Start anew: the robot at its start, and all commands as in the setup."""
+        """Start again: the robot is in its initial state, and the parameters are the parameters of the setup."""
         self._body = CBodies(self._engine, self.batch.qpos, self.batch.fields, 1)
         self._forces = self._body.batch.bind("xfrc_applied")
         self._readings = np.repeat(self._body.sensordata[:, None], self.steps_per_tick, axis=1)
@@ -136,10 +137,10 @@ class Driving:
         self.restart(self._body.sensordata[0])
 
     def restart(self, sensordata: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n_servos"]:
-        """Start the controller anew, with the parameters of the setup.
+        """Start the controller again, with the parameters of the setup.
 
         Args:
-            sensordata: of the body at rest.
+            sensordata: Sensor data of the body at rest (n,).
 
         Returns:
             Servo angles of the start pose [rad].
@@ -147,7 +148,7 @@ class Driving:
         rest = np.asarray(sensordata, float)
         if (
             self._compiled is None
-        ):  # all programs, by a command that changes nothing, and the tick after it
+        ):  # a command without changes and the following tick compile all programs
             self._begin(rest)
             for name, value in [*self._commanded.items()][:1]:
                 self.command(Switch(0.0, values={name: value}))
@@ -160,12 +161,12 @@ class Driving:
         start = Switch(
             0.0, spine=self.setup.spine, head=self.setup.head, tail_motion=self.setup.tail_motion
         )
-        # Parameters as commanded, those of modes that do not act among them, and the modes that do.
+        # Commanded parameters, including parameters of inactive modes, and the active modes.
         self._commanded = _numbers(self._params.control)
         self.modes = {f: set(m) for f, m in start.modes.items()}
-        self.control = self._aim = self._acting(self._commanded, self.modes)
+        self.control = self._aim = self._effective_parameters(self._commanded, self.modes)
         self._base = np.array([*_numbers(self._aim).values()])
-        # Commands that have not ended: tick at which each began, how long it takes [s], by how much values change.
+        # Commands in progress: tick of the begin, duration [s], and change of the values.
         self._blends: list[tuple[int, float, np.ndarray]] = []
         self.ticks, self.commands, self._due = 0, list[tuple[int, Switch]](), list[Switch]()
         lanes, readings = self._lanes(), np.tile(rest, (BLOCK_WORLDS, 1))
@@ -174,13 +175,13 @@ class Driving:
         self._state = self._compiled.init(self._row, readings)
 
     def command(self, switch: Switch) -> None:
-        """Begin to change what a switch names; its `at` does not count.
+        """Begin the changes of a switch, whose time `at` is ignored.
 
-        It takes `blend` gait cycles of this moment's frequency, and is added to what earlier commands still change.
+        The changes take `blend` gait cycles at the present frequency, and are added to the changes of earlier commands.
 
         Raises:
-            ParameterError: an unknown parameter, a value out of range, a mode that is not there, a stride outside the
-                legs' workspace, or a limb that would go backward; nothing has changed then.
+            ParameterError: A parameter or mode is unknown, a value is out of range, a stride is outside of the legs'
+                workspace, or a limb would move backward; then the drive does not change.
         """
         values, rate = switch.absolute(), self.cycle_rate
         if len(self._blends) >= MAX_BLENDS:
@@ -195,7 +196,7 @@ class Driving:
                 choice(field, mode, self.simulator.setup.modes[field] or (NO_MODE,))
         commanded = self._commanded | values
         modes = self.modes | {field: set(names) for field, names in switch.modes.items()}
-        aim = self._acting(commanded, modes)
+        aim = self._effective_parameters(commanded, modes)
         if isinstance(self._controller, ChecksParameters):
             self._controller.check(aim)
         old, new = _numbers(self._aim), _numbers(aim)
@@ -222,7 +223,7 @@ class Driving:
         self.commands.append((self.ticks, switch))
 
     def targets(self, readings: Float[np.ndarray, "steps n"]) -> Float[np.ndarray, " n_servos"]:
-        """The controller's tick: servo angles [rad], from the readings since the last; at the start, at rest."""
+        """Run one tick of the controller: servo angles [rad] from the readings since the last tick, or at rest."""
         while self._due and self._due[0].at <= self.ticks * self.dt + 1e-9:
             self.command(self._due.pop(0))
         if self._blends:
@@ -234,7 +235,7 @@ class Driving:
         return np.asarray(ctrl)[0]
 
     def _blend(self) -> None:
-        """Bring the parameters to this moment, in the precision of a schedule."""
+        """Update the parameters to the present tick, in the precision of a schedule."""
         under_way = list[tuple[int, float, np.ndarray]]()
         for began, seconds, move in self._blends:
             if (self.ticks - began) * self.dt < seconds:
@@ -257,10 +258,10 @@ class Driving:
         self.control = replace_quantities(self._aim, values)
 
     def push(self, body: int, force: tuple[float, float, float], seconds: float) -> None:
-        """Begin to push a body; it replaces another push.
+        """Begin to push a body with a force [N] for a time [s]; an earlier push ends.
 
         Raises:
-            ParameterError: no such body, or a force or time that is not allowed.
+            ParameterError: The body does not exist, or the force or time is out of range.
         """
         bodies, weld = self.simulator.robot.model.nbody, self.simulator.robot.model.body_weldid
         if not 0 < body < bodies or weld[body] == 0:
@@ -281,11 +282,11 @@ class Driving:
         )
 
     def tick(self) -> None:
-        """The controller's tick, and the physics until the next one."""
+        """Run one tick of the controller, and the physics until the next one."""
         now, self._forces[...] = self.ticks, 0.0
         if self.pushes and now < self.pushes[-1].tick + self.pushes[-1].ticks:
             self._forces[0, self.pushes[-1].body, :3] = self.pushes[-1].force
-        self._body.ctrl[...] = self._next()
+        self._body.ctrl[...] = self._next_targets()
         self._body.move(self._readings)
         if self._record:
             if TICK_BYTES * len(self.rows) > MOST_RECORDED:
@@ -294,54 +295,54 @@ class Driving:
                 )
             self.rows.append(self._sample())
 
-    def _next(self) -> Float[np.ndarray, " n_servos"]:
+    def _next_targets(self) -> Float[np.ndarray, " n_servos"]:
         return self.targets(self._readings[0])
 
     def watch(self) -> None:
-        """Called while time stands still, instead of `tick`: a robot is watched then, too."""
+        """Watch the robot during a pause; a page calls this method instead of `tick`."""
 
     @property
     def time(self) -> float:
-        """Since the start [s]."""
+        """Time since the start [s]."""
         return self.ticks * self.dt
 
     @property
     def is_finite(self) -> bool:
-        """Whether the simulation still has numbers."""
+        """Whether the state of the simulation is finite."""
         return bool(np.isfinite(self._readings).all())
 
     @property
     def state(self) -> LoopState:
-        """Of the controller and the metrics, leaves without a world axis."""
+        """State of the controller and the metrics; its leaves have no world axis."""
         return jax.tree.map(lambda leaf: np.asarray(leaf)[0], self._compiled.unpack(self._state))
 
     @property
     def cycle_rate(self) -> float:
-        """Gait cycles per second of this moment [1/s]."""
+        """Present gait frequency [Hz]."""
         return float(np.ravel(self._controller.cycle_rate(self.control))[0])
 
     def value(self, name: str) -> float | None:
-        """A parameter as commanded; None for one that the controller does not have."""
+        """The commanded value of a parameter; None if the controller does not have it."""
         return self._commanded.get(name)
 
     @property
     def sample(self) -> Recording:
-        """The moment after the last tick, or the start: a recording of one sample."""
-        return self._recorded([self._sample()], np.array([self.time]), {})
+        """A recording of one sample, after the last tick or at the start."""
+        return self._make_recording([self._sample()], np.array([self.time]), {})
 
     def recording(self) -> Recording:
-        """What was driven since the start; `replayed` makes it again.
+        """The recording of the drive since the start, which `replay_drive` can repeat.
 
         Raises:
-            RecordingError: nothing was, or nothing was kept.
+            RecordingError: There was no tick, or the drive does not record.
         """
         if not self.rows:
             raise RecordingError("nothing was driven: there is nothing to record.")
         driven = {"values": self.values, **self.piece()}
-        return self._recorded(self.rows, (1 + np.arange(len(self.rows))) * self.dt, driven)
+        return self._make_recording(self.rows, (1 + np.arange(len(self.rows))) * self.dt, driven)
 
     def piece(self, commands: int = 0, pushes: int = 0) -> dict[str, Any]:
-        """Commands and pushes as files tell them, but for so many of the first ones."""
+        """Commands and pushes in the form of files, without the first `commands` and `pushes`."""
         switches = [[tick, switch.written()] for tick, switch in self.commands[commands:]]
         return {"commands": switches, "pushes": [*map(dataclasses.asdict, self.pushes[pushes:])]}
 
@@ -354,7 +355,7 @@ class Driving:
             self._readings[0, -1].copy(),
         )
 
-    def _recorded(
+    def _make_recording(
         self, rows: list[tuple[np.ndarray, ...]], time: np.ndarray, driven: dict[str, Any]
     ) -> Recording:
         qpos, qvel, ctrl, sensordata = map(np.stack, zip(*rows, strict=True))
@@ -366,8 +367,10 @@ class Driving:
         metadata = plain_json(self.about | {"driven": driven}) if driven else self.about
         return Recording(time, qpos, qvel, ctrl, named_values, self._hash, metadata)
 
-    def _acting(self, commanded: Mapping[str, float], modes: Mapping[str, set[str]]) -> Any:
-        """The parameters as commanded, with gains of 0 for the modes that do not act."""
+    def _effective_parameters(
+        self, commanded: Mapping[str, float], modes: Mapping[str, set[str]]
+    ) -> Any:
+        """The commanded parameters, with gains of 0 for the inactive modes."""
         available = self.simulator.setup.modes
         off = {
             gain
@@ -387,12 +390,12 @@ class Driving:
 
 
 def _numbers(control: Any) -> dict[str, float]:
-    """The parameters of one world by name; leaves (1, ...)."""
+    """The parameters of one world by name, from leaves (1, ...)."""
     return {name: float(np.asarray(value)[0]) for name, value in values_of(control)}
 
 
 def _with_all_modes(setup: Setup) -> Setup:
-    """The setup with every mode of the robot, those that do not act turned on after its end."""
+    """The setup with every mode of the robot; a switch after the end turns on the inactive modes."""
     spine = LATERAL_MODES + (SAGITTAL_MODES if setup.robot == "nermo_41" else ())
     on: list[dict[str, Any]] = [{"spine": "+".join(spine), "head": GAZE}]
     on += [
@@ -403,7 +406,7 @@ def _with_all_modes(setup: Setup) -> Setup:
 
 
 def _code(setup: Setup) -> dict[str, str]:
-    """Name and content of the file of a setup's controller, if a text names it."""
+    """Name and content of the file of a setup's controller, if the controller is given by a text."""
     return (
         code_identity(dataclasses.replace(setup, metrics=()))
         if isinstance(setup.controller, str)
@@ -412,14 +415,14 @@ def _code(setup: Setup) -> dict[str, str]:
 
 
 # ---
-# What was driven, in files: in the metadata of a recording, and in the journal of a drive, piece by piece.
+# Drives in files: the metadata of a recording, and the journal of a drive, which grows piece by piece.
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 
-class Commanded(BaseModel, extra="forbid"):
-    """A command, as messages and files write it: the fields of a switch of a schedule."""
+class CommandFields(BaseModel, extra="forbid"):
+    """A command in messages and files: the fields of a switch of a schedule."""
 
     gait: str | None = None
     steering: str | None = None
@@ -430,7 +433,7 @@ class Commanded(BaseModel, extra="forbid"):
     set: dict[str, Finite] = {}
 
     def switch(self, begin: float) -> Switch:
-        """The same at a time [s]; raises `ParameterError` as `Switch` does."""
+        """The switch at a time [s]; raises `ParameterError` like `Switch`."""
         fields = {
             name: getattr(self, name)
             for name in ("gait", "steering", "spine", "head", "tail_motion")
@@ -438,13 +441,13 @@ class Commanded(BaseModel, extra="forbid"):
         return Switch(begin, self.blend, **fields, values=self.set)
 
 
-class _Written(Commanded):
+class _TimedCommand(CommandFields):
     at: Finite = 0.0
 
 
-class _Driven(BaseModel, extra="forbid"):
+class _DriveContent(BaseModel, extra="forbid"):
     values: dict[str, Finite] = {}
-    commands: list[tuple[NonNegativeInt, _Written]] = []
+    commands: list[tuple[NonNegativeInt, _TimedCommand]] = []
     pushes: list[Push] = []
     samples: list[
         tuple[list[float | None], list[float | None], list[float | None], list[float | None]]
@@ -452,36 +455,36 @@ class _Driven(BaseModel, extra="forbid"):
     ticks: NonNegativeInt = 0
 
 
-#: How often a journal is written [s].
+#: Time between two writes of a journal [s].
 _JOURNAL_SECONDS: Final = 0.25
 
 
-class Appended:
-    """A file to which a drive is appended while it lasts, by a thread: the drive never waits for the disk.
+class AppendedFile:
+    """A file to which a thread appends the drive, so that the drive never waits for the disk.
 
     Attributes:
-        path: of the file.
-        error: why it cannot be written now; None if it can be. What is not written yet is kept.
+        path: Path of the file.
+        error: Error of the last write, whose content is written later; None if the file can be written.
     """
 
     def __init__(self, path: Path) -> None:
         """
         Raises:
-            OSError: it cannot be created, or is there.
+            OSError: The file cannot be created, or exists.
         """
         self.path, self.error = path, cast("OSError | None", None)
         self._file, self._stop, self._left = path.open("xb", buffering=0), threading.Event(), b""
         self._thread = threading.Thread(target=self._work, daemon=True)
 
-    def _more(self) -> bytes:
-        """What has come since the last call."""
+    def _new_content(self) -> bytes:
+        """The new content since the last call."""
         raise NotImplementedError
 
     def _work(self) -> None:
         ended = False
         while not ended:
             ended = self._stop.wait(_JOURNAL_SECONDS)
-            self._left += self._more()
+            self._left += self._new_content()
             try:
                 while self._left:
                     self._left = self._left[self._file.write(self._left) :]
@@ -491,7 +494,7 @@ class Appended:
                 self.error = error
 
     def end(self, keep: bool = True) -> None:
-        """Write the rest, and close it; with `keep` it stays."""
+        """Write the rest and close the file; without `keep`, it is deleted."""
         self._stop.set()
         self._thread.join()
         self._file.close()
@@ -499,52 +502,52 @@ class Appended:
             self.path.unlink(missing_ok=True)
 
 
-class Journal(Appended):
+class Journal(AppendedFile):
     """The journal of a drive.
 
-    The first line is what a recording says of the drive, as JSON. Each other one says how far it has come, with the
-    commands and pushes since the line before; or with the samples, if no commands make them again, as a robot measures.
+    The first line contains the metadata of the drive, as JSON. Each other line contains the progress of the drive, with
+    the commands and pushes since the line before, and with the samples if commands cannot repeat them, as for a robot.
     """
 
     def __init__(self, path: Path, driving: Driving) -> None:
-        """See `Appended`."""
+        """See `AppendedFile`."""
         super().__init__(path)
-        self._driving, self._told, self._before = driving, (0, 0, 0), cast(Any, None)
+        self._driving, self._written, self._before = driving, (0, 0, 0), cast(Any, None)
         self._left = (
             json.dumps(plain_json(driving.about | {"driven": {"values": driving.values}})).encode()
             + b"\n"
         )
         self._thread.start()
 
-    def _more(self) -> bytes:
+    def _new_content(self) -> bytes:
         driving = self._driving
         ticks, (commands, pushes, samples) = (
             driving.ticks,
-            self._told,
-        )  # commands before this tick are there
+            self._written,
+        )  # the journal contains all commands before this tick
         piece = driving.piece(commands, pushes) | {"ticks": ticks}
         piece["samples"] = [] if driving.repeatable else driving.rows[samples:]
         commands, pushes = commands + len(piece["commands"]), pushes + len(piece["pushes"])
-        self._told = commands, pushes, samples + len(piece["samples"])
-        if self._before == (now := (ticks, self._told)):
+        self._written = commands, pushes, samples + len(piece["samples"])
+        if self._before == (now := (ticks, self._written)):
             return b""
         self._before = now
         return json.dumps(plain_json(piece)).encode() + b"\n"
 
 
-def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
-    """What a recording, or a journal up to its last whole line, says of a drive."""
+def _read_drive(source: Recording | Path) -> tuple[Mapping[str, Any], _DriveContent]:
+    """Read the metadata and the commands of a drive from a recording, or from a journal up to its last whole line."""
     try:
         if isinstance(source, Recording):
             metadata, pieces = source.metadata, [b'{"ticks": %d}' % len(source.time)]
-        else:  # after a power cut zeros may follow
+        else:  # after a power failure, zeros may follow
             first, *pieces = read_bytes(source, MAX_FILE_BYTES).partition(b"\0")[0].split(b"\n")[
                 :-1
             ] or [b""]
             metadata = read_as(first, Metadata, "line 1").model_dump()
-        driven: _Driven = read_as(json.dumps(metadata.get("driven")), _Driven, "driven")
+        driven: _DriveContent = read_as(json.dumps(metadata.get("driven")), _DriveContent, "driven")
         for number, text in enumerate(pieces, 2):
-            piece: _Driven = read_as(text, _Driven, f"line {number}")
+            piece: _DriveContent = read_as(text, _DriveContent, f"line {number}")
             for name in ("commands", "pushes", "samples"):
                 getattr(driven, name).extend(getattr(piece, name))
             driven.ticks = max(driven.ticks, piece.ticks)
@@ -557,8 +560,8 @@ def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
     return metadata, driven
 
 
-def _setup(metadata: Mapping[str, Any], controller: Any) -> Setup:
-    """The setup of a drive, with a controller that is given instead of the one that it names."""
+def _make_setup(metadata: Mapping[str, Any], controller: Any) -> Setup:
+    """The setup of a drive, with `controller` instead of the controller in the metadata, if it is given."""
     choices = RecordedSetup.choices(metadata.get("setup") or {}) | (
         {} if controller is None else {"controller": controller}
     )
@@ -579,18 +582,18 @@ def _setup(metadata: Mapping[str, Any], controller: Any) -> Setup:
 
 
 def as_sweep(recording: Recording, controller: Any = None) -> dict[str, Any]:
-    """The fields of a sweep file that walks as was driven, from five slightly different starts.
+    """The fields of a sweep file that repeats the commands of a drive from five slightly different initial states.
 
-    Its `schedule` has the commands. Pushes are left out.
+    Its `schedule` contains the commands, without the pushes.
 
     Raises:
-        RecordingError: it is not of a drive.
-        ParameterError: as `replayed`; or there are more commands than a schedule can have, or they overlap.
+        RecordingError: The recording does not contain a drive.
+        ParameterError: See `replay_drive`; or there are too many commands for a schedule, or they overlap.
     """
-    metadata, driven = _told(recording)
+    metadata, driven = _read_drive(recording)
     dt, values = float(recording.time[0]), driven.values
     switches = tuple(command.switch(round(tick * dt, 9)) for tick, command in driven.commands)
-    setup = dataclasses.replace(_setup(metadata, controller), schedule=switches)
+    setup = dataclasses.replace(_make_setup(metadata, controller), schedule=switches)
     setup.check(setup.world({name: np.asarray(value) for name, value in values.items()}))
     options = {
         name.removeprefix("pilot."): value
@@ -604,19 +607,19 @@ def as_sweep(recording: Recording, controller: Any = None) -> dict[str, Any]:
     }
 
 
-def replayed(source: Recording | Path, controller: Any = None) -> Recording:
-    """A drive, driven again.
+def replay_drive(source: Recording | Path, controller: Any = None) -> Recording:
+    """Repeat a drive, and return its recording.
 
     Args:
-        source: its recording, or its journal.
-        controller: instead of one that the file names, whose Python is not run; as `Setup` takes it.
+        source: Recording or journal of the drive.
+        controller: Controller as in `Setup`, which replaces a controller in the file, whose Python code is not run.
 
     Raises:
-        RecordingError: it is not of a drive.
-        ParameterError: its setup or a command names something that this version does not have, or Python.
+        RecordingError: The file does not contain a drive.
+        ParameterError: The setup or a command contains Python code, or something that this version does not have.
     """
-    metadata, driven = _told(source)
-    driving = Driving(_setup(metadata, controller), driven.values)
+    metadata, driven = _read_drive(source)
+    driving = Driving(_make_setup(metadata, controller), driven.values)
     if driven.samples:
         driving.rows = [
             tuple(np.array(part, float) for part in sample) for sample in driven.samples
@@ -637,7 +640,7 @@ def replayed(source: Recording | Path, controller: Any = None) -> Recording:
 
 
 def difference(first: Recording, second: Recording) -> float | None:
-    """Time of the first sample that differs in any bit of positions, velocities or targets [s]; None if none does."""
+    """Time of the first sample [s] whose positions, velocities or targets differ in any bit; None if all are equal."""
     pairs = [(getattr(first, name), getattr(second, name)) for name in ("qpos", "qvel", "ctrl")]
     differs = np.any([(a != b).any(axis=1) for a, b in pairs], axis=0)
     return float(first.time[np.argmax(differs)]) if differs.any() else None

@@ -1,9 +1,9 @@
-"""The page of a drive, served to this machine alone, its messages, and the loop that keeps real time.
+"""The page of a drive, which only this machine can open, its messages, and the loop that keeps real time.
 
-The address holds a random token, without which there is neither page nor socket; `Host` must name the loopback and
-`Origin` the same address, so that no other site's page gets in. One page drives: a second one takes over, and the first
-one says so. While no page is there, the robot stands still in time. The loop waits for no page and for no disk, and no
-message ends it.
+The address contains a random token, which the page and the socket require. `Host` must be the loopback and `Origin` the
+same address, so that pages of other sites cannot connect. One page drives; a second page takes over, and the first one
+shows a note. Without a page, the drive is paused. The loop never waits for a page or for the disk, and wrong messages do
+not end it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from nermo_mjx.control.parameters import STEERING
 from nermo_mjx.control.schedule import MODE_GAINS
-from nermo_mjx.live.driving import Commanded, Driving, Finite, Journal
+from nermo_mjx.live.driving import CommandFields, Driving, Finite, Journal
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.robot.parameters import GAIT_PATTERNS
@@ -41,19 +41,19 @@ from nermo_mjx.view.clip import clips_of
 from nermo_mjx.view.page import Packer, document
 from nermo_mjx.view.recorded import ARC_POINTS, Motion, motion_of, plots_of, recorded_model
 
-#: Longest message of a page [bytes]; how many may wait to be read, and to be sent.
+#: Longest message of a page [bytes], and maximum numbers of messages that wait to be read, and to be sent.
 MAX_MESSAGE_BYTES: Final = 4096
 INBOX_MESSAGES: Final = 32
 OUTBOX_MESSAGES: Final = 16
-#: Connections at once, of pages and of whoever else finds the port; how long one may take to close [s].
+#: Maximum number of simultaneous connections, and longest time for closing one [s].
 MAX_CONNECTIONS: Final = 16
 CLOSING_SECONDS: Final = 2.0
-#: Pictures per second at most [Hz], and how many may be under way to the page.
+#: Highest rate of pictures [Hz], and maximum number of pictures on their way to the page.
 PICTURE_RATE_HZ: Final = 50.0
 MAX_PENDING_PICTURES: Final = 2
-#: Lateness above which the drive is slower than the clock, instead of hurrying after it [s].
+#: Delay above which the drive stays behind the clock, instead of catching up [s].
 LARGEST_DELAY_SECONDS: Final = 0.1
-#: Close code of a page that another one has replaced.
+#: Close code of a page that another page has replaced.
 REPLACEMENT_CODE: Final = 4001
 
 #: Sliders of the page: parameter, title, unit, range.
@@ -66,16 +66,16 @@ SLIDERS: Final = {
 }
 
 # ---
-# What the page shows: its document at the start, then a row of numbers for each moment.
+# The display of a page: its document at the start, then a row of numbers for each picture.
 
-#: Arrows for contacts: two for each limb, and others.
+#: Limbs of the contact arrows: two arrows for each limb, and other contacts (-1).
 ARROW_SLOTS: Final = (*(limb for limb in range(len(LIMBS)) for _ in range(2)), *(-1,) * 8)
-#: Time in which the followed point comes near the robot [s].
+#: Time constant of the point that follows the robot [s].
 FOLLOWING_SECONDS: Final = 0.25
 
 
-class Shown:
-    """A drive on the page."""
+class DriveDisplay:
+    """The display of a drive on the page."""
 
     def __init__(self, driving: Driving) -> None:
         self.driving = driving
@@ -85,7 +85,7 @@ class Shown:
         self._packer = Packer()
         self._header = clips_of([start], ["drive"], self._packer)
         wraps = self._model.wrap_type
-        #: Points of each tendon at most: a site is one, and a pulley two with an arc between them.
+        #: Maximum number of points of each tendon: one for a site, and two with an arc in between for a pulley.
         self._points = [
             sum(
                 1 if wraps[k] == mujoco.mjtWrap.mjWRAP_SITE else 2 + ARC_POINTS
@@ -99,22 +99,22 @@ class Shown:
         self.restart()
 
     def restart(self) -> None:
-        """The robot is at its start again."""
+        """Reset the display, because the robot is in its initial state again."""
         self._follow: np.ndarray | None = None
         self._before: np.ndarray | None = None
         self._speeds: list[tuple[float, float]] = []
         self._time = 0.0
 
     def document(self, description: dict[str, Any]) -> str:
-        """The page; `about` is what its driving part has to know."""
+        """The HTML of the page; `description` is the data for its driving part."""
         live = {"points": self._points, "slots": ARROW_SLOTS, **description}
         return document(
             "viewer", "Nermo: drive", self._header | {"live": live}, [self._packer], ("", "live")
         )
 
     def row(self) -> bytes:
-        """The present moment, as floats: time, root, followed point; place and rotation of each moving body; of each
-        tendon its points and tension; point and force of each slot; and the value of each curve."""
+        """The present state as bytes of floats: time, root, followed point; position and rotation of each moving body;
+        points and tension of each tendon; point and force of each contact arrow; and the value of each curve."""
         sample = self.driving.sample
         motion = motion_of(sample, self._model, data=self._data)
         bodies = self._header["clips"][0]["moving"]
@@ -167,14 +167,14 @@ class Shown:
         return values
 
     def _mean_speed(self, speed: float) -> float:
-        """Over the last gait cycle."""
+        """Mean speed over the last gait cycle [m/s]."""
         begin = self._time - 1.0 / self.driving.cycle_rate
         self._speeds = [entry for entry in self._speeds if entry[0] > begin] + [(self._time, speed)]
         return float(np.mean([entry for _, entry in self._speeds]))
 
 
 # ---
-# Its messages, and the loop.
+# The messages of a page, and the loop.
 
 
 class _Push(BaseModel, extra="forbid"):
@@ -183,13 +183,15 @@ class _Push(BaseModel, extra="forbid"):
     seconds: Finite
 
 
-class Message(Commanded):
-    """What a page may say, each part as it likes: a command, and what follows.
+class Message(CommandFields):
+    """A message of a page: a command, and the following optional fields.
 
     Attributes:
-        push: a force on a body.
-        reset: back to the start. pause: stand still in time. speed: of time.
-        shown: number of the picture that is on the screen now.
+        push: Force on a body.
+        reset: Whether to return to the start.
+        pause: Whether to pause.
+        speed: Speed of the drive relative to the clock.
+        shown: Number of the picture on the screen.
     """
 
     push: _Push | None = None
@@ -200,32 +202,33 @@ class Message(Commanded):
 
 
 class LiveDrive:
-    """A drive under a page, in real time.
+    """A drive that a page controls in real time.
 
     Attributes:
-        driving, record: its robot, its file.
-        address: of the page, with its token.
-        paused, speed: whether time stands still, and seconds of the drive per second.
-        over: set it to end the drive.
-        failure: why a recording could not be written, and where what was driven is instead; empty if all were.
-        delays: from the end of a tick to its picture on the screen, of the latest pictures [s].
+        driving, record: Drive, and file of its recording.
+        address: Address of the page, with its token.
+        paused, speed: Whether the drive is paused, and seconds of the drive per second.
+        over: Whether the drive is over; set it to end the drive.
+        failure: Error of a recording that could not be written, with the file that contains the drive instead; empty if
+            all recordings were written.
+        delays: Delays from the end of a tick to its picture on the screen, for the latest pictures [s].
     """
 
     def __init__(self, driving: Driving, record: Path | None = None, port: int = 0) -> None:
         """
         Args:
-            driving: the robot, at its start.
-            record: file for what was driven, see `free`; after a reset, what follows goes to FILE-2, FILE-3, ... While
-                it is driven, a `Journal` with the suffix .jsonl stands for it.
-            port: of the loopback; 0 for any that is free.
+            driving: Drive at its start.
+            record: File of the recording, see `free`; after a reset, the next recording is FILE-2, FILE-3, ... During the
+                drive, a `Journal` with the suffix .jsonl contains it.
+            port: Port of the loopback; 0 for any free port.
 
         Raises:
-            ParameterError: the port is taken, the file there, its folder cannot be written, or websockets is missing.
+            ParameterError: The port is in use, the file exists, its folder cannot be written, or websockets is missing.
         """
         require("drive", "websockets", "drive")
         from websockets.sync.server import serve
 
-        self.driving, self._shown = driving, Shown(driving)
+        self.driving, self._shown = driving, DriveDisplay(driving)
         self.record, self.files, self.failure = record, list[Path](), ""
         self._journal: Journal | None = None
         self._gait, self._steering = driving.setup.gait, str(driving.setup.steering)
@@ -233,7 +236,7 @@ class LiveDrive:
         self._sent, self._gone = dict[int, float](), list[float]()
         self._number, self.delays, self._spent = 0, list[float](), [0.0, 0.0]
         # What the page is told next: since when it waits for it, and what was refused last.
-        self._changed, self._told, self._refused = False, 0.0, ""
+        self._changed, self._status_time, self._refused = False, 0.0, ""
         self._token = secrets.token_urlsafe(16)
         self._page: Any = None
         self._outbox, self._sender = queue.Queue[Any](OUTBOX_MESSAGES), threading.Thread()
@@ -243,7 +246,9 @@ class LiveDrive:
         ]()  # whether it got in, in the order in which they came
         # `(page, text)` of each message, `(page, True)` of a page that came, `(page, False)` of one that went.
         self._inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(INBOX_MESSAGES)
-        silent = logging.getLogger(__name__)  # browsers open connections that they do not use
+        silent = logging.getLogger(
+            __name__
+        )  # because browsers open connections that they do not use
         silent.setLevel(logging.CRITICAL)
         try:
             self._server = serve(
@@ -265,11 +270,11 @@ class LiveDrive:
         except ParameterError:
             self._server.socket.close()
             raise
-        self._server.socket.settimeout(0.5)  # so that the thread sees that the socket is closed
+        self._server.socket.settimeout(0.5)  # so that the thread notices that the socket is closed
         threading.Thread(target=self._accept, daemon=True).start()
 
     def _accept(self) -> None:
-        """Connections until the socket is closed; the loop of websockets ends where no descriptor or thread is free."""
+        """Accept connections until the socket is closed; websockets' loop would end without free descriptors or threads."""
         listening = self._server.socket
         while listening.fileno() >= 0:
             try:
@@ -280,7 +285,7 @@ class LiveDrive:
                 time.sleep(0.1)
 
     def _serve(self, accepted: socket.socket, address: Any) -> None:
-        """A connection in its own thread; of too many, one that has not got in makes room."""
+        """Serve a connection in its own thread; if there are too many, one that is not admitted is closed."""
         with self._lock:
             if len(self._connections) >= MAX_CONNECTIONS:
                 out = next(
@@ -291,7 +296,7 @@ class LiveDrive:
                     ),
                     accepted,
                 )
-                _cut(out)
+                _close_socket(out)
                 self._connections.pop(out, None)
             self._connections[accepted] = False
         try:
@@ -300,13 +305,13 @@ class LiveDrive:
             self._connections.pop(accepted, None)
 
     def _answer(self, connection: Any, request: Any) -> Any:
-        """The page, or None to let the socket open; anything else is refused."""
+        """The page, or None to open the socket; all other requests are rejected."""
         try:
-            return self._answered(connection, request)
+            return self._make_answer(connection, request)
         except Exception:  # two hosts, or an address that is none
             return connection.respond(HTTPStatus.BAD_REQUEST, "This request is not understood.\n")
 
-    def _answered(self, connection: Any, request: Any) -> Any:
+    def _make_answer(self, connection: Any, request: Any) -> Any:
         host = request.headers.get("Host", "")
         if urlsplit(f"//{host}").hostname not in ("127.0.0.1", "localhost"):
             return connection.respond(
@@ -337,7 +342,7 @@ class LiveDrive:
         return answer
 
     def _listen(self, page: Any) -> None:
-        """A page's messages, in its own thread."""
+        """Receive the messages of a page in its own thread."""
         self._connections[page.socket] = True
         self._inbox.put((page, True))
         try:
@@ -347,7 +352,7 @@ class LiveDrive:
             self._inbox.put((page, False))
 
     def _send(self, message: bytes | dict[str, Any]) -> bool:
-        """To the page that drives, by a thread; whether there is one that is not behind."""
+        """Send a message to the driving page by a thread; false if there is no page, or the page is behind."""
         if self._page is None:
             return False
         try:
@@ -357,14 +362,14 @@ class LiveDrive:
             return False
 
     def _leave(self, code: int, why: str) -> threading.Thread:
-        """Part from the page in a thread, even if it hangs."""
+        """Close the connection to the page in a thread, even if the page hangs."""
 
         def part(page: Any, sender: threading.Thread) -> None:
             sender.join(CLOSING_SECONDS / 2)
             closing = threading.Thread(target=page.close, args=(code, why), daemon=True)
             closing.start()
             closing.join(CLOSING_SECONDS)
-            _cut(page.socket)
+            _close_socket(page.socket)
 
         with contextlib.suppress(queue.Full):
             self._outbox.put_nowait(None)
@@ -375,17 +380,17 @@ class LiveDrive:
 
     @property
     def away(self) -> float:
-        """How long the page has been gone, or has not shown what it was sent [s]."""
+        """Time for which there has been no page, or the page has not shown its pictures [s]."""
         now = time.perf_counter()
         return now - min([*self._sent.values(), *self._gone], default=now)
 
     @property
     def factor(self) -> float:
-        """Seconds of the drive per second, over those while it was neither paused nor slowed down."""
+        """Seconds of the drive per second, without the times when it was paused or slowed down."""
         return self._spent[0] / self._spent[1] if self._spent[1] else 1.0
 
     def report(self) -> dict[str, Any]:
-        """What came of it: files, seconds driven, real-time factor, and delay of the picture (median, 95 %) [s]."""
+        """Report of the drive: files, duration [s], real-time factor, and delay of the picture (median, 95 %) [s]."""
         delays = np.quantile(self.delays, (0.5, 0.95)).tolist() if self.delays else [None, None]
         return {
             "files": [str(file) for file in self.files],
@@ -396,12 +401,12 @@ class LiveDrive:
         }
 
     def run(self, seconds: float | None = None) -> None:
-        """For seconds of the clock, or until it is interrupted; then what was driven is saved."""
+        """Run for a time of the clock [s], or until an interruption, and save the recording."""
         with interruptible() as interruption:
             try:
                 self._run(math.inf if seconds is None else time.perf_counter() + seconds)
             finally:
-                with interruption.shielded():  # whoever is impatient does not lose it
+                with interruption.shielded():  # a second Ctrl-C does not lose the recording
                     self._save()
                     self._server.socket.close()
                     if self._page is not None:
@@ -423,8 +428,8 @@ class LiveDrive:
                 self._refuse(
                     f"{self._journal.path} cannot be written ({why}): time stands still until it can be."
                 )
-            if self._changed and now - self._told >= 1.0 / PICTURE_RATE_HZ:
-                self._tell(now)
+            if self._changed and now - self._status_time >= 1.0 / PICTURE_RATE_HZ:
+                self._send_status(now)
             if self.paused or not self._began:
                 self.driving.watch()
                 due = now
@@ -433,7 +438,7 @@ class LiveDrive:
                 continue
             try:
                 self.driving.tick()
-            except ParameterError as error:  # of a switch that has come due
+            except ParameterError as error:  # from a scheduled switch
                 self._refuse(str(error))
                 continue
             if not self.driving.is_finite:
@@ -450,7 +455,7 @@ class LiveDrive:
                 self._show()
 
     def _messages(self, patience: float) -> Iterator[tuple[Any, Any]]:
-        """Those that wait, or the first one that comes in time [s]."""
+        """The waiting messages, or the first message within `patience` [s]."""
         with contextlib.suppress(queue.Empty):
             yield self._inbox.get(timeout=patience) if patience > 0 else self._inbox.get_nowait()
             for _ in range(INBOX_MESSAGES):
@@ -479,12 +484,12 @@ class LiveDrive:
                     if (sent_time := self._sent.pop(command.shown, None)) is not None:
                         self.delays = [*self.delays[-999:], time.perf_counter() - sent_time]
                     return
-                self._obey(command)
+                self._execute(command)
             except ValidationError as error:
                 first = error.errors()[0]
                 location = ".".join(map(str, first["loc"])) or "message"
                 self._refuse(f"{location}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200])
-            except Exception as error:  # no message ends the drive
+            except Exception as error:  # a wrong message does not end the drive
                 self._refuse(
                     str(error)
                     if isinstance(error, ParameterError)
@@ -493,10 +498,10 @@ class LiveDrive:
         self._changed = True
 
     def _refuse(self, sentence: str) -> None:
-        """Tell the page soon; of several sentences the last one."""
+        """Send a sentence about an error to the page soon; the last of several sentences is sent."""
         self._refused, self._changed = sentence, True
 
-    def _obey(self, message: Message) -> None:
+    def _execute(self, message: Message) -> None:
         driving = self.driving
         if message.set or any(
             (message.gait, message.steering, message.spine, message.head, message.tail_motion)
@@ -532,7 +537,7 @@ class LiveDrive:
                 ) from None
 
     def _save(self) -> None:
-        """Write the recording of what was driven since the start; where that fails, the journal stays."""
+        """Write the recording of the drive since the start; if this fails, the journal stays."""
         journal, self._journal, saved = self._journal, None, True
         if self.record is not None and self.driving.rows:
             file = self.record if journal is None else journal.path.with_suffix(self.record.suffix)
@@ -553,8 +558,8 @@ class LiveDrive:
         if self._send(self._number.to_bytes(4, "little") + self._shown.row()):
             self._sent[self._number] = time.perf_counter()
 
-    def _tell(self, now: float) -> None:
-        self._told = now
+    def _send_status(self, now: float) -> None:
+        self._status_time = now
         if self._refused and self._send({"refused": self._refused}):
             self._refused = ""
         self._changed = bool(self._refused)
@@ -580,7 +585,7 @@ class LiveDrive:
             for name, (title, unit, low, high) in SLIDERS.items()
             if name in driving.parameters
         ]
-        # Without those that would do nothing: the harmonics, unless they have amplitudes.
+        # Modes without effect are omitted, for example harmonics without amplitudes.
         modes = {
             field: sorted(name for name in names if any(map(driving.value, MODE_GAINS[name])))
             for field, names in driving.simulator.setup.modes.items()
@@ -591,7 +596,7 @@ class LiveDrive:
 
 
 def _send_all(page: Any, outbox: queue.Queue[Any]) -> None:
-    """Send what comes, until None; a page that does not read makes it wait."""
+    """Send the messages of a queue until None; this function waits if the page does not read."""
     from websockets.exceptions import ConnectionClosed
 
     with contextlib.suppress(ConnectionClosed, OSError):
@@ -599,8 +604,8 @@ def _send_all(page: Any, outbox: queue.Queue[Any]) -> None:
             page.send(message)
 
 
-def _cut(connection: socket.socket) -> None:
-    """End a connection at once; whoever reads from it finds its end."""
+def _close_socket(connection: socket.socket) -> None:
+    """Close a connection at once, so that its readers end."""
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)
 
@@ -610,10 +615,10 @@ JOURNAL_SUFFIX: Final = ".jsonl"
 
 
 def free(record: Path, *, first: bool = True) -> Path:
-    """The file for a recording: this one, or after the first FILE-2, FILE-3, ..., beside which no journal is.
+    """The file for a recording: this file, or after the first recording a free one of FILE-2, FILE-3, ..., without journal.
 
     Raises:
-        ParameterError: the first one, or its journal, is there.
+        ParameterError: The file of the first recording, or its journal, exists.
     """
     for number in itertools.count(1):
         path = record if number == 1 else record.with_name(f"{record.stem}-{number}{record.suffix}")

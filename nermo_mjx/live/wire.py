@@ -1,6 +1,6 @@
-"""One controller for the twin and the robot: the loop closed over the topics of a robot, real or simulated.
+"""One controller for the twin and the robot: the control loop over the topics of a real or simulated robot.
 
-    controller ── q_values: servo angles ──► robot ── sensors_mouse: what it measures ──► controller
+    controller ── q_values: servo angles ──► robot ── sensors_mouse: measurements ──► controller
 
 Topics and messages are those of the author's ROS package (github.com/a-rohr/mouse_controller, commit 4dc4214):
 `q_values` as in `nermo_mjx.hardware.live`, and `sensors_mouse` (msg/mouse_sensors.msg), filled as in
@@ -46,7 +46,7 @@ from nermo_mjx.hardware.live import (
 )
 from nermo_mjx.hardware.log import AXIS_COUNTS
 from nermo_mjx.hardware.table import channels_of, sent_angles
-from nermo_mjx.live.driving import Appended, Driving
+from nermo_mjx.live.driving import AppendedFile, Driving
 from nermo_mjx.physics.c_engine import CBodies, CEngine
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, Sensors
@@ -63,24 +63,24 @@ SENSORS_TOPIC: Final = "sensors_mouse"
 SENSORS_TYPE: Final = "mouse_controller/mouse_sensors"
 #: Servos among `servo_pos_leg`; the others are in `servo_pos_aux`.
 _LEG_SERVOS: Final = 8
-#: Parts of `imu_sensor`, in its order, and their lengths.
+#: Parts of `imu_sensor` in the order of the message, and their lengths.
 _IMU: Final = {"position": 3, "orientation": 4, "linear_velocity": 3, "accelerometer": 3, "gyro": 3}
-#: How long a robot may say nothing before it is driven in an open loop [s].
+#: Time without any message after which a robot is driven in an open loop [s].
 SILENCE_SECONDS: Final = 2.0
-#: Speed at which servos go to the pose in which the gait begins [rad/s].
+#: Speed of the servos on their way to the initial pose of the gait [rad/s].
 APPROACH_RAD_PER_SECOND: Final = 1.0
-#: A command is this near to that pose when the gait begins [rad].
+#: Largest difference between a command and this pose at the begin of the gait [rad].
 _POSE_TOLERANCE_RAD: Final = 1e-6
-#: Without messages for this long the robot holds still [s].
+#: Time without messages after which the robot holds its pose [s].
 WATCHDOG_SECONDS: Final = 0.25
-#: Between two ticks that are further apart the robot may have been moved [s]; in slow motion they are 0.2 s apart.
+#: Time between two ticks after which the robot may have been moved [s]; in slow motion, ticks are 0.2 s apart.
 _PAUSE_SECONDS: Final = 0.5
 #: Largest number of a message that can be a measurement.
 _LARGEST_MEASUREMENT: Final = 1e4
 
 
 def needed_sensors(setup: Setup) -> set[str]:
-    """The fields of `Sensors` on which a setup's controller depends, found in its program."""
+    """The fields of `Sensors` that the compiled program of a setup's controller reads."""
     robot = setup.load()
     controller = seeing(setup.make_controller(), robot.terrain.height)
     rest = robot.sensors(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
@@ -97,7 +97,7 @@ def needed_sensors(setup: Setup) -> set[str]:
 
 
 def _numbers(value: Any, *lengths: int) -> np.ndarray:
-    """A message's list of numbers; raises `ValueError` with what is wrong with it."""
+    """The list of numbers in a message; raises `ValueError` with the reason if it is invalid."""
     try:
         numbers = np.asarray([] if value is None else value, float)
     except (TypeError, ValueError, OverflowError):
@@ -106,20 +106,21 @@ def _numbers(value: Any, *lengths: int) -> np.ndarray:
         raise ValueError("garbage")
     if numbers.ndim != 1 or len(numbers) not in lengths:
         raise ValueError("of a wrong size")
-    if not (np.abs(numbers) < _LARGEST_MEASUREMENT).all():  # NaN, too
+    if not (np.abs(numbers) < _LARGEST_MEASUREMENT).all():  # true for NaN, too
         raise ValueError("not finite")
     return numbers
 
 
-class Measured:
-    """What a robot says that it measures, message by message.
+class Measurements:
+    """The measurements of a robot, message by message.
 
     Attributes:
-        sensordata: as of the last message; what it did not tell is that of the robot at rest (n_sensordata,).
-        told: fields of `Sensors` that the last message told; empty before the first.
-        arrived: when that came [s]. since: since when they have come without a break.
-        counts: messages by what became of them: `taken`, or why they were left out.
-        needed: what a message must tell.
+        sensordata: Sensor data of the last message (n_sensordata,); missing values are those of the robot at rest.
+        reported_fields: Fields of `Sensors` in the last message; empty before the first message.
+        arrival_time: Time of the last message [s].
+        steady_since: Time since when messages have arrived without a break [s].
+        counts: Numbers of messages that were `taken`, or ignored, by reason.
+        needed: Fields that a message must contain.
     """
 
     def __init__(
@@ -131,21 +132,25 @@ class Measured:
     ) -> None:
         self.robot, self.channels, self.watchdog, self.clock = robot, channels, watchdog, clock
         at_rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
-        self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
+        self.sensordata, self.reported_fields = np.array(at_rest, float), frozenset[str]()
         self.counts = {"taken": 0}
-        self.arrived = -math.inf
-        self.since = -math.inf
+        self.arrival_time = -math.inf
+        self.steady_since = -math.inf
         self._stamp = -math.inf
         self._places, self.needed = robot.sensors(np.arange(len(self.sensordata))), set[str]()
         self.log: LinkLog | None = None
 
     def receive(self, message: Any) -> None:
-        """Take a message, or leave it out; called in the connection's thread."""
+        """Use or ignore a message; the connection's thread calls this method."""
         now = self.clock()
         try:
             readings, stamp = self._read(message)
-            # A robot that has been away may have another clock now.
-            if stamp is not None and stamp <= self._stamp and now - self.arrived <= self.watchdog:
+            # The clock of a robot may differ after a break.
+            if (
+                stamp is not None
+                and stamp <= self._stamp
+                and now - self.arrival_time <= self.watchdog
+            ):
                 raise ValueError("out of order")
         except ValueError as error:
             self.counts[str(error)] = self.counts.get(str(error), 0) + 1
@@ -153,10 +158,10 @@ class Measured:
         data = self.sensordata.copy()
         for name, values in readings.items():
             data[getattr(self._places, name)] = values
-        self.since = now if now - self.arrived > self.watchdog else self.since
+        self.steady_since = now if now - self.arrival_time > self.watchdog else self.steady_since
         self.counts["taken"] += 1
         self._stamp = -math.inf if stamp is None else stamp
-        self.sensordata, self.told, self.arrived = data, frozenset(readings), now
+        self.sensordata, self.reported_fields, self.arrival_time = data, frozenset(readings), now
         if self.log is not None:
             self.log.measured(now, stamp, readings)
 
@@ -184,7 +189,7 @@ class Measured:
             readings["orientation"] = readings["orientation"] / length
         if len(legs) + len(aux) == len(self.channels.servos):
             degrees = np.degrees([*legs, *aux])
-            readings["servo_angle"] = own_angles(self.channels, self.robot, degrees, self.pose)
+            readings["servo_angle"] = robot_angles(self.channels, self.robot, degrees, self.pose)
         if not readings or self.needed - readings.keys():
             raise ValueError("of a wrong size" if readings else "garbage")
         return readings, _stamp(message.get("header"))
@@ -196,12 +201,12 @@ class Measured:
 
     @property
     def silence(self) -> float:
-        """How long no message was taken [s]."""
-        return self.clock() - self.arrived
+        """Time since the last message that was used [s]."""
+        return self.clock() - self.arrival_time
 
 
 def _stamp(header: Any) -> float | None:
-    """Seconds of a `std_msgs/Header`, of ROS 2 or ROS 1; None without."""
+    """Time of a `std_msgs/Header` of ROS 2 or ROS 1 [s]; None if there is no header."""
     if header is None:
         return None
     try:
@@ -212,22 +217,22 @@ def _stamp(header: Any) -> float | None:
 
 
 @dataclasses.dataclass
-class Driven:
-    """How a drive went.
+class DriveReport:
+    """The report of a robot's drive.
 
     Attributes:
-        messages: of the robot, by what became of them, see `Measured`.
-        walked, held: for how long the controller ran, and for how long it stood still as there were no messages [s].
-        holds: how often it stood still.
-        sent, unsent: commands; those that the broker did not take.
-        limited: commands with an angle that was brought within its servo's limits.
-        skipped: ticks that this machine was too late for.
-        ended: why it ended early; empty if it did not.
+        messages: Numbers of the robot's messages, see `Measurements.counts`.
+        walking_seconds, holding_seconds: Duration of the walk, and of the holds because messages were missing [s].
+        holds: Number of holds.
+        sent, unsent: Numbers of commands that the broker accepted, and did not accept.
+        limited: Number of commands with an angle that was clipped to its servo's limits.
+        skipped: Number of ticks that this machine skipped because it was late.
+        ended: Reason of an early end; empty if there was none.
     """
 
     messages: dict[str, int]
-    walked: float = 0.0
-    held: float = 0.0
+    walking_seconds: float = 0.0
+    holding_seconds: float = 0.0
     holds: int = 0
     sent: int = 0
     unsent: int = 0
@@ -236,13 +241,11 @@ class Driven:
     ended: str = ""
 
     def sentences(self) -> list[str]:
-        """What happened."""
-        commands = f"It walked for {self.walked:.1f} s, and {self.sent} commands were sent"
+        """Sentences that describe the drive."""
+        commands = f"It walked for {self.walking_seconds:.1f} s, and {self.sent} commands were sent"
         limited = f", {self.limited} of them within the limits of a channel" if self.limited else ""
         hold_note = f"; {self.holds} times it stood still, as no message came" if self.holds else ""
-        heard = (
-            f"{self.messages['taken']} messages of the robot were taken{_left_out(self.messages)}."
-        )
+        heard = f"{self.messages['taken']} messages of the robot were taken{_ignored_messages(self.messages)}."
         return [
             f"{commands}{limited}{hold_note}.",
             *([heard] if any(self.messages.values()) else []),
@@ -271,7 +274,7 @@ class Driven:
         ]
 
 
-class LinkLog(Appended):
+class LinkLog(AppendedFile):
     """The log of a driven robot: FILE.csv has a row for each command and each message, when it was sent or came.
 
     FILE.yaml says what its columns are, see `hardware.log`. Messages with stamps have their own clock, which is set by
@@ -281,7 +284,7 @@ class LinkLog(Appended):
     def __init__(
         self, path: Path, channels: Channels, robot: Robot, clock: Callable[[], float]
     ) -> None:
-        """See `Appended`."""
+        """See `AppendedFile`."""
         super().__init__(path)
         self.about, self._begun, self._offset = path.with_suffix(".yaml"), clock(), math.inf
         self._robot = robot
@@ -309,8 +312,9 @@ class LinkLog(Appended):
             name: {"quantity": name, "columns": axes[name], "unit": READINGS[name].unit}
             for name in AXIS_COUNTS
         }
-        self._told = channel_specs | {"yaw": {"quantity": "yaw", "unit": READINGS["attitude"].unit}}
-        self._names = [name for key in self._told for name in axes.get(key, [key])] + ["stamp"]
+        yaw = {"quantity": "yaw", "unit": READINGS["attitude"].unit}
+        self._signals = channel_specs | {"yaw": yaw}
+        self._names = [name for key in self._signals for name in axes.get(key, [key])] + ["stamp"]
         self._counts, self._new, self._written = Counter[str](), deque[str](), b""
         self._left = (",".join(["t", *self._names]) + "\n").encode()
         self._thread.start()
@@ -336,11 +340,11 @@ class LinkLog(Appended):
         self._counts.update(row.keys())
         self._new.append(",".join([f"{now - self._begun:.6f}", *cells]) + "\n")
 
-    def _more(self) -> bytes:
+    def _new_content(self) -> bytes:
         # A channel has two samples at least.
         channel_fields = {
             name: e
-            for name, e in self._told.items()
+            for name, e in self._signals.items()
             if self._counts[e.get("columns", [name])[0]] > 1
         }
         if math.isfinite(self._offset):
@@ -357,7 +361,9 @@ class LinkLog(Appended):
         return "".join(self._new.popleft() for _ in range(len(self._new))).encode()
 
 
-def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = time.sleep) -> None:
+def wait_for_message(
+    measured: Measurements, needed: set[str], wait: Callable[[float], None] = time.sleep
+) -> None:
     """Wait for the robot's first message.
 
     Args:
@@ -369,10 +375,10 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
         ParameterError: it does not tell all that is needed.
     """
     end = measured.clock() + (ANSWER_SECONDS if needed else SILENCE_SECONDS)
-    while not measured.told and measured.clock() < end:
+    while not measured.reported_fields and measured.clock() < end:
         wait(0.01)
-    what = f"the controller reads {', '.join(sorted(needed - measured.told))}"
-    if needed and not measured.told:
+    what = f"the controller reads {', '.join(sorted(needed - measured.reported_fields))}"
+    if needed and not measured.reported_fields:
         why = "".join(
             f"; {number} messages were {what}" for what, number in measured.counts.items() if number
         )
@@ -380,9 +386,9 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
             f"no message of the robot for {ANSWER_SECONDS:g} s, and {what}: a robot without sensors walks with "
             f"the pilot open_loop{why}."
         )
-    if needed - measured.told:
+    if needed - measured.reported_fields:
         raise ParameterError(
-            f"robot does not tell all that is needed: {what}; its messages tell {', '.join(sorted(measured.told))}."
+            f"robot does not tell all that is needed: {what}; its messages tell {', '.join(sorted(measured.reported_fields))}."
         )
     measured.needed = needed
 
@@ -443,14 +449,14 @@ class RobotDriving(Driving):
         self.needed, self.operator = needed_sensors(setup), lambda: 0.0
         self._url, self._channels, self._watchdog, self._log = url, connected, watchdog, log
         self._period = 0.0 if rate is None else 1.0 / rate
-        self.measured: Measured | None = None
+        self.measured: Measurements | None = None
         super().__init__(setup, values, record=record)
 
     @contextlib.contextmanager
     def reach(self) -> Iterator[None]:
-        """The robot, which is there; for errors see `linked` and `meet`. A sentence tells what is waited for."""
+        """The robot, which is there; for errors see `linked` and `wait_for_message`. A sentence tells what is waited for."""
         measured, tell = (
-            Measured(self.simulator.robot, self._channels, self._watchdog),
+            Measurements(self.simulator.robot, self._channels, self._watchdog),
             MESSAGE_HANDLER.get(),
         )
         with linked(
@@ -458,11 +464,11 @@ class RobotDriving(Driving):
         ) as publish:
             if self._url != PRINT_ADDRESS:
                 tell(f"connected: waiting for the robot's messages on {SENSORS_TOPIC}.")
-                meet(measured, self.needed)
-                heard = f"the robot tells {', '.join(sorted(measured.told))}."
+                wait_for_message(measured, self.needed)
+                heard = f"the robot tells {', '.join(sorted(measured.reported_fields))}."
                 tell(
                     heard
-                    if measured.told
+                    if measured.reported_fields
                     else f"no message on {SENSORS_TOPIC} in {SILENCE_SECONDS:g} s: open loop."
                 )
             self.connect(measured, publish)
@@ -486,10 +492,10 @@ class RobotDriving(Driving):
         messages = self.driven.failures(factor, answers=self._url != PRINT_ADDRESS)
         return [*messages, self.failed] if self.failed else messages
 
-    def connect(self, measured: Measured, publish: Callable[[Any], None]) -> None:
+    def connect(self, measured: Measurements, publish: Callable[[Any], None]) -> None:
         """Drive the robot that has been measured from now on; `publish` sends it a message."""
         self.measured = measured
-        self.driven = Driven(messages=measured.counts)
+        self.driven = DriveReport(messages=measured.counts)
         self._publish = publish
         self._low, self._high = (
             np.array([getattr(channel, end) for channel in measured.channels])
@@ -505,7 +511,7 @@ class RobotDriving(Driving):
         if self.measured is not None:
             self._approach(self.measured)
 
-    def _approach(self, measured: Measured) -> None:
+    def _approach(self, measured: Measurements) -> None:
         self._start = self.restart(measured.sensordata)
         self._away, self._there, self._quiet = True, False, measured.clock()
         self._stepped = self._quiet
@@ -517,7 +523,7 @@ class RobotDriving(Driving):
             SendError: nothing was heard for `ANSWER_SECONDS`.
         """
         if self.measured is not None:
-            self._look(self.operator())
+            self._check_presence(self.operator())
             self._away = True
             self._check()
 
@@ -525,15 +531,15 @@ class RobotDriving(Driving):
         if self.driven.ended:
             raise SendError(self.driven.ended)
 
-    def _look(self, operator: float) -> None:
+    def _check_presence(self, operator: float) -> None:
         """Whether robot and operator are there."""
         measured, driven = self.measured, self.driven
         assert measured is not None
-        silence = max(measured.silence if measured.told else 0.0, operator)
+        silence = max(measured.silence if measured.reported_fields else 0.0, operator)
         if silence > ANSWER_SECONDS:
             driven.ended = f"no message {'of the robot ' if operator < silence else ''}for {ANSWER_SECONDS:g} s"
         elif silence > measured.watchdog:
-            driven.holds += driven.walked > 0.0 and not self._away
+            driven.holds += driven.walking_seconds > 0.0 and not self._away
             self._away, self._quiet = True, measured.clock()
 
     def step(self, operator: float = 0.0) -> None:
@@ -544,26 +550,26 @@ class RobotDriving(Driving):
         """
         measured, driven, dt = self.measured, self.driven, self.dt
         assert measured is not None
-        self._look(operator)
+        self._check_presence(operator)
         if driven.ended:
             return
         now, before = measured.clock(), self._stepped
         self._stepped, self._away = now, self._away or now - before > _PAUSE_SECONDS
         if (
             self._away
-            and measured.told
-            and now - max(self._quiet, measured.since) < measured.watchdog
+            and measured.reported_fields
+            and now - max(self._quiet, measured.steady_since) < measured.watchdog
         ):
-            driven.held += dt
+            driven.holding_seconds += dt
             return
         if self._away:
-            self.pose = measured.pose if "servo_angle" in measured.told else self.pose
+            self.pose = measured.pose if "servo_angle" in measured.reported_fields else self.pose
             self._away = self._there = False
         elif self._there:
             self.pose = self._start = self.targets(
                 np.tile(measured.sensordata, (self.steps_per_tick, 1))
             )
-            driven.walked += dt
+            driven.walking_seconds += dt
         else:
             self.pose = self.pose + np.clip(
                 self._start - self.pose, -APPROACH_RAD_PER_SECOND * dt, APPROACH_RAD_PER_SECOND * dt
@@ -576,7 +582,7 @@ class RobotDriving(Driving):
             self._send_due = max(self._send_due + self._period, self._slots * dt)
             self._send(measured)
 
-    def _send(self, measured: Measured) -> None:
+    def _send(self, measured: Measurements) -> None:
         channels, driven = measured.channels, self.driven
         if not np.isfinite(self.pose).all():
             driven.ended = "the controller asks for an angle that is not a number"
@@ -599,7 +605,7 @@ class RobotDriving(Driving):
 
     def run(
         self, seconds: float | None = None, wait: Callable[[float], None] = time.sleep
-    ) -> Driven:
+    ) -> DriveReport:
         """Drive in real time, without a page.
 
         Args:
@@ -610,7 +616,7 @@ class RobotDriving(Driving):
         assert measured is not None
         due = measured.clock()
         with contextlib.suppress(KeyboardInterrupt):
-            while not driven.ended and (seconds is None or driven.walked < seconds - 1e-9):
+            while not driven.ended and (seconds is None or driven.walking_seconds < seconds - 1e-9):
                 early = due - measured.clock()
                 if early > 1e-6:
                     wait(early)
@@ -623,7 +629,7 @@ class RobotDriving(Driving):
                 due += dt
         return driven
 
-    def _next(self) -> Float[np.ndarray, " n_servos"]:
+    def _next_targets(self) -> Float[np.ndarray, " n_servos"]:
         self.step(self.operator())
         self._check()
         return self.pose
@@ -638,7 +644,7 @@ class RobotDriving(Driving):
         return simulated if self.measured is None else (*simulated[:3], self.measured.sensordata)
 
 
-class Way:
+class LossyLink:
     """Messages on their way: some get lost, and each takes between half and one and a half times `delay` [s], so that
     some overtake others."""
 
@@ -655,7 +661,7 @@ class Way:
         if not lost:
             heapq.heappush(self._under_way, (due, self.messages, message))
 
-    def arrived(self, now: float) -> Iterator[Any]:
+    def arrivals(self, now: float) -> Iterator[Any]:
         """Those that have arrived, in the order of arrival."""
         while self.next <= now:
             yield heapq.heappop(self._under_way)[2]
@@ -704,7 +710,7 @@ class SimulatedRobot:
         self._start, self._clock, self._heard, self._ticks = start.position, clock, math.nan, 0
         self._counts, self._received = Counter[str](), queue.SimpleQueue[tuple[float, Any]]()
         self._inward, self.outward = (
-            Way(delay, loss, np.random.default_rng(seed)) for seed in (0, 1)
+            LossyLink(delay, loss, np.random.default_rng(seed)) for seed in (0, 1)
         )
 
     def receive(self, message: Any) -> None:
@@ -715,9 +721,9 @@ class SimulatedRobot:
         """A tick that begins at a time [s], with the commands that have arrived by then."""
         while not self._received.empty():
             self._inward.put(*self._received.get())
-        for message in self._inward.arrived(now):
+        for message in self._inward.arrivals(now):
             try:
-                self._target = _commanded(message, self._channels, self.robot, self._target)
+                self._target = _commanded_angles(message, self._channels, self.robot, self._target)
                 self._heard = now
                 self._counts["taken"] += 1
             except ValueError as error:
@@ -741,7 +747,7 @@ class SimulatedRobot:
             begun = self._clock()
             while seconds is None or self._ticks * self.dt < seconds - 1e-9:
                 now, due = self._clock(), begun + self._ticks * self.dt
-                for message in self.outward.arrived(now):
+                for message in self.outward.arrivals(now):
                     with contextlib.suppress(NotSentError):
                         publish(message)
                 if now < due:
@@ -775,11 +781,11 @@ class SimulatedRobot:
         far = f"got {1e3 * description['distance']:.0f} mm far; its tilt is {math.degrees(description['tilt']):.0f} degrees"
         return [
             f"The simulated robot was there for {description['seconds']:.1f} s, and {far}.",
-            f"{description['commands'].get('taken', 0)} commands were taken{last}{_left_out(description['commands'])}.",
+            f"{description['commands'].get('taken', 0)} commands were taken{last}{_ignored_messages(description['commands'])}.",
         ]
 
 
-def _left_out(counts: Mapping[str, int]) -> str:
+def _ignored_messages(counts: Mapping[str, int]) -> str:
     """What became of messages that were not taken, as the end of a sentence."""
     listing = ", ".join(
         f"{count} {reason}" for reason, count in counts.items() if count and reason != "taken"
@@ -787,7 +793,9 @@ def _left_out(counts: Mapping[str, int]) -> str:
     return listing and f"; left out: {listing}"
 
 
-def _commanded(message: Any, channels: Channels, robot: Robot, previous: np.ndarray) -> np.ndarray:
+def _commanded_angles(
+    message: Any, channels: Channels, robot: Robot, previous: np.ndarray
+) -> np.ndarray:
     """The servos' angles of a message [rad]; servos that it does not name stay where they are."""
     value, in_radians = (
         (message.get("data"), True) if isinstance(message, dict) else (message, False)
@@ -797,11 +805,11 @@ def _commanded(message: Any, channels: Channels, robot: Robot, previous: np.ndar
     angles = _numbers(value, len(channels.servos))
     degrees = np.degrees(angles) if in_radians else angles
     return np.clip(
-        own_angles(channels, robot, degrees, previous), *robot.model.actuator_ctrlrange.T
+        robot_angles(channels, robot, degrees, previous), *robot.model.actuator_ctrlrange.T
     )
 
 
-def own_angles(
+def robot_angles(
     channels: Channels, robot: Robot, degrees: np.ndarray, before: np.ndarray
 ) -> np.ndarray:
     """The robot's servo angles [rad] of what its channels say [deg], the inverse of `sent_angles`."""

@@ -454,7 +454,7 @@ def _read_method(doc: Document, chosen_method: SearchMethod | None, aim: Aim) ->
     return method
 
 
-# This function is long because the fields of the file are checked in their order.
+# Long because the fields of the file are checked in their order.
 def _read_search(doc: Document) -> Search:
     with known_names(doc):
         doc = written_out(doc)

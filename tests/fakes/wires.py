@@ -18,7 +18,7 @@ import numpy as np
 from tiers import needs
 
 from nermo_mjx.hardware import Channels, read_channels
-from nermo_mjx.live.wire import Measured, RobotDriving, SimulatedRobot, sensor_message
+from nermo_mjx.live.wire import Measurements, RobotDriving, SimulatedRobot, sensor_message
 
 #: The author's order, with angles that are not cut to whole degrees.
 CHANNELS = dataclasses.replace(read_channels("published"), whole_degrees=None)
@@ -60,7 +60,7 @@ class Together:
     ) -> None:
         self.clock, self.silent = Clock(), False
         self.body = SimulatedRobot(driving.setup, values or {}, channels, delay, loss, self.clock)
-        self.measured = Measured(self.body.robot, channels, clock=self.clock)
+        self.measured = Measurements(self.body.robot, channels, clock=self.clock)
         self.commands: list[np.ndarray] = []
         self.body.outward.put(
             -1.0, sensor_message(self.body.robot, channels, self.body._readings[0, -1], 0.0)
@@ -77,7 +77,7 @@ class Together:
         self.body.receive(message)
 
     def tell(self) -> None:
-        for message in self.body.outward.arrived(self.clock() + 1e-9):
+        for message in self.body.outward.arrivals(self.clock() + 1e-9):
             if not self.silent:
                 self.measured.receive(message)
 

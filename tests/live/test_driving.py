@@ -29,7 +29,7 @@ from websockets.sync.client import connect
 
 from nermo_mjx.control.controller import published_controller
 from nermo_mjx.control.schedule import Switch
-from nermo_mjx.live.driving import Driving, difference, replayed
+from nermo_mjx.live.driving import Driving, difference, replay_drive
 from nermo_mjx.live.server import MAX_CONNECTIONS, REPLACEMENT_CODE, LiveDrive, free
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
@@ -314,7 +314,7 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
             driving.push(1, (1.5, 0.0, 0.5), 0.2)
         driving.tick()
     recording = Recording.load(driving.recording().save(tmp_path / "drive.npz"))
-    replayed_recording = replayed(recording)
+    replayed_recording = replay_drive(recording)
     assert difference(recording, replayed_recording) is None
     assert json_of("replay", tmp_path / "drive.npz")["equal"]
     # What happened mattered.
@@ -322,9 +322,9 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
     calm_recording = Recording(
         **{**vars(recording), "metadata": {**recording.metadata, "driven": calm}}
     )
-    assert difference(recording, replayed(calm_recording)) == pytest.approx(0.71)
+    assert difference(recording, replay_drive(calm_recording)) == pytest.approx(0.71)
     with pytest.raises(RecordingError, match="not of a drive"):
-        replayed(Recording(**{**vars(recording), "metadata": {}}))
+        replay_drive(Recording(**{**vars(recording), "metadata": {}}))
     table = json_of("servos", "--recording", tmp_path / "drive.npz", "--out", tmp_path / "t.csv")
     assert table["rows"] > 50
 
@@ -557,7 +557,7 @@ def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
     for k, (ticks, content) in enumerate(copies):
         torn = content + (b"\0" * 4096 if k % 2 else b'{"commands": [[1')
         (tmp_path / "cut.jsonl").write_bytes(torn)
-        replayed_recording = replayed(tmp_path / "cut.jsonl")
+        replayed_recording = replay_drive(tmp_path / "cut.jsonl")
         assert ticks - 100 <= len(replayed_recording.time) <= len(recording.time)
         assert (
             difference(recording.between(0.0, replayed_recording.time[-1]), replayed_recording)
@@ -593,7 +593,7 @@ def test_a_full_disk_stops_time_until_there_is_room(recorded, tmp_path):
     journal._file = real
     until(lambda: journal.error is None)
     said(page, condition=lambda state: not state["paused"], pause=False)
-    until(lambda: len(replayed(tmp_path / "d.jsonl").metadata["driven"]["commands"]) == 1)
+    until(lambda: len(replay_drive(tmp_path / "d.jsonl").metadata["driven"]["commands"]) == 1)
 
 
 @pytest.mark.release
@@ -613,7 +613,7 @@ def test_where_the_recording_cannot_be_written_the_journal_stays(recorded, tmp_p
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d-2.jsonl", "d.jsonl"]
     assert "d-2.jsonl, for `nermo-mjx replay`" in live_drive.failure
     for name in ("d.jsonl", "d-2.jsonl"):
-        assert len(replayed(tmp_path / name).time) > 20
+        assert len(replay_drive(tmp_path / name).time) > 20
 
 
 @pytest.mark.release
@@ -675,7 +675,7 @@ def test_a_drive_outlives_every_signal(number, tmp_path):
     remaining_file = tmp_path / ("d.jsonl" if number == signal.SIGKILL else "d.npz")
     assert [path.name for path in tmp_path.iterdir()] == [remaining_file.name]
     assert process.returncode == (-9 if number == signal.SIGKILL else 0)
-    replayed_recording = replayed(
+    replayed_recording = replay_drive(
         remaining_file if number == signal.SIGKILL else Recording.load(remaining_file)
     )
     assert replayed_recording.time[-1] > driven - 1.0
@@ -763,4 +763,4 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
     assert paused(drive)
     path = drive.driving.recording().save(Path(drive.record).with_name("browser.npz"))
     recording = Recording.load(path)
-    assert difference(recording, replayed(recording)) is None
+    assert difference(recording, replay_drive(recording)) is None

@@ -28,18 +28,18 @@ from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import read_channels, read_log
 from nermo_mjx.hardware.live import ANSWER_SECONDS, ROS_TYPE, TOPIC, NotSentError, SendError, linked
 from nermo_mjx.hardware.signals import findings_of
-from nermo_mjx.live.driving import Journal, replayed
+from nermo_mjx.live.driving import Journal, replay_drive
 from nermo_mjx.live.server import LiveDrive
 from nermo_mjx.live.wire import (
     APPROACH_RAD_PER_SECOND,
     SENSORS_TOPIC,
-    Driven,
+    DriveReport,
     LinkLog,
-    Measured,
+    Measurements,
     RobotDriving,
-    meet,
     needed_sensors,
     sensor_message,
+    wait_for_message,
 )
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import ParameterError, load_robot
@@ -89,8 +89,8 @@ def stamped(seconds: float, **fields: Any) -> dict[str, Any]:
 
 def test_the_authors_message_is_read_by_meaning() -> None:
     robot, clock = load_robot(), wires.Clock()
-    measured = Measured(robot, CHANNELS, clock=clock)
-    assert not measured.told
+    measured = Measurements(robot, CHANNELS, clock=clock)
+    assert not measured.reported_fields
     measured.receive(AUTHORS)
     sensors = robot.sensors(measured.sensordata)
     legs = dict(
@@ -105,9 +105,9 @@ def test_the_authors_message_is_read_by_meaning() -> None:
     np.testing.assert_array_equal(sensors.accelerometer, [0.0, 0.1, 9.8])
     np.testing.assert_array_equal(sensors.gyro, [0.4, 0.5, 0.6])
     imu = {"position", "orientation", "linear_velocity", "accelerometer", "gyro"}
-    assert measured.told == imu | {"servo_angle", "foot_force"}
+    assert measured.reported_fields == imu | {"servo_angle", "foot_force"}
     measured.receive({"imu_sensor": AUTHORS["imu_sensor"]})
-    assert "servo_angle" not in measured.told
+    assert "servo_angle" not in measured.reported_fields
 
 
 def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
@@ -116,7 +116,7 @@ def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
     channels = read_channels(
         {"spine": {"channel": 0, "direction": -1, "zero": 90}, "tail": {"channel": 1, "zero": 10}}
     )
-    measured = Measured(robot, channels)
+    measured = Measurements(robot, channels)
     measured.receive({"servo_pos_leg": np.radians([80.0, 15.0]).tolist()})
     assert np.degrees(measured.pose[robot.servos.index("spine")]) == pytest.approx(10.0)
     assert np.degrees(measured.pose[robot.servos.index("tail")]) == pytest.approx(5.0)
@@ -151,17 +151,17 @@ def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
     ],
 )
 def test_what_is_no_measurement_is_left_out_and_counted(message: Any, why: str) -> None:
-    measured = Measured(load_robot(), CHANNELS)
+    measured = Measurements(load_robot(), CHANNELS)
     sensordata = measured.sensordata
     measured.receive(message)
     assert measured.counts == {"taken": 0, why: 1}
     assert measured.sensordata is sensordata
-    assert not measured.told
+    assert not measured.reported_fields
 
 
 def test_a_message_that_was_overtaken_is_left_out() -> None:
     clock = wires.Clock()
-    measured = Measured(load_robot(), CHANNELS, clock=clock)
+    measured = Measurements(load_robot(), CHANNELS, clock=clock)
     for seconds, feet in ((5.00, 1.0), (5.02, 2.0), (5.01, 3.0), (5.02, 4.0), (5.03, 5.0)):
         measured.receive(stamped(seconds, contact_sensors=[feet] * 4))
         clock.wait(0.01)
@@ -179,19 +179,19 @@ def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
     assert needed_sensors(Setup()) >= {"position", "orientation"}
     assert "gyro" in needed_sensors(Setup(pilot="open_loop", head="gaze"))
     clock = wires.Clock()
-    measured = Measured(load_robot(), CHANNELS, clock=clock)
-    meet(measured, set(), clock.wait)
+    measured = Measurements(load_robot(), CHANNELS, clock=clock)
+    wait_for_message(measured, set(), clock.wait)
     measured.receive("nonsense")
     with pytest.raises(
         SendError, match=r"no message .* for 5 s.*position.*open_loop; 1 messages were garbage"
     ):
-        meet(measured, {"position"}, clock.wait)
+        wait_for_message(measured, {"position"}, clock.wait)
     measured.receive({"contact_sensors": [0.0] * 4})
     with pytest.raises(
         ParameterError, match="the controller reads position; its messages tell foot_force"
     ):
-        meet(measured, {"position", "foot_force"}, clock.wait)
-    meet(measured, {"foot_force"}, clock.wait)
+        wait_for_message(measured, {"position", "foot_force"}, clock.wait)
+    wait_for_message(measured, {"foot_force"}, clock.wait)
     measured.receive({"servo_pos_leg": [0.0] * 8, "servo_pos_aux": [0.0] * 4})
     assert measured.counts["of a wrong size"] == 1, (
         "what the controller reads may not be left out later"
@@ -230,7 +230,7 @@ def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(drivi
     assert begins > 20, "the poses at phases 0 and 1/2 are that far apart"
     assert steps[:begins].max() <= APPROACH_RAD_PER_SECOND * driving.dt + 1e-5
     assert np.abs(link_pair.commands[0][[0, 2, 4, 6]] - start_pose[:4]).max() < 1e-4
-    assert driving.driven.walked == pytest.approx(
+    assert driving.driven.walking_seconds == pytest.approx(
         (len(link_pair.commands) - begins) * driving.dt, abs=0.05
     )
     top = np.radians(np.degrees(driving.batch.params.servo.top_speed[0])) * driving.dt
@@ -249,7 +249,9 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> Non
     link_pair.walk(2.0)
     assert len(link_pair.commands) - command_count <= link_pair.measured.watchdog / driving.dt + 2
     assert driving.driven.holds == 1
-    assert driving.driven.held == pytest.approx(2.0, abs=0.05), "with the wait at the start"
+    assert driving.driven.holding_seconds == pytest.approx(2.0, abs=0.05), (
+        "with the wait at the start"
+    )
     assert link_pair.body.about["distance"] - distance < 0.05
     assert link_pair.body.about["tilt"] < 0.2
     link_pair.silent = False
@@ -272,8 +274,8 @@ def test_after_a_pause_the_robot_is_approached_from_where_it_is(
     """Its power was off meanwhile, or somebody has moved it; whether or not the loop has looked after it."""
     link_pair = Together(driving)
     link_pair.walk(2.0)
-    assert driving.driven.walked > 1.0
-    rest_sensors = np.array(Measured(link_pair.body.robot, CHANNELS).sensordata)
+    assert driving.driven.walking_seconds > 1.0
+    rest_sensors = np.array(Measurements(link_pair.body.robot, CHANNELS).sensordata)
     for k in range(300):
         link_pair.clock.now += driving.dt
         if not silent or k > 200:
@@ -329,7 +331,7 @@ def test_the_journal_of_a_robots_drive_has_its_samples(driving, tmp_path) -> Non
         link_pair.body.tick(link_pair.clock())
         link_pair.clock.now += driving.dt
     journal.end(keep=True)
-    recording, replayed_recording = driving.recording(), replayed(tmp_path / "d.jsonl")
+    recording, replayed_recording = driving.recording(), replay_drive(tmp_path / "d.jsonl")
     for name in ("time", "qpos", "qvel", "ctrl"):
         np.testing.assert_array_equal(getattr(replayed_recording, name), getattr(recording, name))
     np.testing.assert_array_equal(
@@ -342,9 +344,9 @@ def test_an_operator_who_is_away_is_as_silent_as_a_robot(driving) -> None:
     link_pair = Together(driving)
     link_pair.walk(0.5)
     driving.step(operator=0.1)
-    walked = driving.driven.walked
+    walked = driving.driven.walking_seconds
     driving.step(operator=0.3)
-    assert (driving.driven.walked, driving.driven.holds) == (walked, 1)
+    assert (driving.driven.walking_seconds, driving.driven.holds) == (walked, 1)
     driving.step(operator=6.0)
     assert driving.driven.ended == "no message for 5 s"
 
@@ -355,7 +357,7 @@ class Posed(RobotDriving):
     def __init__(self, url: str) -> None:
         self._url = url
 
-    def _approach(self, measured: Measured) -> None:
+    def _approach(self, measured: Measurements) -> None:
         self._start = measured.pose
 
 
@@ -366,7 +368,7 @@ def test_a_command_beyond_the_limits_of_a_servo_is_sent_at_its_limit() -> None:
         "neck": {"channel": 1},
     }
     robot, angles_of_commands, drive = load_robot(), list[list[float]](), Posed("mqtt://localhost")
-    measured = Measured(robot, read_channels(wired))
+    measured = Measurements(robot, read_channels(wired))
     drive.connect(measured, angles_of_commands.append)
     for spine, neck in ((5.0, 40.0), (25.0, 40.0), (-25.0, 40.0)):
         drive.pose = np.zeros(len(robot.servos))
@@ -470,18 +472,18 @@ def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) ->
     np.testing.assert_array_equal(
         recording.sensors["position"][-1], link_pair.measured.sensordata[:3]
     )
-    assert driving.driven.walked > 1.9
+    assert driving.driven.walking_seconds > 1.9
     with pytest.raises(RecordingError, match="the recording is not of a drive"):
-        replayed(recording)
+        replay_drive(recording)
     driving.reset()
     drive(0.5)
     assert np.abs(np.diff(commands, axis=0)).max() < 0.2, (
         "no jump, but for what servos differ from what they were told"
     )
     monkeypatch.setattr(driving, "operator", lambda: 0.3)
-    walked = driving.driven.walked
+    walked = driving.driven.walking_seconds
     drive(0.2)
-    assert driving.driven.walked == walked
+    assert driving.driven.walking_seconds == walked
     monkeypatch.setattr(driving, "operator", lambda: 6.0)
     with pytest.raises(SendError, match="no message for 5 s"):
         driving.tick()
@@ -543,7 +545,7 @@ def test_a_log_on_a_full_disk_is_told_and_the_drive_goes_on(driving, monkeypatch
     with driving.reach():
         driving.measured.log._file = Full()
         driving.run(0.3)
-    assert driving.driven.walked == pytest.approx(0.3)
+    assert driving.driven.walking_seconds == pytest.approx(0.3)
     assert driving.failures() == [
         f"{tmp_path / 'robot.csv'}: the log cannot be written (No space left on device)."
     ]
@@ -568,22 +570,22 @@ def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) 
 @pytest.mark.parametrize(
     ("driven", "factor", "sentences"),
     [
-        (Driven({"taken": 99}, walked=5.0, sent=100), 1.0, []),
+        (DriveReport({"taken": 99}, walking_seconds=5.0, sent=100), 1.0, []),
         (
-            Driven({"taken": 0}, walked=5.0, sent=100),
+            DriveReport({"taken": 0}, walking_seconds=5.0, sent=100),
             1.0,
             ["The robot never answered on sensors_mouse: it was"],
         ),
         (
-            Driven({"taken": 9}, sent=151, skipped=284),
+            DriveReport({"taken": 9}, sent=151, skipped=284),
             1.0,
             ["65% of the commands were late and left out: this machine"],
         ),
-        (Driven({"taken": 9}, sent=100), 0.25, ["75% of the commands were late and left out"]),
-        (Driven({"taken": 9}, sent=100, skipped=9), 0.99, []),
-        (Driven({"taken": 9}, sent=50, unsent=30), 1.0, ["30 commands were not taken."]),
+        (DriveReport({"taken": 9}, sent=100), 0.25, ["75% of the commands were late and left out"]),
+        (DriveReport({"taken": 9}, sent=100, skipped=9), 0.99, []),
+        (DriveReport({"taken": 9}, sent=50, unsent=30), 1.0, ["30 commands were not taken."]),
         (
-            Driven({"taken": 9}, sent=9, ended="no message of the robot for 5 s"),
+            DriveReport({"taken": 9}, sent=9, ended="no message of the robot for 5 s"),
             1.0,
             ["No message of the robot for 5 s."],
         ),
@@ -606,7 +608,7 @@ def test_sentences_of_both_sides(driving) -> None:
     walked, heard = driving.driven.sentences()
     assert (
         walked
-        == f"It walked for {driving.driven.walked:.1f} s, and {len(link_pair.commands)} commands were sent."
+        == f"It walked for {driving.driven.walking_seconds:.1f} s, and {len(link_pair.commands)} commands were sent."
     )
     assert (
         heard
@@ -713,7 +715,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
         .recording()
         .sensors["position"]
     )
-    measured, times = Measured(load_robot(), CHANNELS), list[float]()
+    measured, times = Measurements(load_robot(), CHANNELS), list[float]()
     with (
         linked(wire, "listener", ROS_TYPE, SENSORS_TOPIC, measured.receive) as _,
         linked(
@@ -723,7 +725,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
             "--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels
         ) as robot,
     ):
-        until(lambda: measured.told)
+        until(lambda: measured.reported_fields)
         with process(*walking(wire, channels), "--seconds", "8") as drive:
             out, err = drive.communicate(timeout=180)
         assert drive.returncode == 0, err
@@ -748,7 +750,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
 @in_real_time
 def test_when_either_side_is_killed_the_other_stops(wire, channels, driving, monkeypatch) -> None:
     """The controller, and the robot stands still upright; then the robot, and the next controller holds and ends."""
-    measured, commands = Measured(load_robot(), CHANNELS), []
+    measured, commands = Measurements(load_robot(), CHANNELS), []
     position_of_robot = lambda: measured.robot.sensors(measured.sensordata)  # noqa: E731
 
     def taken(message: Any) -> None:
@@ -760,7 +762,7 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, driving, mon
         linked(wire, "listener", ROS_TYPE, TOPIC, taken) as _,
         process("--serve", wire, "--channels", channels) as robot,
     ):
-        until(lambda: measured.told)
+        until(lambda: measured.reported_fields)
         start = position_of_robot().position
         with process(*walking(wire, channels)) as drive:
             until(lambda: np.linalg.norm(position_of_robot().position - start) > 0.1)
@@ -773,9 +775,9 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, driving, mon
         assert np.linalg.norm(position_of_robot().position - stood) < 0.002, "it stands"
         assert position_of_robot().position[2] > 0.04, "upright"
 
-        mine, driven = Measured(load_robot(), CHANNELS), []
+        mine, driven = Measurements(load_robot(), CHANNELS), []
         with linked(wire, TOPIC, ROS_TYPE, SENSORS_TOPIC, mine.receive) as publish:
-            meet(mine, {"position"})
+            wait_for_message(mine, {"position"})
             monkeypatch.setattr(driving, "_url", wire)
             driving.connect(mine, publish)
             thread = threading.Thread(target=lambda: driven.append(driving.run()))
