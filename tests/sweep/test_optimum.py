@@ -104,11 +104,11 @@ def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landsca
     """400 landscapes with a known optimum: a standard error of a hundredth. The region holds it 95 times of 100 where
     all points are alike, which is the case that the method is made for, and more often where most are worse."""
     shares_found = shares(landscape, noise, budget)
-    assert 0.93 <= shares_found["region holds it"] <= (0.98 if landscape == "plateau" else 0.995), (
-        shares_found
-    )
+    # Of skewed noise the variances of the points differ by chance, which makes their margins wider than they need be.
+    most = 0.98 if (landscape, noise) == ("plateau", "normal") else 0.999
+    assert 0.93 <= shares_found["region holds it"] <= most, shares_found
     assert shares_found["points"] <= (
-        48 if landscape == "plateau" else 14 if noise == "normal" else 16
+        48 if landscape == "plateau" else 14 if noise == "normal" else 19
     ), shares_found
     # Differences of two skewed sides are symmetric with long tails, where Student's t is a little too wide.
     assert (
