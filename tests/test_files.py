@@ -287,8 +287,8 @@ def kinds_of_files(
     }
 
     def journal() -> Any:
-        metadata, _ = driving._told(top / "drive.jsonl")
-        return driving._setup(metadata, None)
+        metadata, _ = driving._read_drive(top / "drive.jsonl")
+        return driving._make_setup(metadata, None)
 
     kinds: dict[str, tuple[Path, list[Any], Callable[[], Any]]] = {
         "journal": (

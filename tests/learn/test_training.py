@@ -128,9 +128,9 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(
     former_names = sorted(path.name for path in out.rglob("*"))
     for name, replacement in {
         "load_policy": None,
-        "recorded": [("flat", falling())],
+        "record_walks": [("flat", falling())],
         "parquet_table": None,
-        "summary_of": {"flat": {"policy": numbers, "alone": numbers | {"success": 0.5}}},
+        "summarize_walks": {"flat": {"policy": numbers, "alone": numbers | {"success": 0.5}}},
     }.items():
         monkeypatch.setattr(
             f"nermo_mjx.view.trained.{name}", lambda *_, replacement=replacement: replacement

@@ -118,9 +118,9 @@ def stars(figure):
 
 
 @pytest.mark.release
-def test_a_tuning_leaves_its_figures(drawn):
+def test_a_tuning_leaves_its_figures(drawn_starts):
     """PNG and SVG of each, and no blank picture."""
-    result, _ = drawn
+    result, _ = drawn_starts
     names = [
         f"{name}.{form}"
         for name in ("objective", "parameters", "gradients", "path")
@@ -244,9 +244,9 @@ def walked(tuning, out, walker):
 
 
 @pytest.mark.release
-def test_the_landscape_is_a_sweep_of_the_grid(drawn):
+def test_the_landscape_is_a_sweep_of_the_grid(drawn_starts):
     """17 x 16 walks of both parameters, the circle's end being its beginning; values are the objective's."""
-    result, _ = drawn
+    result, _ = drawn_starts
     table = read_table(next((result.out / "landscape").iterdir()))
     amplitude, phase = (table.column(name).to_numpy() for name in result.tuning.names)
     np.testing.assert_allclose([amplitude.min(), amplitude.max()], [0.0004, 0.3996])
