@@ -567,7 +567,7 @@ def run(settings: Settings) -> CaseRuns:
         """The model that gives the centre of mass."""
         return compile_model(robot, dict(masses))
 
-    radii = worlds.on_body.get("geometry.foot.radius", np.full(len(ticks), FOOT_RADIUS))
+    radii = worlds.on_body.get("geometry.foot.radius", [FOOT_RADIUS] * len(ticks))
     rows, recordings = [], {}
     for i, (row, length, ratio) in enumerate(zip(worlds.labels, ticks, worlds.ratios, strict=True)):
         masses = [(name, column) for name, column in worlds.on_body.items() if name[:5] == "mass."]
@@ -575,10 +575,8 @@ def run(settings: Settings) -> CaseRuns:
         limb, time = worlds.limbs[i], (1 + np.arange(length)) * loop.dt
         sensors = {name: column[i, :length] for name, column in arrays.items()}
         limb_readings = readings(limb, model, traces[0][i, :length], sensors)
-        labels, row = (
-            row,
-            row | measure(limb, time / ratio, sensors, limb_readings, float(radii[i])),
-        )
+        labels = row
+        row = row | measure(limb, time / ratio, sensors, limb_readings, radii[i])
         ground = np.asarray(kinematics.feet_positions(float(bends[i]), feet, Geometry()))
         com = np.asarray(kinematics.centre_of_mass(robot.mass_model, float(bends[i]), Geometry()))
         margin = inside(limb, com[None], ground[None])[0]  # (5.35)

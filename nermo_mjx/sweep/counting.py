@@ -237,8 +237,9 @@ def two_stage(
         cell: the cell of each run, (n,), from 0 to c - 1; runs of a cell are exchangeable.
         variant: the variant of each cell, (c,), from 0 to v - 1.
         group: the group of each variant, (v,), from 0 to g - 1; none is empty. Without it, all are one.
-        observed: Values of each metric (k, m) whose smallest difference is its resolution, by default `values`. The noise
-            of a cell of a few equal values is that of rounding to it: they do not make a certain mean.
+        observed: Values of each metric (k, m) whose smallest difference is its resolution. The noise of a cell of a few
+            equal values is that of rounding to it, so that they do not make a certain mean. By default `values`; the
+            resolution of values that are all equal is then their magnitude, and 1 for zeros.
     """
     cells, variants = len(variant), int(variant.max()) + 1
     owner_group = np.zeros(variants, int) if group is None else group
@@ -251,7 +252,7 @@ def two_stage(
     mean = sums(values, cell, cells) / count
     rounding = 1e-12 * np.abs(values).max(axis=0)
     noise = sums(_without(values - mean[cell], rounding) ** 2, cell, cells) / (count * freedom)
-    tied = (noise == 0.0) & (count <= _FEW_RUNS)
+    tied = (noise == 0.0) & (count > 1) & (count <= _FEW_RUNS)
     for metric in np.flatnonzero(tied.any(axis=0)):
         resolution = (
             resolution_of(values[:, metric]) or float(np.abs(values[:, metric]).max()) or 1.0

@@ -508,16 +508,13 @@ def _measured(
         rows = best.row.to_numpy().astype(int)
         difference = second - first
         interval = _mean_of_pairs(difference, samples[rows], observed)
-        relative = Interval(*(bound / scale for bound in interval))
+        relative, gains = Interval(*(bound / scale for bound in interval)), difference / scale
         if math.isfinite(scale) and (first * second > 0.0).all():
-            ratios = np.log(second / first)
-            logarithms = np.log(np.abs(observed))
-            relative = Interval(
-                *(np.expm1(bound) for bound in _mean_of_pairs(ratios, samples[rows], logarithms))
-            )
+            gains = second / first - 1.0
+            logarithms = _mean_of_pairs(np.log1p(gains), samples[rows], np.log(np.abs(observed)))
+            relative = Interval(*(np.expm1(bound) for bound in logarithms))
         line["outliers"] = int(_outliers(difference).sum())
         if explanation is not None and np.ptp(explanation[rows]) > 0.0 and math.isfinite(scale):
-            gains = second / first - 1.0 if (first * second > 0.0).all() else difference / scale
             fit = stats.linregress(explanation[rows], gains)
             line |= {"slope": float(fit.slope), "r2": float(fit.rvalue**2)}
     names = ("difference", "low", "high", "p", "relative", "relative_low", "relative_high")

@@ -2,8 +2,8 @@
 
 Hsu (Ann. Stat. 12, 1984): a point may be the best unless its mean is further below the highest one than the largest
 of its differences to the others would be by chance. Runs of a repeat share their draws, and count by their distance
-from the best point's value in this repeat (Nelson and Matejcik, Manage. Sci. 41, 1995). Each difference has its own
-variance, moderated by those of the others. Points far below are left out first, at a tenth of the error, so that neither
+from the repeat's mean (Nelson and Matejcik, Manage. Sci. 41, 1995). The noise of each point has its own variance,
+moderated by those of the others. Points far below are left out first, at a tenth of the error, so that neither
 their number nor their noise counts.
 """
 
@@ -25,6 +25,8 @@ from nermo_mjx.sweep.spec import SoughtOptimum
 EARLY: Final = 0.01
 #: Share of a look's error that the points far below take.
 _SCREENED: Final = 0.1
+#: Steps in which the weights of the points in the means of repeats are found.
+_REWEIGHTINGS: Final = 3
 
 
 @functools.lru_cache(4096)
@@ -69,49 +71,73 @@ def undistinguished(values: np.ndarray, level: float = CONFIDENCE_LEVEL) -> np.n
     skew = _skewness(values) / math.sqrt(len(values))
     for share in (_SCREENED, 1 - _SCREENED):
         if (contender_count := int(contenders.sum())) > 1:
-            others = contenders.copy()
-            others[best] = False
-            variance, freedom = moderated_variance(
-                (values[:, [best]] - values[:, others]).var(axis=0, ddof=1), len(values) - 1
-            )
+            variance, freedom = _noise_variance(values[:, contenders])
+            difference_variance = np.zeros(len(mean))
+            difference_variance[contenders] = variance
+            difference_variance += difference_variance[best]
             margin = hsu_margin(
                 contender_count, freedom, 1 - share * (1 - level), round(skew, 1)
-            ) * np.sqrt(variance / len(values))
-            contenders[others] = mean[others] >= mean[best] - margin
+            ) * np.sqrt(difference_variance / len(values))
+            contenders &= mean >= mean[best] - margin
     return contenders
 
 
-def moderated_variance(variance: np.ndarray, freedom: int) -> tuple[np.ndarray, int]:
-    """Variances of several differences, each moved towards their common value, and their degrees of freedom.
+def _noise_variance(values: np.ndarray) -> tuple[np.ndarray, int]:
+    """Variances of the noise of points (k,), and their degrees of freedom.
+
+    Residuals of values (n, k) about the means of repeats and points. Differences to the best point would not do, because
+    all of them contain the noise of this one point. Noisy points have little weight in the means of repeats.
+    """
+    repeats, points = values.shape
+    deviations, weights = values - values.mean(axis=0), np.full(points, 1 / points)
+    for _ in range(_REWEIGHTINGS):
+        rest = deviations - (deviations @ weights)[:, None]
+        variance, freedom = moderated_variance(
+            (rest**2).sum(axis=0) / ((repeats - 1) * (1 - weights)),
+            (repeats - 1) * (points - 1),
+            repeats - 1,
+        )
+        if not variance.all():
+            break
+        weights = 1 / variance / (1 / variance).sum()
+    return variance, freedom
+
+
+def moderated_variance(
+    variance: np.ndarray, all_together: int, freedom: int
+) -> tuple[np.ndarray, int]:
+    """Variances of several points, each moved towards their common value, and their degrees of freedom.
 
     The estimate is that of Smyth (Stat. Appl. Genet. Mol. Biol. 3, 2004): the more alike the variances are, the more
     they are moved. Variances that differ only by chance become equal, with the most degrees of freedom.
 
-    >>> moderated_variance(np.array([1.0, 1.2, 0.9, 1.1]), 8)
-    (array([1.05, 1.05, 1.05, 1.05]), 32)
+    >>> moderated_variance(np.array([1.0, 1.2, 0.9, 1.1]), 24, 8)
+    (array([1.05, 1.05, 1.05, 1.05]), 24)
 
     Args:
         variance: Estimated variances (k,), of which some may be 0.
+        all_together: Degrees of freedom of their mean.
         freedom: Degrees of freedom of each of them.
 
     Returns:
-        The moderated variances (k,), and the degrees of freedom of each, at most those of all together.
+        The moderated variances (k,), and the degrees of freedom of each.
     """
-    pooled, all_together = float(variance.mean()), freedom * len(variance)
-    positive = np.log(variance[variance > 0.0])
-    if len(positive) < 2:
-        return np.full(len(variance), pooled), all_together
-    excess = float(positive.var(ddof=1)) - float(special.polygamma(1, freedom / 2))
-    if excess <= float(special.polygamma(1, all_together / 2)):
-        return np.full(len(variance), pooled), all_together
+    pooled = np.full(len(variance), variance.mean()), all_together
+    logarithm = np.log(variance[variance > 0.0])
+    excess = -math.inf
+    if len(logarithm) > 1:
+        excess = float(logarithm.var(ddof=1) - special.polygamma(1, freedom / 2))
+    if excess <= special.polygamma(1, all_together / 2):
+        return pooled
     prior_freedom = 2 * float(
         optimize.brentq(lambda half: float(special.polygamma(1, half)) - excess, 1e-3, 1e9)
     )
-    offset = float(special.digamma(freedom / 2) - math.log(freedom / 2))
-    prior_offset = float(special.digamma(prior_freedom / 2) - math.log(prior_freedom / 2))
-    prior = math.exp(float(positive.mean()) - offset + prior_offset)
+    offset, prior_offset = (
+        float(special.digamma(half) - math.log(half)) for half in (freedom / 2, prior_freedom / 2)
+    )
+    prior = math.exp(float(logarithm.mean()) - offset + prior_offset)
     moderated = (prior_freedom * prior + freedom * variance) / (prior_freedom + freedom)
-    return moderated, min(all_together, max(1, int(prior_freedom + freedom)))
+    return moderated, max(1, min(all_together, int(prior_freedom + freedom)))
 
 
 def _skewness(values: np.ndarray) -> float:

@@ -472,6 +472,12 @@ def check_optimum(doc: Document, sweep: Sweep, question: SoughtOptimum) -> None:
             ("optimum", "explain"),
             f"names {question.explain!r}, which is not randomized{did_you_mean(question.explain, names)}",
         )
+    unpaired = [name for name in question.over if name not in (*sweep.paired, *sweep.labelled)]
+    if question.explain is not None and unpaired:
+        doc.fail(
+            ("optimum", "explain"),
+            f"needs pairs of runs: name {', '.join(unpaired)} under randomize.paired, too.",
+        )
     if sweep.repeats < 2:
         doc.fail(
             ("optimum",),
